@@ -1,0 +1,316 @@
+"""A measured run of one axis, as a frozen value.
+
+Signals are ``(n,)`` float64 in SI units (seconds, metres or radians, volts) and read-only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Literal, final
+
+import numpy as np
+
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from servolens.findings import Finding
+
+__all__ = ["Controller", "Record"]
+
+LengthUnit = Literal["m", "rad"]
+SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controller:
+    """The digital P or PD loop that made a record.
+
+    ``V[k] = kp (r[k] − y[k]) − kd d[k]`` with
+    ``d[k] = d[k−1] + derivative_filter ((y[k] − y[k−w])/(w h) − d[k−1])`` and zero-order hold.
+
+    Parameters
+    ----------
+    kp : float
+        Proportional gain [V/m or V/rad], finite.
+    kd : float
+        Derivative gain [V s/m or V s/rad], finite.
+    derivative_filter : float
+        Share of the new difference in the derivative, in (0, 1]; 1 is no filter.
+    derivative_window : int
+        Samples ``w`` that the raw difference spans, at least 1.
+    derivative_on : {"measurement", "error"}
+        What is differentiated.
+    derivative : {"position", "velocity"}
+        ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
+    control_period : float or None
+        Period of the loop [s] where it is slower than the log; None means every sample.
+
+    Raises
+    ------
+    InputError
+        If a value is outside its range.
+    """
+
+    kp: float
+    kd: float = 0.0
+    derivative_filter: float = 1.0
+    derivative_window: int = 1
+    derivative_on: Literal["measurement", "error"] = "measurement"
+    derivative: Literal["position", "velocity"] = "position"
+    control_period: float | None = None
+
+    def __post_init__(self) -> None:
+        _require(np.isfinite(self.kp), f"kp must be finite, got {self.kp!r}")
+        _require(np.isfinite(self.kd), f"kd must be finite, got {self.kd!r}")
+        _require(
+            0 < self.derivative_filter <= 1, f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}"
+        )
+        _require(self.derivative_window >= 1, f"derivative_window must be at least 1, got {self.derivative_window!r}")
+        _require(
+            self.derivative_on in ("measurement", "error"),
+            f"derivative_on must be 'measurement' or 'error', got {self.derivative_on!r}",
+        )
+        _require(
+            self.derivative in ("position", "velocity"),
+            f"derivative must be 'position' or 'velocity', got {self.derivative!r}",
+        )
+        period = self.control_period
+        _require(
+            period is None or (np.isfinite(period) and period > 0), f"control_period must be positive, got {period!r}"
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Record:
+    """One measured run.
+
+    Parameters
+    ----------
+    time : array_like, shape (n,)
+        Strictly increasing [s].
+    position : array_like, shape (n,)
+        Measured position [m or rad].
+    reference : array_like, shape (n,), optional
+        Set point [m or rad]; then `controller` is needed unless `voltage` is logged.
+    voltage : array_like, shape (n,), optional
+        What the controller asked for [`command_unit`], held until the next sample.
+    velocity, feedforward : array_like, shape (n,), optional
+        Logged velocity [m/s or rad/s]; voltage added to the controller's [`command_unit`].
+    controller : Controller, optional
+        Settings of the loop.
+    encoder_resolution : float, optional
+        Smallest step of the position sensor [m or rad], positive.
+    voltage_limit : float, optional
+        The amplifier's limit [`command_unit`], positive.
+    name, source : str
+        What people call the record; where it came from.
+    length_unit : {"m", "rad"}
+        Unit of position.
+    command_unit : str
+        Unit of the command, ``"V"`` unless the log says otherwise (A, N, %).
+    remarks : tuple of Finding
+        What the reader noticed.
+
+    Raises
+    ------
+    InputError
+        With one sentence, if the signals do not fit together.
+    """
+
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    reference: NDArray[np.float64] | None = None
+    voltage: NDArray[np.float64] | None = None
+    velocity: NDArray[np.float64] | None = None
+    feedforward: NDArray[np.float64] | None = None
+    controller: Controller | None = None
+    encoder_resolution: float | None = None
+    voltage_limit: float | None = None
+    name: str = "record"
+    source: str = ""
+    length_unit: LengthUnit = "m"
+    command_unit: str = "V"
+    remarks: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        for signal in SIGNALS:
+            value = getattr(self, signal)
+            if value is not None:
+                object.__setattr__(self, signal, _signal(signal, value, self.name))
+        n = self.time.size
+        _require(n >= 2, f"{self.name}: a record needs at least 2 samples, got {n}")
+        for signal in SIGNALS[1:]:
+            value = getattr(self, signal)
+            if value is not None:
+                _require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
+        _check_time(self.time, self.name)
+        _require(
+            self.reference is not None or self.voltage is not None,
+            f"{self.name}: neither reference nor voltage is given; log at least one of the two",
+        )
+        _require(
+            self.voltage is not None or self.controller is not None,
+            f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd",
+        )
+        for quantity in ("encoder_resolution", "voltage_limit"):
+            value = getattr(self, quantity)
+            _require(
+                value is None or (np.isfinite(value) and value > 0),
+                f"{self.name}: {quantity} must be positive, got {value!r}",
+            )
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    @property
+    def sample_time(self) -> float:
+        """Median sampling interval [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def step_size(self) -> float:
+        """Size of the step [m or rad]: max(r, y₀) − min(r, y₀), or the position's range without a reference.
+
+        The denominator of the paper's percent error.
+        """
+        if self.reference is None:
+            return float(np.ptp(self.position))
+        first = float(self.position[0])
+        return max(float(self.reference.max()), first) - min(float(self.reference.min()), first)
+
+    def slice(self, start: float, end: float) -> Record:
+        """Return the samples with ``start <= time <= end`` [s].
+
+        Raises
+        ------
+        InputError
+            If fewer than two samples lie between.
+        """
+        first, last = np.searchsorted(self.time, [start, end + 1e-9 * max(1.0, abs(end))])
+        _require(
+            last - first >= 2,
+            f"{self.name}: only {max(last - first, 0)} samples lie between {start:g} and {end:g} s"
+            f" (the record spans {self.time[0]:g} to {self.time[-1]:g} s)",
+        )
+        return self._take(int(first), int(last))
+
+    def edges(self) -> NDArray[np.intp]:
+        """Return the indices of the samples at which the reference first has a new value."""
+        if self.reference is None:
+            return np.empty(0, dtype=np.intp)
+        return np.flatnonzero(np.diff(self.reference)) + 1
+
+    def steps(self) -> tuple[Record, ...]:
+        """Split at the reference's edges into single steps, each from its edge to the next.
+
+        A rest before the first edge is left out. A reference that moves for several samples in a row (a ramp, a
+        trajectory) is no step: then the record is returned whole.
+        """
+        edges = self.edges()
+        if edges.size == 0 or (edges.size > 1 and np.min(np.diff(edges)) < 3):  # noqa: PLR2004
+            return (self,)
+        ends = [*edges[1:].tolist(), len(self)]
+        pieces = [(int(a), int(b)) for a, b in zip(edges, ends, strict=True) if b - a >= 2]  # noqa: PLR2004
+        lead = int(edges[0])
+        if lead > 0 and self._moves(0, lead):
+            pieces.insert(0, (0, lead))
+        if len(pieces) <= 1:
+            return tuple(self._take(a, b) for a, b in pieces) or (self,)
+        return tuple(
+            replace(self._take(a, b), name=f"{self.name}, step {i}") for i, (a, b) in enumerate(pieces, start=1)
+        )
+
+    def onset(self) -> float:
+        """Time [s] at which the motion begins.
+
+        The last sample before the position first leaves its initial value by more than three times the noise of the
+        first samples (at least 1.5 encoder steps); the first sample if it moves at once, the last if it never does.
+        """
+        lead = self._lead()
+        y = self.position
+        rest = float(np.median(y[:lead]))
+        spread = float(np.std(np.diff(y[:lead]))) / np.sqrt(2) if lead > 4 else 0.0  # noqa: PLR2004
+        threshold = max(4 * spread, 1.5 * (self.encoder_resolution or 0.0), 1e-12)
+        away = np.flatnonzero(np.abs(y - rest) > threshold)
+        if away.size == 0:
+            return float(self.time[-1])
+        return float(self.time[max(int(away[0]) - 1, 0)])
+
+    def resample(self, sample_time: float) -> Record:
+        """Return the record on a uniform grid of `sample_time` [s].
+
+        Position and velocity are interpolated linearly; reference, voltage and feedforward are held.
+        """
+        _require(
+            np.isfinite(sample_time) and 0 < sample_time <= self.duration,
+            f"{self.name}: sample_time must lie in (0, {self.duration:g}] s, got {sample_time!r}",
+        )
+        time = self.time[0] + sample_time * np.arange(int(self.duration / sample_time * (1 + 1e-12)) + 1)
+        held = np.clip(np.searchsorted(self.time, time + 1e-9 * sample_time, side="right") - 1, 0, None)
+        changes: dict[str, NDArray[np.float64]] = {"time": time}
+        for signal in SIGNALS[1:]:
+            value = getattr(self, signal)
+            if value is not None:
+                smooth = signal in ("position", "velocity")
+                changes[signal] = np.interp(time, self.time, value) if smooth else value[held]
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def with_(self, changes: Mapping[str, object]) -> Record:
+        """Return a copy with other settings, e.g. ``record.with_({"controller": Controller(kp=58.7)})``."""
+        known = {field.name for field in fields(self)}
+        unknown = sorted(set(changes) - known)
+        _require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+    def _take(self, first: int, last: int) -> Record:
+        parts = {s: v[first:last] for s in SIGNALS if (v := getattr(self, s)) is not None}
+        return replace(self, **parts)
+
+    def _lead(self) -> int:
+        """Count the samples before the reference's first edge; without one, a twentieth of the record."""
+        edges = self.edges()
+        return max(int(edges[0]) if edges.size else len(self) // 20, 1)
+
+    def _moves(self, first: int, last: int) -> bool:
+        """Tell whether the position travels in the samples, more than a fiftieth of the whole range."""
+        part = self.position[first:last]
+        return bool(np.ptp(part) > 0.02 * np.ptp(self.position))
+
+
+def _signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
+    array = np.asarray(value, dtype=np.float64)
+    _require(array.ndim == 1, f"{record}: {name} must be one-dimensional, got shape {array.shape}")
+    finite = np.isfinite(array)
+    if not finite.all():
+        k = int(np.argmin(finite))
+        raise InputError(f"{record}: {name} must be finite; sample {k} is {array[k]}")
+    if array.flags.writeable:
+        array = array.copy() if array is value else array
+        array.flags.writeable = False
+    return array
+
+
+def _check_time(time: NDArray[np.float64], record: str) -> None:
+    steps = np.diff(time)
+    if steps.min() <= 0:
+        k = int(np.argmax(steps <= 0)) + 1
+        verb = "repeats" if time[k] == time[k - 1] else "lies before"
+        raise InputError(
+            f"{record}: time must increase; sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
+        )
+
+
+def _require(condition: object, message: str) -> None:
+    if not condition:
+        raise InputError(message)
