@@ -1,0 +1,291 @@
+"""Simulation of the digital PD loop, of the ideal continuous one (eq. 15), and of the axis driven by its voltage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.effects import Saturation
+from servolens.errors import InputError, NumericalError
+from servolens.record import Controller
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"]
+
+STEP_TIMES_RATE = 0.02
+"""Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
+MOST_SUBSTEPS = 4000
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Simulation:
+    """What the axis does, at the samples.
+
+    Attributes
+    ----------
+    time, position, velocity, voltage, measured : ndarray, shape (n,)
+        [s], true position [m or rad] and velocity, what the controller asks for [V], position as the encoder shows it.
+    """
+
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    measured: NDArray[np.float64]
+
+
+def simulate(
+    plant: Plant,
+    record: Record,
+    *,
+    initial_velocity: float = 0.0,
+    voltage_driven: bool | None = None,
+    substeps: int | None = None,
+) -> Simulation:
+    """Simulate `plant` through what was done in `record`, at the record's samples.
+
+    Starts at the first measured position. The digital loop of the record's controller is closed on the simulated
+    position (quantised where the record states its encoder); without reference or gains the logged voltage drives.
+
+    Parameters
+    ----------
+    plant : Plant
+        In the record's units.
+    record : Record
+        Gives time, reference, feedforward, controller, encoder and voltage limit.
+    initial_velocity : float
+        [m/s or rad/s].
+    voltage_driven : bool, optional
+        True: apply the logged voltage; False: close the loop; None: close it where the record allows.
+    substeps : int, optional
+        Steps a sample; None chooses them from the plant's fastest rate.
+
+    Raises
+    ------
+    InputError
+        If the record lacks what is asked for.
+    NumericalError
+        If the simulated axis leaves all bounds.
+    """
+    can_close = record.reference is not None and record.controller is not None
+    driven = not can_close if voltage_driven is None else voltage_driven
+    if driven and record.voltage is None:
+        raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
+    if not driven and not can_close:
+        raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
+    if record.voltage_limit is not None and plant.effect(Saturation.name) is None:
+        plant = plant.with_effect(Saturation(limit=record.voltage_limit))
+    start = (float(record.position[0]), initial_velocity)
+    if driven:
+        return simulate_voltage(plant, record.time, _given(record.voltage), start=start, substeps=substeps)
+    controller = record.controller
+    assert controller is not None  # noqa: S101 - can_close
+    grid, index = _without_gaps(record.time)
+    held = np.searchsorted(record.time, grid + 0.5 * record.sample_time, side="right") - 1
+    result = simulate_loop(
+        plant,
+        controller,
+        grid,
+        _given(record.reference)[held],
+        feedforward=None if record.feedforward is None else record.feedforward[held],
+        start=start,
+        resolution=record.encoder_resolution or 0.0,
+        substeps=substeps,
+    )
+    if index is None:
+        return result
+    return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
+
+
+def simulate_loop(
+    plant: Plant,
+    controller: Controller,
+    time: ArrayLike,
+    reference: ArrayLike,
+    *,
+    feedforward: ArrayLike | None = None,
+    start: tuple[float, float] = (0.0, 0.0),
+    resolution: float = 0.0,
+    substeps: int | None = None,
+) -> Simulation:
+    """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative.
+
+    Parameters
+    ----------
+    plant, controller : Plant, Controller
+        The axis and its loop.
+    time, reference, feedforward : array_like, shape (n,)
+        Samples [s], set point [m or rad], voltage added to the controller's [V].
+    start : tuple of float
+        Initial position [m or rad] and velocity.
+    resolution : float
+        Encoder step [m or rad]; 0 is none.
+    substeps : int, optional
+        Steps a sample.
+    """
+    grid = _grid(time)
+    held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
+    period = float(np.median(np.diff(grid[: 10_001]))) if grid.size > 1 else 1.0
+    ratio = _samples_a_period(controller, period)
+    settings = [
+        1.0,
+        controller.kp,
+        controller.kd,
+        controller.derivative_filter,
+        controller.derivative_window,
+        controller.derivative_on == "error",
+        controller.derivative == "velocity",
+        ratio,
+        resolution,
+        ratio * period,
+    ]
+    count = substeps or _substeps(plant, period)
+    return _run(plant, grid, held, _floats(reference), settings, start, count)
+
+
+def simulate_voltage(
+    plant: Plant,
+    time: ArrayLike,
+    voltage: ArrayLike,
+    *,
+    start: tuple[float, float] = (0.0, 0.0),
+    substeps: int | None = None,
+) -> Simulation:
+    """Simulate the axis under a `voltage` [V] that is held from sample to sample."""
+    grid = _grid(time)
+    step = float(np.max(np.diff(grid), initial=1e-9))
+    held = _floats(voltage)
+    return _run(plant, grid, held, held, [0.0] * 7 + [1.0, 0.0, 1.0], start, substeps or _substeps(plant, step))
+
+
+def simulate_continuous(
+    plant: Plant,
+    kp: float,
+    kd: float,
+    time: ArrayLike,
+    reference: ArrayLike,
+    *,
+    start: tuple[float, float] = (0.0, 0.0),
+    substeps: int | None = None,
+) -> Simulation:
+    """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples."""
+    grid = _grid(time)
+    step = float(np.max(np.diff(grid), initial=1e-9))
+    held = _floats(reference)
+    loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
+    count = substeps or _substeps(plant, step, extra=float(loop))
+    settings = [0.0] * 7 + [1.0, 0.0, 1.0]
+    result = _run(plant, grid, held, held, settings, start, count, gains=(kp, kd))
+    voltage = kp * (held - result.position) - kd * result.velocity
+    return Simulation(
+        time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured
+    )
+
+
+def _run(
+    plant: Plant,
+    time: NDArray[np.float64],
+    held: NDArray[np.float64],
+    reference: NDArray[np.float64],
+    settings: list[float],
+    start: tuple[float, float],
+    substeps: int,
+    gains: tuple[float, ...] = (),
+) -> Simulation:
+    from servolens.simulate.kernel import kernel
+
+    if not (held.size == reference.size == time.size):
+        raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
+    run = kernel(plant.structure, continuous=bool(gains))
+    outputs = [np.empty(time.size) for _ in range(4)]
+    parameters = np.array([*plant.values, *gains])
+    run(time, held, reference, np.array(settings), np.array(start, dtype=np.float64), parameters, substeps, *outputs)
+    if not np.isfinite(outputs[0][-1]):
+        raise NumericalError(
+            f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "
+            "the loop is unstable with these gains"
+        )
+    position, velocity, voltage, measured = outputs
+    return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
+
+
+def _substeps(plant: Plant, step: float, extra: float = 0.0) -> int:
+    rate = _fastest_rate(plant.structure)(plant.values) + extra
+    return int(np.clip(np.ceil(step * rate / STEP_TIMES_RATE), 1, MOST_SUBSTEPS))
+
+
+@lru_cache(maxsize=256)
+def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], float]:
+    """Return a function of the parameters: the fastest rate [1/s] of the axis at a few speeds."""
+    import casadi as ca
+
+    from servolens.dynamics import dynamics
+
+    d = dynamics(structure)
+    slopes = ca.Function(
+        "slopes", d.inputs, [ca.gradient(d.acceleration, d.velocity), ca.gradient(d.acceleration, d.position)]
+    )
+
+    @lru_cache(maxsize=1024)
+    def rate(values: tuple[float, ...]) -> float:
+        found = [_rate_at(slopes, speed, values) for speed in (0.0, 0.01, 0.1, 1.0)]
+        return float(np.nanmax([0.0, *found]))
+
+    return rate
+
+
+def _rate_at(slopes: Any, speed: float, values: tuple[float, ...]) -> float:
+    by_velocity, by_position = slopes(0.0, speed, 0.0, 0.0, 1.0, values)
+    return abs(float(by_velocity)) + float(np.sqrt(abs(float(by_position))))
+
+
+def _samples_a_period(controller: Controller, sample_time: float) -> int:
+    if controller.control_period is None:
+        return 1
+    ratio = controller.control_period / sample_time
+    count = round(ratio)
+    if count < 1 or abs(ratio - count) > 0.01 * count:
+        raise InputError(
+            f"control_period is {controller.control_period:g} s and the log's sample time {sample_time:g} s; "
+            "the period must be a whole number of samples"
+        )
+    return count
+
+
+def _without_gaps(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
+    """Return a grid on which the loop ran, lost samples put back, and where the record's samples stand in it."""
+    steps = np.diff(time)
+    nominal = float(np.median(steps))
+    if steps.max() < 1.5 * nominal:
+        return time, None
+    counts = np.maximum(np.rint(steps / nominal).astype(np.intp), 1)
+    index = np.concatenate([[0], np.cumsum(counts)])
+    return np.interp(np.arange(index[-1] + 1), index, time), index
+
+
+def _grid(time: ArrayLike) -> NDArray[np.float64]:
+    grid = _floats(time)
+    if grid.size == 0 or (grid.size > 1 and np.diff(grid).min() <= 0):
+        raise InputError("time must hold at least one sample and increase")
+    return grid
+
+
+def _floats(values: ArrayLike) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _given(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    assert signal is not None  # noqa: S101 - the caller checked
+    return signal
