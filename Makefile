@@ -1,0 +1,74 @@
+# make demo and make test do all set-up themselves; make help lists the rest.
+
+PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
+	$$p -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input --constraint constraints.txt
+RUN_STAMP := $(VENV)/.installed
+DEV_STAMP := $(VENV)/.installed-dev
+SLOW ?=
+DEMO_ARGS ?=
+
+.DEFAULT_GOAL := help
+.NOTPARALLEL:
+.PHONY: demo test check static format format-check lint types layers docs bench examples clean help
+
+demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
+	@$(BIN)/servolens demo $(DEMO_ARGS)
+
+test: $(DEV_STAMP) ## the tests but for the slow studies; SLOW=1 adds those
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(if $(SLOW),,-m "not slow")
+
+check: SLOW = 1
+check: static test ## everything that must be green: static checks and all tests
+
+static: format-check lint types layers docs ## format check, lint, types, layers, docs
+
+format: $(DEV_STAMP) ## rewrite the code in the house's format
+	@$(BIN)/ruff format
+	@$(BIN)/ruff check --fix --exit-zero --quiet
+
+format-check: $(DEV_STAMP)
+	@$(BIN)/ruff format --check
+
+lint: $(DEV_STAMP) ## ruff
+	@$(BIN)/ruff check
+
+types: $(DEV_STAMP) ## mypy --strict
+	@$(BIN)/mypy
+
+layers: $(DEV_STAMP) ## imports go down only
+	@$(BIN)/lint-imports --no-logo
+
+docs: $(DEV_STAMP) ## the documentation, into site/
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "docs: site/index.html"
+
+bench: $(DEV_STAMP) ## the figures of the README, measured here
+	@$(BIN)/python benchmarks/run.py
+
+examples: $(DEV_STAMP) ## run every example
+	@for script in examples/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+clean: ## remove what the commands above made, but for .venv
+	@rm -rf site build dist servolens-demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
+	@find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help:
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "servolens needs Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3-venv); none was found. Name yours: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "servolens needs Python 3.11 or newer; $(PYTHON) is not" >&2; exit 1; }
+	@$(PYTHON) -m venv --clear $(VENV) || { rm -rf $(VENV); exit 1; }
+
+$(RUN_STAMP): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing servolens into $(VENV) ..." >&2
+	@$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(DEV_STAMP): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "Installing servolens and its development tools into $(VENV) ..." >&2
+	@$(PIP_INSTALL) --editable '.[dev,docs]'
+	@touch $@ $(RUN_STAMP)
