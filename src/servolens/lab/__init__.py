@@ -1,0 +1,29 @@
+"""The virtual laboratory: carts whose truth is known, on a bench with a digital PD loop.
+
+Its physics and its numerics are written a second time, with NumPy alone: nothing here derives from the effects or the
+simulator of servolens, so that agreement of the two means something. Used by the demo and by the tests.
+
+>>> from servolens import lab
+>>> record = lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)
+>>> record.name, len(record)
+('kp 60, kd 0', 1501)
+"""
+
+from servolens.lab.bench import step_record, step_records
+from servolens.lab.campaigns import TABLE_ONE_GAINS, paper_campaign, table_one
+from servolens.lab.truth import LM1, LM2, LM3, NLM1, NLM2, NLM3, Truth
+
+__all__ = [
+    "LM1",
+    "LM2",
+    "LM3",
+    "NLM1",
+    "NLM2",
+    "NLM3",
+    "TABLE_ONE_GAINS",
+    "Truth",
+    "paper_campaign",
+    "step_record",
+    "step_records",
+    "table_one",
+]
