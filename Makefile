@@ -53,7 +53,7 @@ examples: $(DEV_STAMP) ## run every example
 
 clean: ## remove what the commands above made, but for .venv
 	@rm -rf site build dist servolens-demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .benchmarks
-	@find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
