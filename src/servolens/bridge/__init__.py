@@ -1,0 +1,26 @@
+"""The bridge to python-control: plants and loops as its nonlinear systems.
+
+What comes out is an ordinary ``NonlinearIOSystem``; everything in it derives from the plant's one equation of motion.
+What python-control does with such systems, and what to do about it (version 0.10.2, each shown in the tests):
+
+* ``input_output_response`` interpolates inputs linearly: a voltage that a controller holds becomes a ramp from sample
+  to sample, which puts the paper's cart 1 mm off on a 0.1 m step at 1 kHz. :func:`held_response` holds it.
+* Its default solver, RK45 with ``rtol`` 1e-3, is 0.2 mm off on that step, and any solver may step over a pulse of 50 ms
+  that follows a rest. Pass ``solve_ivp_kwargs=SOLVER``, or use :func:`held_response`, which starts anew wherever an
+  input changes.
+* A sign in the equations makes the stiff solvers return nonsense as success, or never return. Dry friction is therefore
+  smoothed here, ``level·tanh(velocity / friction_width)``: a push below the level makes the axis creep, at up to a few
+  times that speed, instead of holding it. With 1e-3 m/s that is 0.3 to 0.5 mm on a sticky cart's step of 1.5 s, and in
+  proportion for other widths. An axis that sticks is simulated by :func:`servolens.simulate.loop.simulate_loop`.
+* ``interconnect`` merges the parameters of all parts by name: of two plants with a ``gain`` each, both get the last
+  one's. Give each its own `prefix`.
+* A name in ``params=`` that no system has is ignored.
+* ``frequency_response``, ``bode_plot`` and their like take linear systems: linearise first. A plant or loop from here
+  is linearised exactly, an interconnection by python-control's differences.
+* An interconnection cannot be pickled; the systems made here can.
+"""
+
+from servolens.bridge.response import SOLVER, held_response
+from servolens.bridge.system import PlantSystem, closed_loop, to_control
+
+__all__ = ["SOLVER", "PlantSystem", "closed_loop", "held_response", "to_control"]
