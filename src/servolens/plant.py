@@ -25,7 +25,9 @@ BASE_PARAMETERS = (
         high=1e12,
         meaning="acceleration per unit of command, from rest",
     ),
-    Parameter(name="damping", symbol="c", unit="1/s", low=-1e9, high=1e12, meaning="viscous damping, back-EMF included"),
+    Parameter(
+        name="damping", symbol="c", unit="1/s", low=-1e9, high=1e12, meaning="viscous damping, back-EMF included"
+    ),
 )
 
 

@@ -39,4 +39,6 @@ def effect_class(name: str) -> type[Effect]:
     try:
         return CATALOGUE[name]
     except KeyError:
-        raise InputError(f"there is no effect {name[:40]!r}; the catalogue holds {', '.join(sorted(CATALOGUE))}") from None
+        raise InputError(
+            f"there is no effect {name[:40]!r}; the catalogue holds {', '.join(sorted(CATALOGUE))}"
+        ) from None

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"]
+__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "substeps_for"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -137,7 +137,7 @@ def simulate_loop(
     """
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
-    period = float(np.median(np.diff(grid[: 10_001]))) if grid.size > 1 else 1.0
+    period = float(np.median(np.diff(grid[:10_001]))) if grid.size > 1 else 1.0
     ratio = _samples_a_period(controller, period)
     settings = [
         1.0,
@@ -151,7 +151,7 @@ def simulate_loop(
         resolution,
         ratio * period,
     ]
-    count = substeps or _substeps(plant, period)
+    count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
 
@@ -167,7 +167,7 @@ def simulate_voltage(
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
-    return _run(plant, grid, held, held, [0.0] * 7 + [1.0, 0.0, 1.0], start, substeps or _substeps(plant, step))
+    return _run(plant, grid, held, held, [0.0] * 7 + [1.0, 0.0, 1.0], start, substeps or substeps_for(plant, step))
 
 
 def simulate_continuous(
@@ -185,7 +185,7 @@ def simulate_continuous(
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(reference)
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
-    count = substeps or _substeps(plant, step, extra=float(loop))
+    count = substeps or substeps_for(plant, step, extra=float(loop))
     settings = [0.0] * 7 + [1.0, 0.0, 1.0]
     result = _run(plant, grid, held, held, settings, start, count, gains=(kp, kd))
     voltage = kp * (held - result.position) - kd * result.velocity
@@ -221,7 +221,8 @@ def _run(
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 
-def _substeps(plant: Plant, step: float, extra: float = 0.0) -> int:
+def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
+    """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
     rate = _fastest_rate(plant.structure)(plant.values) + extra
     return int(np.clip(np.ceil(step * rate / STEP_TIMES_RATE), 1, MOST_SUBSTEPS))
 

@@ -1,0 +1,313 @@
+"""From records to models: constant, time-varying and speed-dependent damping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, final
+
+import numpy as np
+
+from servolens.effects import VelocityDecayDamping
+from servolens.errors import InputError, NumericalError
+from servolens.findings import Finding
+from servolens.identify.damping_law import fit_law, law_from_pieces
+from servolens.identify.integral import Pieces, assemble, solve_integral
+from servolens.identify.piecewise import varying_plant
+from servolens.identify.refine import refine
+from servolens.identify.segments import motion_segments
+from servolens.identify.smoothing import smoothing_window
+from servolens.identify.uncertainty import integral_covariance
+from servolens.identify.varying import fit_varying, piece_duration
+from servolens.model import Model, Quantity
+from servolens.plant import Plant
+from servolens.prediction import RecordError, prediction_error
+from servolens.record import Record
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servolens.identify.integral import Prior
+    from servolens.identify.segments import Segment
+    from servolens.identify.varying import VaryingDamping
+
+__all__ = ["Identification", "identify"]
+
+ModelName = Literal["constant", "varying", "velocity", "all"]
+MOST_SAMPLES = 200_000
+"""The law and its refinement use the first stretches of motion up to this many samples."""
+SIGNIFICANT = 3.0
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Identification:
+    """What the records say about the axis.
+
+    Attributes
+    ----------
+    records : tuple of Record
+        What was used.
+    constant, velocity : Model or None
+        Constant damping; damping against speed (the law of eq. 20 in the integral equation, refined).
+    varying : VaryingDamping or None
+        Damping against time since the step.
+    law_from_pieces : Plant or None
+        The paper's own route to the law, eqs. 19–22: a start, shown for comparison.
+    errors : mapping of str to tuple of RecordError
+        Of each model, closed loop on each record.
+    findings : tuple of Finding
+        Doubts.
+    """
+
+    records: tuple[Record, ...]
+    constant: Model | None = None
+    varying: VaryingDamping | None = None
+    velocity: Model | None = None
+    law_from_pieces: Plant | None = None
+    errors: Mapping[str, tuple[RecordError, ...]] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def model(self) -> Model:
+        """The richest model with a plant: velocity, else constant.
+
+        Raises
+        ------
+        InputError
+            If only the time-varying model was asked for, which holds for its own step alone.
+        """
+        chosen = self.velocity or self.constant
+        if chosen is None:
+            raise InputError("time-varying damping predicts no other step; identify 'constant' or 'velocity' as well")
+        return chosen
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.identification/1`` without the file's header."""
+        models: dict[str, Any] = {}
+        for name in ("constant", "velocity"):
+            model: Model | None = getattr(self, name)
+            if model is not None:
+                models[name] = {**model.to_json(), "fit": self._fit(name)}
+        if self.varying is not None:
+            models["varying"] = {**_varying_json(self.varying, self.records[0]), "fit": self._fit("varying")}
+        if self.law_from_pieces is not None:
+            models["velocity"]["law_from_pieces"] = Model(plant=self.law_from_pieces).to_json()
+        return {
+            "models": models,
+            "records": [record.name for record in self.records],
+        }
+
+    def _fit(self, name: str) -> dict[str, Any]:
+        errors = self.errors.get(name, ())
+        if not errors:
+            return {"mean_abs_error": None, "percent_error": None, "reason": "its simulation leaves all bounds"}
+        return {
+            "mean_abs_error": float(np.mean([e.mean_abs_error for e in errors])),
+            "percent_error": float(np.mean([e.percent_error for e in errors])),
+            "records": [e.to_json() for e in errors],
+        }
+
+
+def identify(
+    records: Record | Sequence[Record],
+    *,
+    model: ModelName = "all",
+    delta: float | None = None,
+    piece: float | None = None,
+    priors: Mapping[str, Prior] | None = None,
+) -> Identification:
+    """Identify the axis from measured steps by the integral method.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        Runs of the same axis, in the same units.
+    model : {"all", "constant", "varying", "velocity"}
+        What to fit.
+    delta : float, optional
+        δ of eq. 18 [1/s] for the time-varying damping; unconstrained when None.
+    piece : float, optional
+        Length of its pieces [s]; half the smallest interval between velocity zeros when None.
+    priors : mapping of str to Prior, optional
+        Data-sheet knowledge by parameter name, e.g. ``{"gain": Prior(value=45.0, deviation=2.0)}``; for the constant
+        and the velocity model.
+
+    Returns
+    -------
+    Identification
+
+    Raises
+    ------
+    InputError
+        If the records hold no motion, mix units, or a prior names no parameter.
+    NumericalError
+        If the data do not determine the parameters.
+
+    Examples
+    --------
+    >>> from servolens.lab import NLM3, step_record
+    >>> fit = identify(step_record(NLM3, kp=100, encoder=1e-5, noise=1e-5, seed=1))
+    >>> round(fit.velocity.plant.gain, 2)
+    1.91
+    """
+    runs = (records,) if isinstance(records, Record) else tuple(records)
+    _check(runs, model, priors or {})
+    segments = motion_segments(runs)
+    result = Identification(records=runs, findings=_reconstructed(runs))
+    if model in ("all", "constant"):
+        result = replace(result, constant=_constant(runs, segments, priors or {}))
+    if model in ("all", "varying"):
+        result = replace(result, varying=fit_varying(segments, duration=piece, delta=delta))
+    if model in ("all", "velocity"):
+        result = _with_velocity(result, segments, priors or {})
+    return _with_errors(result)
+
+
+def _check(runs: tuple[Record, ...], model: str, priors: Mapping[str, Prior]) -> None:
+    if not runs:
+        raise InputError("no record was given; identification needs at least one")
+    if model not in ("all", "constant", "varying", "velocity"):
+        raise InputError(f"model must be 'all', 'constant', 'varying' or 'velocity', got {model!r}")
+    for unit in ("length_unit", "command_unit"):
+        kinds = sorted({getattr(run, unit) for run in runs})
+        if len(kinds) > 1:
+            raise InputError(f"records in {' and '.join(kinds)} cannot be identified together; convert one of them")
+    known = ["gain", "damping", *(f"{VelocityDecayDamping.name}.{p.name}" for p in VelocityDecayDamping.parameters())]
+    for name, prior in priors.items():
+        if name not in known:
+            raise InputError(f"a prior on {name[:40]!r} is not possible; known are {', '.join(known)}")
+        if not (np.isfinite(prior.value) and np.isfinite(prior.deviation) and prior.deviation > 0):
+            raise InputError(f"the prior on {name} needs a finite value and a positive standard deviation")
+
+
+def _constant(runs: tuple[Record, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Model:
+    shares = [Pieces.whole(s.time.size) for s in segments]
+    factor = assemble(segments, shares)
+    estimate = solve_integral(factor).x
+    covariance, noise = integral_covariance(segments, shares, estimate)
+    known = _integral_priors(priors)
+    if known:
+        estimate = solve_integral(factor, known, noise).x
+        information = np.linalg.inv(covariance)
+        for index, prior in known.items():
+            information[index, index] += prior.deviation**-2
+        covariance = np.linalg.inv(information)
+    damping, gain = (float(v) for v in estimate)
+    return Model(
+        plant=_plant(runs, Plant(gain=gain, damping=damping)),
+        covariance=covariance[::-1, ::-1],
+        identified_from=tuple(run.name for run in runs),
+    )
+
+
+def _with_velocity(result: Identification, segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Identification:
+    runs = result.records
+    used, findings = _bounded(segments)
+    duration = piece_duration(used)
+    window = smoothing_window(duration, min(run.sample_time for run in runs))
+    start = fit_law(used, window, _integral_priors(priors))
+    law, shape = VelocityDecayDamping.name, f"{VelocityDecayDamping.name}.alpha2"
+    refined = refine(start, used, held=[shape], priors=priors, window=window)
+    index = list(start.parameters).index(f"{law}.alpha1")
+    spread = float(np.sqrt(refined.covariance[index, index]))
+    reasons = {}
+    if not abs(refined.plant.values[index]) > SIGNIFICANT * spread:
+        reasons[shape] = "damping does not depend on speed within its error, so the rate of decay is not determined"
+        findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[shape]}."))
+    else:
+        refined = refine(refined.plant, used, priors=priors, window=window)
+    if not refined.converged:
+        findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
+    velocity = Model(
+        plant=_plant(runs, refined.plant),
+        covariance=refined.covariance,
+        identified_from=tuple(run.name for run in runs),
+        reasons={name: "the data do not determine it" for name in start.parameters} | reasons,
+    )
+    pieces = result.varying or fit_varying(used)
+    paper = _plant(runs, law_from_pieces(pieces)) if pieces.damping.size >= 3 else None
+    return replace(result, velocity=velocity, law_from_pieces=paper, findings=(*result.findings, *findings))
+
+
+def _with_errors(result: Identification) -> Identification:
+    plants: dict[str, Plant] = {}
+    if result.constant is not None:
+        plants["constant"] = result.constant.plant
+    if result.varying is not None:
+        plants["varying"] = _plant(result.records, varying_plant(result.varying))
+    if result.velocity is not None:
+        plants["velocity"] = result.velocity.plant
+    errors, findings = {}, []
+    for name, plant in plants.items():
+        try:
+            errors[name] = tuple(_own_error(name, plant, record) for record in result.records)
+        except NumericalError as error:
+            findings.append(Finding(code="unstable_model", severity="warning", message=f"{name} model: {error}."))
+    return replace(result, errors=errors, findings=(*result.findings, *findings))
+
+
+def _own_error(name: str, plant: Plant, record: Record) -> RecordError:
+    """Error on a record; time-varying damping counts from each step's beginning."""
+    if name != "varying":
+        return prediction_error(plant, record)
+    steps = [step.with_({"time": step.time - step.time[0]}) for step in record.steps()]
+    parts = [prediction_error(plant, step) for step in steps]
+    weights = np.array([len(step) for step in steps], dtype=np.float64) / sum(len(step) for step in steps)
+    mean = float(weights @ [p.mean_abs_error for p in parts])
+    return RecordError(
+        name=record.name,
+        mean_abs_error=mean,
+        rms_error=float(np.sqrt(weights @ [p.rms_error**2 for p in parts])),
+        percent_error=100.0 * mean / record.step_size,
+        fit_percent=float(weights @ [p.fit_percent for p in parts]),
+    )
+
+
+def _bounded(segments: Sequence[Segment]) -> tuple[list[Segment], list[Finding]]:
+    total = np.cumsum([s.time.size for s in segments])
+    if total[-1] <= MOST_SAMPLES:
+        return list(segments), []
+    count = max(int(np.searchsorted(total, MOST_SAMPLES)), 1)
+    used = [
+        replace(s, time=s.time[:MOST_SAMPLES], position=s.position[:MOST_SAMPLES], voltage=s.voltage[:MOST_SAMPLES])
+        for s in segments[:count]
+    ]
+    message = f"the velocity model uses the first {count} of {len(segments)} stretches of motion."
+    return used, [Finding(code="not_all_data_used", severity="note", message=message)]
+
+
+def _integral_priors(priors: Mapping[str, Prior]) -> dict[int, Prior]:
+    return {index: priors[name] for index, name in enumerate(("damping", "gain")) if name in priors}
+
+
+def _plant(runs: tuple[Record, ...], plant: Plant) -> Plant:
+    return replace(plant, length_unit=runs[0].length_unit, command_unit=runs[0].command_unit)
+
+
+def _reconstructed(runs: tuple[Record, ...]) -> tuple[Finding, ...]:
+    return tuple(
+        Finding(
+            code="voltage_reconstructed",
+            severity="note",
+            message="no voltage is logged; it was computed from reference, position and the controller's gains.",
+            record=run.name,
+        )
+        for run in runs
+        if run.voltage is None
+    )
+
+
+def _varying_json(varying: VaryingDamping, record: Record) -> dict[str, Any]:
+    errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
+    unit = Plant(gain=1.0, damping=0.0, length_unit=record.length_unit, command_unit=record.command_unit).unit("gain")
+    pieces = [
+        Quantity(value=float(c), stderr=float(e), unit="1/s") for c, e in zip(varying.damping, errors, strict=False)
+    ]
+    return {
+        "gain": Quantity(value=varying.gain, stderr=float(errors[-1]), unit=unit).to_json(),
+        "edges": varying.edges.tolist(),
+        "damping": varying.damping.tolist(),
+        "damping_stderr": [q.stderr for q in pieces],
+        "speed": varying.speed.tolist(),
+        "active": list(varying.active),
+    }

@@ -1,0 +1,75 @@
+"""Damping that is constant between given times: an instrument of identification, not a member of the catalogue."""
+
+from __future__ import annotations
+
+from dataclasses import field, make_dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from servolens.effects import Axis, Effect, Force
+from servolens.plant import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.identify.varying import VaryingDamping
+
+__all__ = ["CAPACITY", "piecewise_damping", "varying_plant"]
+
+CAPACITY = 24
+
+
+def varying_plant(varying: VaryingDamping) -> Plant:
+    """Return a plant whose damping follows `varying` from the beginning of a step."""
+    return Plant(
+        gain=varying.gain,
+        damping=0.0,
+        effects=(piecewise_damping(varying.edges.tolist(), varying.damping.tolist()),),
+    )
+
+
+def piecewise_damping(edges: Sequence[float], damping: Sequence[float]) -> Effect:
+    """Return the effect with `damping[i]` [1/s] between ``edges[i]`` and ``edges[i + 1]`` [s], the last one for ever.
+
+    Parameters
+    ----------
+    edges : sequence of float, length n + 1
+        Increasing; time of the record.
+    damping : sequence of float, length n ≤ 24
+        Added to the plant's own damping.
+    """
+    steps = [damping[0], *(after - before for before, after in zip(damping[:-1], damping[1:], strict=True))]
+    spare = CAPACITY - len(steps)
+    times = [*edges[: len(steps)], *([1e9] * spare)]
+    values = {f"step{i}": v for i, v in enumerate([*steps, *([0.0] * spare)])}
+    return _effect_class()(**values, **{f"time{i}": t for i, t in enumerate(times)})
+
+
+@lru_cache(maxsize=1)
+def _effect_class() -> type[Effect]:
+    """Build the class: a step of damping at each of its times."""
+
+    def physics(axis: Axis, p: Any) -> Any:
+        from casadi import if_else
+
+        damping = p.step0
+        for i in range(1, CAPACITY):
+            damping += if_else(axis.time >= getattr(p, f"time{i}"), getattr(p, f"step{i}"), 0.0)
+        return damping * axis.velocity
+
+    steps = [(f"step{i}", float, _field("1/s", "change of damping")) for i in range(CAPACITY)]
+    times = [(f"time{i}", float, _field("s", "when it changes")) for i in range(CAPACITY)]
+    namespace = {
+        "name": "piecewise_damping",
+        "sentence": "Damping changes in time, piecewise constant.",
+        "latex": r"c(t)\,v",
+        "physics": staticmethod(physics),
+    }
+    made: type[Effect] = make_dataclass(
+        "PiecewiseDamping", [*steps, *times], bases=(Force,), namespace=namespace, frozen=True, kw_only=True, slots=True
+    )
+    return made
+
+
+def _field(unit: str, meaning: str) -> Any:
+    return field(metadata={"symbol": "", "unit": unit, "meaning": meaning, "low": -1e12, "high": 1e12})

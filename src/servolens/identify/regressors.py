@@ -1,0 +1,91 @@
+"""Columns of the integral equation, derived from the effects' physics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, final
+
+import casadi as ca
+import numpy as np
+
+from servolens.dynamics import dynamics
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+
+__all__ = ["Regressor", "regressor"]
+
+CHUNK = 1024
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Regressor:
+    """How an effect enters the integral equation.
+
+    Attributes
+    ----------
+    sizes : tuple of str
+        Parameters in which the effect's force is linear: each gives a column.
+    shapes : tuple of str
+        The others: they bend the columns and are searched for.
+    """
+
+    sizes: tuple[str, ...]
+    shapes: tuple[str, ...]
+    _columns: Any
+
+    def columns(
+        self, time: NDArray[np.float64], position: NDArray[np.float64], velocity: NDArray[np.float64], *shapes: float
+    ) -> NDArray[np.float64]:
+        """Return φ for each size, shape ``(sizes, n)``: the force per unit of that size at measured signals."""
+        signals = [position, velocity, time, np.sign(velocity), *(np.full(time.size, shape) for shape in shapes)]
+        return _evaluate(self._columns, signals, len(self.sizes))
+
+
+def _evaluate(chunked: Any, signals: list[NDArray[np.float64]], rows: int) -> NDArray[np.float64]:
+    """Run a CasADi function mapped over `CHUNK` samples along the signals, without copies through its own matrices."""
+    n = signals[0].size
+    result = np.empty((rows, n))
+    buffer, run = chunked.buffer()
+    for first in range(0, n, CHUNK):
+        part = [np.zeros(CHUNK) for _ in signals]
+        count = min(CHUNK, n - first)
+        for i, signal in enumerate(signals):
+            part[i][:count] = signal[first : first + count]
+            buffer.set_arg(i, memoryview(part[i]))
+        out = np.empty((CHUNK, rows))
+        buffer.set_res(0, memoryview(out))
+        run()
+        result[:, first : first + count] = out[:count].T
+    return result
+
+
+@lru_cache(maxsize=64)
+def regressor(effect: type[Effect]) -> Regressor:
+    """Return the regressor of a force or dry-friction `effect`.
+
+    Which parameters are sizes is found from the expression itself: those in which it is jointly linear.
+    """
+    d = dynamics((effect,))
+    command_free = ca.substitute(d.acceleration, d.command, ca.SX(0))
+    base = ca.substitute(command_free, d.parameters[:2], ca.SX.zeros(2))
+    force = -base
+    names = [spec.name for spec in effect.parameters()]
+    symbols = [d.parameters[2 + i] for i in range(len(names))]
+    sizes: list[int] = []
+    for i in range(len(names)):
+        together = ca.vertcat(*(symbols[k] for k in [*sizes, i]))
+        if bool(ca.is_linear(force, together)):
+            sizes.append(i)
+    shapes = [i for i in range(len(names)) if i not in sizes]
+    columns = ca.vertcat(*(ca.gradient(force, symbols[i]) for i in sizes))
+    placeholders = [ca.SX.sym(names[i]) for i in shapes]
+    if shapes:
+        columns = ca.substitute(columns, ca.vertcat(*(symbols[i] for i in shapes)), ca.vertcat(*placeholders))
+    arguments = [d.position, d.velocity, d.time, d.direction, *placeholders]
+    function = ca.Function("columns", arguments, [ca.densify(columns)]).map(CHUNK, "serial")
+    return Regressor(sizes=tuple(names[i] for i in sizes), shapes=tuple(names[i] for i in shapes), _columns=function)

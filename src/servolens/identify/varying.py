@@ -1,0 +1,179 @@
+"""Damping that varies in time, piecewise constant (paper sections II.B and III.A.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.identify.integral import Pieces, assemble
+from servolens.identify.smoothing import smooth, smoothing_window
+from servolens.identify.uncertainty import integral_covariance
+from servolens.solving import Constraint, constrained_least_squares
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identify.segments import Segment
+
+__all__ = ["VaryingDamping", "fit_varying", "ordering", "piece_duration"]
+
+FEWEST_IN_PIECE = 8
+MOST_PIECES = 24
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VaryingDamping:
+    """Damping against time since the step.
+
+    Attributes
+    ----------
+    gain : float
+        β.
+    edges : ndarray, shape (n + 1,)
+        Times [s] between which damping is constant.
+    damping : ndarray, shape (n,)
+        c of each piece [1/s].
+    speed : ndarray, shape (n,)
+        Mean |v| of each piece; not the paper's signed mean (eq. 19), which is near zero in a piece with a reversal.
+    covariance : ndarray, shape (n + 1, n + 1)
+        Of [c₁ … c_n, β]; for the unconstrained estimate.
+    active : tuple of str
+        Constraints that hold with equality.
+    """
+
+    gain: float
+    edges: NDArray[np.float64]
+    damping: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    active: tuple[str, ...]
+
+
+def fit_varying(
+    segments: Sequence[Segment],
+    *,
+    duration: float | None = None,
+    constraints: Sequence[Constraint] = (),
+    delta: float | None = None,
+) -> VaryingDamping:
+    """Fit piecewise-constant damping with continuous position and velocity.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Steps; damping is a function of the time since the beginning of each, shared by all.
+    duration : float, optional
+        Length of a piece [s]; by the paper's rule (:func:`piece_duration`) when None.
+    constraints : sequence of Constraint
+        On the unknowns ``[c₁ … c_n, β]``.
+    delta : float, optional
+        δ of eq. 18: damping may fall by at most δ [1/s] from piece to piece.
+
+    Raises
+    ------
+    InputError
+        If the constraints contradict each other or a piece would hold too few samples.
+    """
+    length = piece_duration(segments) if duration is None else duration
+    shares, edges = _pieces(segments, length)
+    count = edges.size - 1
+    wanted = [*constraints, *(ordering(count, delta) if delta is not None else ())]
+    window = smoothing_window(length, _sample_time(segments))
+    factor = assemble(segments, shares, window=window)
+    solution = constrained_least_squares(factor, wanted)
+    covariance, _ = integral_covariance(segments, shares, solution.x)
+    return VaryingDamping(
+        gain=float(solution.x[-1]),
+        edges=edges,
+        damping=solution.x[:-1],
+        speed=_mean_speed(segments, shares, count, window),
+        covariance=covariance,
+        active=solution.active,
+    )
+
+
+def ordering(count: int, delta: float) -> tuple[Constraint, ...]:
+    """Return eq. 18: cᵢ − cᵢ₊₁ < δ for `count` pieces."""
+    if not np.isfinite(delta):
+        return ()
+    return tuple(
+        Constraint(name=f"c{i + 1} − c{i + 2} < {delta:g}", coefficients={i: 1.0, i + 1: -1.0}, upper=delta)
+        for i in range(count - 1)
+    )
+
+
+def piece_duration(segments: Sequence[Segment]) -> float:
+    """Return half the smallest interval between zero crossings of the velocity [s]: the paper's node rule.
+
+    The first zero is the onset, "the point that the cart velocity first goes non-zero"; a reversal counts if the axis
+    was faster than 3 % of its highest speed (four times the velocity's noise at least) before and after it. With no
+    reversal: a sixth of the longest segment. At most 24 pieces to the longest segment.
+    """
+    intervals = [float(np.min(np.diff(zeros))) for s in segments if (zeros := _velocity_zeros(s)).size >= 2]
+    longest = max(float(s.time[-1]) for s in segments)
+    chosen = 0.5 * min(intervals) if intervals else longest / 6.0
+    return max(chosen, longest / MOST_PIECES)
+
+
+def _velocity_zeros(segment: Segment) -> NDArray[np.float64]:
+    """Times [s] of the onset and of each reversal."""
+    time, y = segment.time, segment.position
+    window = smoothing_window(float(time[-1]) / 6.0, float(np.median(np.diff(time))))
+    velocity = smooth(time, y, window)[1]
+    spread = segment.noise / float(np.median(np.diff(time))) * np.sqrt(12.0 / window**3)
+    fast = np.flatnonzero(np.abs(velocity) > max(0.03 * np.abs(velocity).max(), 4.0 * spread))
+    if fast.size == 0:
+        return np.empty(0)
+    flips = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
+    reversals = [_zero(time, velocity, int(fast[k - 1]), int(fast[k])) for k in flips]
+    floor = max(4.0 * segment.noise, 1.5 * (segment.record.encoder_resolution or 0.0))
+    onset = time[max(int(np.argmax(np.abs(y - y[0]) > floor)), 0)]
+    return np.array([float(onset), *reversals])
+
+
+def _zero(time: NDArray[np.float64], velocity: NDArray[np.float64], first: int, last: int) -> float:
+    """Time in (first, last] at which the velocity passes through zero, by linear interpolation."""
+    k = first + 1 + int(np.argmax(velocity[first + 1 : last + 1] * velocity[first] <= 0))
+    share = velocity[k - 1] / (velocity[k - 1] - velocity[k])
+    return float(time[k - 1] + share * (time[k] - time[k - 1]))
+
+
+def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], NDArray[np.float64]]:
+    longest = max(float(s.time[-1]) for s in segments)
+    if not 0 < length <= longest:
+        raise InputError(f"a piece must last between 0 and {longest:g} s (the longest step), got {length:g} s")
+    count = max(round(longest / length), 1)
+    if count > 10 * MOST_PIECES:
+        raise InputError(f"pieces of {length:g} s would be {count} over {longest:g} s; choose longer ones")
+    inner = length * np.arange(count)
+    shares = []
+    for segment in segments:
+        starts = np.unique(np.searchsorted(segment.time, inner - 1e-9))
+        starts = starts[starts <= segment.time.size - FEWEST_IN_PIECE]
+        if np.any(np.diff(starts) < FEWEST_IN_PIECE):
+            raise InputError(
+                f"{segment.record.name}: pieces of {length:g} s hold fewer than {FEWEST_IN_PIECE} samples; choose longer ones"
+            )
+        shares.append(Pieces(edges=np.append(starts, segment.time.size), groups=np.arange(starts.size, dtype=np.intp)))
+    count = max(share.groups.size for share in shares)
+    return shares, np.append(inner[:count], longest)
+
+
+def _mean_speed(segments: Sequence[Segment], shares: Sequence[Pieces], count: int, window: int) -> NDArray[np.float64]:
+    total, samples = np.zeros(count), np.zeros(count)
+    for segment, share in zip(segments, shares, strict=True):
+        speed = np.abs(smooth(segment.time, segment.position, window)[1])
+        for group, first, stop in zip(share.groups, share.edges[:-1], share.edges[1:], strict=True):
+            total[group] += speed[first:stop].sum()
+            samples[group] += stop - first
+    return total / samples
+
+
+def _sample_time(segments: Sequence[Segment]) -> float:
+    return min(s.record.sample_time for s in segments)

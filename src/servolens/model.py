@@ -1,0 +1,206 @@
+"""An identified plant with its uncertainty, and its file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.plant import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["Model", "Quantity", "read_model"]
+
+NORMAL_95 = 1.959963984540054
+SCHEMA = "servolens.model/1"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """A number with its unit and what is known of its error.
+
+    Parameters
+    ----------
+    value : float
+        SI.
+    unit : str
+        As people write it, e.g. ``"m/s^2/V"``.
+    stderr : float or None
+        Standard error; None if it is not known, then `reason` says why.
+    reason : str or None
+        Why there is no standard error.
+    """
+
+    value: float
+    unit: str
+    stderr: float | None = None
+    reason: str | None = None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """95 % confidence interval."""
+        if self.stderr is None:
+            return None
+        return (self.value - NORMAL_95 * self.stderr, self.value + NORMAL_95 * self.stderr)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return ``{"value", "stderr", "interval", "unit"}``, and ``"reason"`` where the error is not known."""
+        interval = self.interval
+        result: dict[str, Any] = {
+            "value": self.value,
+            "stderr": self.stderr,
+            "interval": None if interval is None else list(interval),
+            "unit": self.unit,
+        }
+        if self.stderr is None and self.reason:
+            result["reason"] = self.reason
+        return result
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Model:
+    """A plant, how well its parameters are known, and what it was identified from.
+
+    Parameters
+    ----------
+    plant : Plant
+        The estimates.
+    covariance : ndarray, shape (k, k), optional
+        Of ``plant.values``; NaN rows for parameters without a standard error.
+    identified_from : tuple of str
+        Names of the records.
+    reasons : mapping of str to str
+        By qualified name, why a parameter has no standard error.
+    """
+
+    plant: Plant
+    covariance: NDArray[np.float64] | None = None
+    identified_from: tuple[str, ...] = ()
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter by qualified name."""
+        variances = np.full(len(self.plant.values), np.nan) if self.covariance is None else np.diag(self.covariance)
+        return {
+            name: Quantity(
+                value=value,
+                unit=self.plant.unit(name),
+                stderr=float(np.sqrt(variance)) if np.isfinite(variance) and variance >= 0 else None,
+                reason=self.reasons.get(name, "given, not estimated"),
+            )
+            for name, value, variance in zip(self.plant.parameters, self.plant.values, variances, strict=True)
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.model/1`` without the file's header."""
+        quantities = self.quantities
+        effects = [
+            {
+                "effect": effect.name,
+                "parameters": {
+                    spec.name: quantities[f"{effect.name}.{spec.name}"].to_json() for spec in effect.parameters()
+                },
+            }
+            for effect in self.plant.effects
+        ]
+        return {
+            "gain": quantities["gain"].to_json(),
+            "damping": quantities["damping"].to_json(),
+            "effects": effects,
+            "length_unit": self.plant.length_unit,
+            "command_unit": self.plant.command_unit,
+            "covariance": _finite_lists(self.covariance),
+            "identified_from": list(self.identified_from),
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Model:
+        """Build the model from what :meth:`to_json` returned.
+
+        Raises
+        ------
+        InputError
+            If fields are missing or no numbers.
+        """
+        try:
+            effects = tuple(
+                Plant.effect_from(
+                    str(item["effect"]), {str(k): float(q["value"]) for k, q in item["parameters"].items()}
+                )
+                for item in data.get("effects", ())
+            )
+            plant = Plant(
+                gain=float(data["gain"]["value"]),
+                damping=float(data["damping"]["value"]),
+                effects=effects,
+                length_unit=str(data.get("length_unit") or _length_unit(data)),
+                command_unit=str(data.get("command_unit", "V")),
+            )
+            covariance = _covariance(data, plant)
+            names = tuple(str(name) for name in data.get("identified_from", ()))
+        except (KeyError, TypeError, AttributeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
+            raise InputError(f"not a model of schema {SCHEMA}: {missing}") from None
+        return cls(plant=plant, covariance=covariance, identified_from=names)
+
+
+def read_model(path: Path) -> Model:
+    """Read a ``servolens.model/1`` file.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is none.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except ValueError:
+        raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
+    schema = data.get("schema") if isinstance(data, dict) else None
+    if schema != SCHEMA:
+        raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
+    try:
+        return Model.from_json(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _length_unit(data: Mapping[str, Any]) -> str:
+    return "rad" if str(data["gain"].get("unit", "")).startswith("rad") else "m"
+
+
+def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
+    rows = data.get("covariance")
+    if rows is None:
+        quantities = [data["gain"], data["damping"]]
+        for item in data.get("effects", ()):
+            quantities += item["parameters"].values()
+        errors = [q.get("stderr") for q in quantities]
+        if all(e is None for e in errors):
+            return None
+        return np.diag([np.nan if e is None else float(e) ** 2 for e in errors])
+    matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in rows], dtype=np.float64)
+    if matrix.shape != (len(plant.values),) * 2:
+        raise InputError(f"covariance has shape {matrix.shape}, the model has {len(plant.values)} parameters")
+    return matrix
+
+
+def _finite_lists(matrix: NDArray[np.float64] | None) -> list[list[float | None]] | None:
+    if matrix is None:
+        return None
+    return [[float(v) if np.isfinite(v) else None for v in row] for row in matrix]

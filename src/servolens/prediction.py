@@ -1,0 +1,101 @@
+"""How far simulated responses are from measured ones: the paper's Table I for any models and records."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.simulate import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["Prediction", "RecordError", "predict", "prediction_error"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordError:
+    """The error of one model on one record.
+
+    Attributes
+    ----------
+    name : str
+        Of the record.
+    mean_abs_error, rms_error : float
+        [m or rad].
+    percent_error : float
+        The paper's: 100 · mean |y_model − y| / step size.
+    fit_percent : float
+        NRMSE fit, 100 (1 − ‖y − ŷ‖/‖y − mean y‖).
+    """
+
+    name: str
+    mean_abs_error: float
+    rms_error: float
+    percent_error: float
+    fit_percent: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields; ``null`` for a percentage of nothing."""
+        return {name: _finite(getattr(self, name)) for name in self.__slots__}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prediction:
+    """Errors of several models on several records.
+
+    Attributes
+    ----------
+    models : tuple of str
+        Names, in the table's order of columns.
+    errors : tuple of tuple of RecordError
+        ``errors[i][j]``: record i, model j.
+    """
+
+    models: tuple[str, ...]
+    errors: tuple[tuple[RecordError, ...], ...]
+
+    @property
+    def average_percent(self) -> tuple[float, ...]:
+        """Mean percent error of each model over the records: Table I's last row."""
+        return tuple(float(np.mean([row[j].percent_error for row in self.errors])) for j in range(len(self.models)))
+
+
+def prediction_error(plant: Plant, record: Record) -> RecordError:
+    """Simulate `record` and compare.
+
+    Raises
+    ------
+    InputError, NumericalError
+        As :func:`servolens.simulate.simulate`.
+    """
+    error = simulate(plant, record).position - record.position
+    spread = float(np.linalg.norm(record.position - record.position.mean()))
+    mean = float(np.mean(np.abs(error)))
+    step = record.step_size
+    return RecordError(
+        name=record.name,
+        mean_abs_error=mean,
+        rms_error=float(np.sqrt(np.mean(error**2))),
+        percent_error=100.0 * mean / step if step > 0 else float("nan"),
+        fit_percent=100.0 * (1.0 - float(np.linalg.norm(error)) / spread) if spread > 0 else float("nan"),
+    )
+
+
+def predict(models: Mapping[str, Plant], records: Sequence[Record]) -> Prediction:
+    """Return the errors of every model on every record."""
+    return Prediction(
+        models=tuple(models),
+        errors=tuple(tuple(prediction_error(plant, record) for plant in models.values()) for record in records),
+    )
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,286 @@
+"""Named constraints and CasADi's solvers, with an honest status: the only place where a solver is called.
+
+A constrained least-squares problem arrives as the triangular factor R and right-hand side z of its residuals. With the
+unknown w = R x − z it is the nearest point of a polyhedron to the origin: the Hessian is the identity whatever the
+conditioning of the data, and without active constraints the answer is R⁻¹ z to the last digits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+__all__ = [
+    "Constraint",
+    "ConstrainedLeastSquares",
+    "NonlinearResult",
+    "constrained_least_squares",
+    "minimise",
+]
+
+SOLVERS = ("daqp", "qrqp", "highs")
+"""Tried in turn until the answer satisfies the optimality conditions."""
+QUIET: dict[str, dict[str, Any]] = {
+    "qrqp": {"print_iter": False, "print_header": False, "print_info": False},
+    "highs": {"highs": {"output_flag": False}},
+}
+FEASIBLE = 1e-9
+"""Largest admissible violation of a constraint whose row has unit length, relative to the size of the unknowns."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Constraint:
+    """``lower ≤ Σ coefficients[name]·x[name] ≤ upper``, under a name that people understand.
+
+    Parameters
+    ----------
+    name : str
+        What the user asked for, e.g. ``"c2 − c3 < 0.5"``.
+    coefficients : mapping of int to float
+        Index of the unknown and its factor; at least one.
+    lower, upper : float
+        Bounds; infinite where there is none.
+    """
+
+    name: str
+    coefficients: Mapping[int, float]
+    lower: float = -np.inf
+    upper: float = np.inf
+
+    def row(self, size: int) -> NDArray[np.float64]:
+        """Return the dense row over `size` unknowns."""
+        row = np.zeros(size)
+        for index, factor in self.coefficients.items():
+            row[index] = factor
+        return row
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ConstrainedLeastSquares:
+    """The solution and what held it.
+
+    Attributes
+    ----------
+    x : ndarray, shape (p,)
+        The minimiser.
+    active : tuple of str
+        Names of the constraints that hold with equality and push.
+    multipliers : ndarray, shape (constraints,)
+        Sensitivity of half the squared residual to each bound.
+    """
+
+    x: NDArray[np.float64]
+    active: tuple[str, ...]
+    multipliers: NDArray[np.float64]
+
+
+def constrained_least_squares(
+    factor: NDArray[np.float64], constraints: Sequence[Constraint] = ()
+) -> ConstrainedLeastSquares:
+    """Minimise ``‖R x − z‖`` under linear `constraints`.
+
+    Parameters
+    ----------
+    factor : ndarray, shape (p + 1, p + 1)
+        Upper triangular ``[[R, z], [0, ρ]]``.
+    constraints : sequence of Constraint
+        Named linear constraints.
+
+    Returns
+    -------
+    ConstrainedLeastSquares
+
+    Raises
+    ------
+    InputError
+        If the constraints contradict each other; the message names those that do.
+    NumericalError
+        If the columns are linearly dependent or the solver's answer does not satisfy the optimality conditions.
+    """
+    p = factor.shape[0] - 1
+    r, z = factor[:p, :p], factor[:p, p]
+    diagonal = np.abs(np.diag(r))
+    if p == 0 or diagonal.min() <= 1e-14 * np.linalg.norm(r, axis=0).max():
+        raise NumericalError("the data do not determine all unknowns of the fit: two of its columns are proportional")
+    free = np.linalg.solve(r, z)
+    if not constraints:
+        return ConstrainedLeastSquares(x=free, active=(), multipliers=np.empty(0))
+    rows = np.stack([c.row(p) for c in constraints])
+    lower = np.array([c.lower for c in constraints])
+    upper = np.array([c.upper for c in constraints])
+    values = rows @ free
+    if np.all((values >= lower) & (values <= upper)):
+        return ConstrainedLeastSquares(x=free, active=(), multipliers=np.zeros(len(constraints)))
+    return _nearest_point(r, free, rows, lower, upper, constraints)
+
+
+def _nearest_point(
+    r: NDArray[np.float64],
+    free: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    lower: NDArray[np.float64],
+    upper: NDArray[np.float64],
+    constraints: Sequence[Constraint],
+) -> ConstrainedLeastSquares:
+    white = np.linalg.solve(r.T, rows.T).T
+    scale = np.linalg.norm(white, axis=1)
+    white = white / scale[:, None]
+    low, high = (lower - rows @ free) / scale, (upper - rows @ free) / scale
+    reach = max(float(np.abs(np.clip(0.0, low, high)).max()), 1e-300)
+    for plugin in SOLVERS:
+        solution = _conic(white.shape[1], white.shape[0], plugin)(h=np.eye(white.shape[1]), a=white, lba=low, uba=high)
+        found = _polish(white, low, high, np.asarray(solution["lam_a"]).ravel(), reach)
+        if found is not None:
+            w, multipliers = found
+            active = tuple(c.name for c, m in zip(constraints, multipliers, strict=True) if m != 0.0)
+            return ConstrainedLeastSquares(
+                x=free + np.linalg.solve(r, w), active=active, multipliers=multipliers / scale
+            )
+    raise _explain(white, low, high, constraints)
+
+
+def _polish(
+    white: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    multipliers: NDArray[np.float64],
+    reach: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Solve exactly on the active set that a solver found, and check optimality; None if it is not optimal.
+
+    Constraints whose multiplier comes out with the wrong sign leave the set, violated ones enter it.
+    """
+    if not np.isfinite(multipliers).all():
+        return None
+    sign = np.where(np.abs(multipliers) > 1e-9 * reach, np.sign(multipliers), 0.0)
+    for _ in range(3 * white.shape[0] + 3):
+        on = sign != 0.0
+        tight, target = white[on], np.where(sign > 0, high, low)[on]
+        exact = np.zeros(sign.size)
+        exact[on] = -np.linalg.lstsq(tight @ tight.T, target, rcond=None)[0]
+        w = -white.T @ exact
+        excess = np.maximum(low - white @ w, white @ w - high)
+        wrong = exact * sign < -1e-12 * reach
+        if not wrong.any() and excess.max() <= FEASIBLE * reach:
+            return w, exact
+        if wrong.any():
+            sign[int(np.argmin(exact * sign))] = 0.0
+        else:
+            worst = int(np.argmax(excess))
+            if sign[worst] != 0.0:
+                return None
+            sign[worst] = 1.0 if (white @ w)[worst] > high[worst] else -1.0
+    return None
+
+
+def _explain(
+    white: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], constraints: Sequence[Constraint]
+) -> Exception:
+    """Relax every constraint by a slack, make the slacks' sum small, and say where they do not vanish."""
+    m, p = white.shape
+    relaxed = np.hstack([white, np.eye(m), -np.eye(m)])
+    hessian = np.diag(np.concatenate([np.full(p, 1e-8), np.zeros(2 * m)]))
+    bounds = np.concatenate([np.full(p, -np.inf), np.zeros(2 * m)])
+    solution = _conic(p + 2 * m, m, "highs")(
+        h=hessian,
+        g=np.concatenate([np.zeros(p), np.ones(2 * m)]),
+        a=relaxed,
+        lba=low,
+        uba=high,
+        lbx=bounds,
+        ubx=np.full(p + 2 * m, np.inf),
+    )
+    slack = np.abs(np.asarray(solution["x"]).ravel()[p:]).reshape(2, m).sum(axis=0)
+    reach = max(1.0, float(np.abs(np.clip(0.0, low, high)).max()))
+    guilty = [c.name for c, s in zip(constraints, slack, strict=True) if s > 1e-6 * reach]
+    if guilty:
+        return InputError(f"the constraints contradict each other; relax {', '.join(guilty)}")
+    return NumericalError("the solver of the constrained fit did not reach an optimum although one exists")
+
+
+@lru_cache(maxsize=64)
+def _conic(variables: int, rows: int, plugin: str = "daqp") -> Any:
+    """Return a quadratic-programming solver of CasADi for a diagonal Hessian; it never prints."""
+    import casadi as ca
+
+    quiet: dict[str, Any] = {"error_on_fail": False, **QUIET.get(plugin, {})}
+    problem = {"h": ca.Sparsity.diag(variables), "a": ca.Sparsity.dense(rows, variables)}
+    return ca.conic("fit", plugin, problem, quiet)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NonlinearResult:
+    """Where a nonlinear program ended.
+
+    Attributes
+    ----------
+    x : ndarray
+        The last iterate.
+    success : bool
+        Whether the solver found a local optimum and the constraints hold there.
+    violation : float
+        Largest violation of a constraint.
+    status : str
+        The solver's own word.
+    """
+
+    x: NDArray[np.float64]
+    success: bool
+    violation: float
+    status: str
+
+
+def minimise(
+    problem: Mapping[str, Any],
+    start: NDArray[np.float64],
+    *,
+    bounds: tuple[Any, Any],
+    constraint_bounds: tuple[Any, Any],
+    parameters: Any = (),
+    tolerance: float = 1e-8,
+) -> NonlinearResult:
+    """Solve a CasADi nonlinear program ``{"x", "f", "g", "p"}`` by IPOPT, silently, and check what it says."""
+    solver = _program(problem, tolerance)
+    solution = solver(
+        x0=start, lbx=bounds[0], ubx=bounds[1], lbg=constraint_bounds[0], ubg=constraint_bounds[1], p=parameters
+    )
+    values = np.asarray(solution["g"]).ravel()
+    low, high = np.broadcast_to(constraint_bounds[0], values.shape), np.broadcast_to(constraint_bounds[1], values.shape)
+    violation = float(np.max(np.maximum(low - values, values - high), initial=0.0))
+    stats = solver.stats()
+    return NonlinearResult(
+        x=np.asarray(solution["x"]).ravel(),
+        success=bool(stats["success"]) and violation <= 100 * tolerance,
+        violation=violation,
+        status=str(stats["return_status"]),
+    )
+
+
+def _program(problem: Mapping[str, Any], tolerance: float) -> Any:
+    import casadi as ca
+
+    options = {
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": tolerance,
+            "max_iter": 200,
+            "hessian_approximation": "limited-memory",
+        },
+        "print_time": False,
+        "error_on_fail": False,
+    }
+    return ca.nlpsol("design", "ipopt", dict(problem), options)
