@@ -1,3 +1,95 @@
 """From one measured step to a PD gain you can trust."""
 
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from servolens.bridge import closed_loop, to_control
+    from servolens.campaign import read_records
+    from servolens.design import Comparison, Design, PDSpec, compare, tune
+    from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
+    from servolens.errors import InputError, NumericalError, ServolensError
+    from servolens.identify import Identification, Prior, identify
+    from servolens.model import Model, Quantity, read_model
+    from servolens.plant import Plant
+    from servolens.prediction import Prediction, predict
+    from servolens.quality import assess, check
+    from servolens.reading import read_record, record_from_dataframe, record_from_timeresponse
+    from servolens.record import Controller, Record
+    from servolens.report import write_report
+    from servolens.simulate import Simulation, simulate, simulate_continuous, simulate_loop, simulate_voltage
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "bridge": ("closed_loop", "to_control"),
+    "campaign": ("read_records",),
+    "design": ("Comparison", "Design", "PDSpec", "compare", "tune"),
+    "effects": ("CoulombFriction", "Saturation", "VelocityDecayDamping"),
+    "errors": ("InputError", "NumericalError", "ServolensError"),
+    "identify": ("Identification", "Prior", "identify"),
+    "model": ("Model", "Quantity", "read_model"),
+    "plant": ("Plant",),
+    "prediction": ("Prediction", "predict"),
+    "quality": ("assess", "check"),
+    "reading": ("read_record", "record_from_dataframe", "record_from_timeresponse"),
+    "record": ("Controller", "Record"),
+    "report": ("write_report",),
+    "simulate": ("Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Comparison",
+    "Controller",
+    "CoulombFriction",
+    "Design",
+    "Identification",
+    "InputError",
+    "Model",
+    "NumericalError",
+    "PDSpec",
+    "Plant",
+    "Prediction",
+    "Prior",
+    "Quantity",
+    "Record",
+    "Saturation",
+    "ServolensError",
+    "Simulation",
+    "VelocityDecayDamping",
+    "__version__",
+    "assess",
+    "check",
+    "closed_loop",
+    "compare",
+    "identify",
+    "predict",
+    "read_model",
+    "read_record",
+    "read_records",
+    "record_from_dataframe",
+    "record_from_timeresponse",
+    "simulate",
+    "simulate_continuous",
+    "simulate_loop",
+    "simulate_voltage",
+    "to_control",
+    "tune",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for when it is asked for, so that ``import servolens`` stays quick."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'servolens' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"servolens.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

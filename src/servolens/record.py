@@ -218,10 +218,10 @@ class Record:
         trajectory) is no step: then the record is returned whole.
         """
         edges = self.edges()
-        if edges.size == 0 or (edges.size > 1 and np.min(np.diff(edges)) < 3):  # noqa: PLR2004
+        if edges.size == 0 or (edges.size > 1 and np.min(np.diff(edges)) < 3):
             return (self,)
         ends = [*edges[1:].tolist(), len(self)]
-        pieces = [(int(a), int(b)) for a, b in zip(edges, ends, strict=True) if b - a >= 2]  # noqa: PLR2004
+        pieces = [(int(a), int(b)) for a, b in zip(edges, ends, strict=True) if b - a >= 2]
         lead = int(edges[0])
         if lead > 0 and self._moves(0, lead):
             pieces.insert(0, (0, lead))
@@ -240,7 +240,7 @@ class Record:
         lead = self._lead()
         y = self.position
         rest = float(np.median(y[:lead]))
-        spread = float(np.std(np.diff(y[:lead]))) / np.sqrt(2) if lead > 4 else 0.0  # noqa: PLR2004
+        spread = float(np.std(np.diff(y[:lead]))) / np.sqrt(2) if lead > 4 else 0.0
         threshold = max(4 * spread, 1.5 * (self.encoder_resolution or 0.0), 1e-12)
         away = np.flatnonzero(np.abs(y - rest) > threshold)
         if away.size == 0:

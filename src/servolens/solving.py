@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "Constraint",
     "ConstrainedLeastSquares",
+    "Constraint",
+    "NonlinearProgram",
     "NonlinearResult",
     "constrained_least_squares",
     "minimise",
@@ -33,6 +34,19 @@ SOLVERS = ("daqp", "qrqp", "highs")
 QUIET: dict[str, dict[str, Any]] = {
     "qrqp": {"print_iter": False, "print_header": False, "print_info": False},
     "highs": {"highs": {"output_flag": False}},
+}
+IPOPT: dict[str, Any] = {
+    "ipopt": {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": 1e-9,
+        "constr_viol_tol": 1e-10,
+        "max_iter": 200,
+        "hessian_approximation": "limited-memory",
+        "bound_relax_factor": 0.0,
+    },
+    "print_time": False,
+    "error_on_fail": False,
 }
 FEASIBLE = 1e-9
 """Largest admissible violation of a constraint whose row has unit length, relative to the size of the unknowns."""
@@ -243,44 +257,63 @@ class NonlinearResult:
     status: str
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NonlinearProgram:
+    """``min f(x, p)`` subject to bounds on ``g(x, p)``: CasADi expressions, compiled once.
+
+    Attributes
+    ----------
+    x, f, g, p : casadi.MX
+        Unknowns, cost, constraints, parameters.
+    solver : casadi.Function
+        IPOPT, silent.
+    """
+
+    x: Any
+    f: Any
+    g: Any
+    p: Any
+    solver: Any = None
+
+    def __post_init__(self) -> None:
+        import casadi as ca
+
+        problem = {"x": self.x, "f": self.f, "g": self.g, "p": self.p}
+        object.__setattr__(self, "solver", ca.nlpsol("program", "ipopt", problem, IPOPT))
+
+
 def minimise(
-    problem: Mapping[str, Any],
+    program: NonlinearProgram,
     start: NDArray[np.float64],
     *,
     bounds: tuple[Any, Any],
     constraint_bounds: tuple[Any, Any],
     parameters: Any = (),
-    tolerance: float = 1e-8,
 ) -> NonlinearResult:
-    """Solve a CasADi nonlinear program ``{"x", "f", "g", "p"}`` by IPOPT, silently, and check what it says."""
-    solver = _program(problem, tolerance)
-    solution = solver(
+    """Solve a nonlinear program by IPOPT and check what it says.
+
+    Parameters
+    ----------
+    program : NonlinearProgram
+        What to solve.
+    start : ndarray
+        First iterate.
+    bounds, constraint_bounds : pair
+        Lower and upper bounds of x and of g.
+    parameters : array_like
+        Values of p.
+    """
+    solution = program.solver(
         x0=start, lbx=bounds[0], ubx=bounds[1], lbg=constraint_bounds[0], ubg=constraint_bounds[1], p=parameters
     )
     values = np.asarray(solution["g"]).ravel()
     low, high = np.broadcast_to(constraint_bounds[0], values.shape), np.broadcast_to(constraint_bounds[1], values.shape)
     violation = float(np.max(np.maximum(low - values, values - high), initial=0.0))
-    stats = solver.stats()
+    stats = program.solver.stats()
     return NonlinearResult(
         x=np.asarray(solution["x"]).ravel(),
-        success=bool(stats["success"]) and violation <= 100 * tolerance,
+        success=bool(stats["success"]) and violation <= 1e-6,
         violation=violation,
         status=str(stats["return_status"]),
     )
-
-
-def _program(problem: Mapping[str, Any], tolerance: float) -> Any:
-    import casadi as ca
-
-    options = {
-        "ipopt": {
-            "print_level": 0,
-            "sb": "yes",
-            "tol": tolerance,
-            "max_iter": 200,
-            "hessian_approximation": "limited-memory",
-        },
-        "print_time": False,
-        "error_on_fail": False,
-    }
-    return ca.nlpsol("design", "ipopt", dict(problem), options)

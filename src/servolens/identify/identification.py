@@ -222,7 +222,7 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
         plant=_plant(runs, refined.plant),
         covariance=refined.covariance,
         identified_from=tuple(run.name for run in runs),
-        reasons={name: "the data do not determine it" for name in start.parameters} | reasons,
+        reasons=dict.fromkeys(start.parameters, "the data do not determine it") | reasons,
     )
     pieces = result.varying or fit_varying(used)
     paper = _plant(runs, law_from_pieces(pieces)) if pieces.damping.size >= 3 else None

@@ -47,9 +47,7 @@ UNARY = {
     ca.OP_SIGN: "0.0 if {0} == 0.0 else math.copysign(1.0, {0})",
     **{
         getattr(ca, f"OP_{name.upper()}"): f"math.{name}({{0}})"
-        for name in (
-            "exp log sqrt sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh erf expm1 log1p floor ceil"
-        ).split()
+        for name in ["exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf", "expm1", "log1p", "floor", "ceil"]
     },
 }
 MARKER = "# --- kernel ---\n"

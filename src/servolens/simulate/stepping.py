@@ -10,7 +10,7 @@ within a piece. At rest dry friction is set-valued: the axis leaves only if the 
 its position does not change by one bit.
 """
 
-# ruff: noqa: C901, PLR0912, PLR0913, PLR0915 - one compiled loop; calls are split where numba inlines them
+# ruff: noqa: PLR0913 - one compiled loop; calls are split where numba inlines them
 from __future__ import annotations
 
 import math

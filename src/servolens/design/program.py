@@ -1,0 +1,93 @@
+"""The nonlinear program: least Kd subject to the band at every instant after the settling time."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servolens.design.settle import design_horizon
+from servolens.dynamics import dynamics
+from servolens.simulate.loop import substeps_for
+from servolens.solving import NonlinearProgram, minimise
+
+if TYPE_CHECKING:
+    from servolens.design.spec import PDSpec
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+
+__all__ = ["local_optimum"]
+
+FRICTION_WIDTH = 1e-3
+"""Speed over which dry friction changes sign in the program [m/s or rad/s]; the exact loop then decides."""
+
+
+def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> float | None:
+    """Return the least Kd that CasADi and IPOPT find from inside `interval`, or None if they find none."""
+    samples = int(np.ceil(design_horizon(plant, spec) / spec.sample_time))
+    first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
+    substeps = min(substeps_for(plant, spec.sample_time), 16)
+    program = _program(
+        plant.structure, spec.control == "continuous", samples, first, substeps, spec.overshoot is not None
+    )
+    width = interval[1] - interval[0]
+    parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter]
+    upper = [spec.band] * 2 * (samples - first + 1) + ([spec.overshoot] * samples if spec.overshoot is not None else [])
+    result = minimise(
+        program,
+        np.array([interval[0] + 0.5 * width]),
+        bounds=(max(interval[0] - 0.1 * width, 0.0), interval[1]),
+        constraint_bounds=(-np.inf, np.array(upper)),
+        parameters=np.array(parameters),
+    )
+    return float(result.x[0]) if result.success else None
+
+
+@lru_cache(maxsize=32)
+def _program(
+    structure: tuple[type[Effect], ...], continuous: bool, samples: int, first: int, substeps: int, overshoot: bool
+) -> NonlinearProgram:
+    import casadi as ca
+
+    step = _sample(structure, continuous, substeps)
+    kd = ca.MX.sym("kd")
+    given = ca.MX.sym("given", step.size1_in(1) - 1)
+    settings = ca.vertcat(given, kd)
+    states = step.mapaccum(samples)(ca.DM.zeros(4), ca.repmat(settings, 1, samples))
+    reference = given[-3]
+    error = (reference - states[0, :].T) / ca.fabs(reference)
+    late = error[first - 1 :]
+    constraints = [late, -late]
+    if overshoot:
+        constraints.append(-error * ca.sign(reference))
+    return NonlinearProgram(x=kd, f=kd, g=ca.vertcat(*constraints), p=given)
+
+
+def _sample(structure: tuple[type[Effect], ...], continuous: bool, substeps: int) -> Any:
+    """Return one sample of the loop: (y, v, last y, derivative) and [plant, kp, r, h, filter, kd] to the next state."""
+    import casadi as ca
+
+    d = dynamics(structure)
+    acceleration = ca.Function("acceleration", d.inputs, [d.acceleration])
+    state, count = ca.SX.sym("state", 4), d.parameters.numel()
+    settings = ca.SX.sym("settings", count + 5)
+    kp, reference, h, share, kd = (settings[count + i] for i in range(5))
+    y, v, last, derivative = ca.vertsplit(state)
+    slope = derivative + share * ((y - last) / h - derivative)
+    held = kp * (reference - y) - kd * slope
+
+    def rate(position: Any, velocity: Any, time: Any) -> Any:
+        direction = ca.tanh(velocity / FRICTION_WIDTH)
+        asked = kp * (reference - position) - kd * velocity if continuous else held
+        return acceleration(position, velocity, time, asked, direction, settings[:count])
+
+    k = h / substeps
+    p, q = y, v
+    for _ in range(substeps):
+        a1 = rate(p, q, 0)
+        a2 = rate(p + k / 2 * q, q + k / 2 * a1, 0)
+        a3 = rate(p + k / 2 * q + k * k / 4 * a1, q + k / 2 * a2, 0)
+        a4 = rate(p + k * q + k * k / 2 * a2, q + k * a3, 0)
+        p, q = p + k * q + k * k / 6 * (a1 + a2 + a3), q + k / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return ca.Function("sample", [state, settings], [ca.vertcat(p, q, y, slope)])

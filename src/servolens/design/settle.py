@@ -1,0 +1,114 @@
+"""What settling time is, and how far a simulated step is from a spec."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.design.spec import Response
+from servolens.record import Controller
+from servolens.simulate import Simulation, simulate_continuous, simulate_loop
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.design.spec import PDSpec
+    from servolens.plant import Plant
+
+__all__ = ["constraint_signals", "design_horizon", "evaluate", "settling_time", "step_response"]
+
+FEASIBLE = 1e-9
+"""A constraint, as a fraction of the step, may be exceeded by this much: the simulation's own error."""
+
+
+def settling_time(
+    time: NDArray[np.float64], error: NDArray[np.float64], tolerance: float, *, final: bool = True
+) -> float | None:
+    """Return when ``|error|`` enters `tolerance` for good [s].
+
+    Between samples the error is taken as linear. The time counts from ``time[0]``.
+
+    Parameters
+    ----------
+    time, error : ndarray, shape (n,)
+        Samples [s], error in the unit of `tolerance`.
+    tolerance : float
+        Half width of the band, positive.
+    final : bool
+        Whether the last sample must lie in the band; otherwise None is returned when it does not.
+
+    Returns
+    -------
+    float or None
+        None if the last sample lies outside the band.
+
+    Examples
+    --------
+    >>> settling_time(np.arange(5.0), np.array([4.0, 2.0, -1.0, 0.5, 0.2]), 1.0)
+    2.0
+    """
+    size = np.abs(error)
+    outside = np.flatnonzero(size > tolerance)
+    if outside.size == 0:
+        return 0.0
+    last = int(outside[-1])
+    if last + 1 == size.size:
+        return None if final else float(time[-1] - time[0])
+    here, after = error[last], error[last + 1]
+    limit = tolerance * np.sign(here)
+    share = (here - limit) / (here - after)
+    return float(time[last] + share * (time[last + 1] - time[last]) - time[0])
+
+
+def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float) -> Simulation:
+    """Simulate the step of `spec` from rest with the derivative gain `kd` for `duration` seconds."""
+    time = spec.sample_time * np.arange(int(np.ceil(duration / spec.sample_time)) + 1)
+    reference = np.full(time.size, spec.reference)
+    if spec.control == "continuous":
+        return simulate_continuous(plant, spec.kp, kd, time, reference)
+    controller = Controller(kp=spec.kp, kd=kd, derivative_filter=spec.derivative_filter)
+    return simulate_loop(plant, controller, time, reference)
+
+
+def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
+    """Simulate the step and measure it against the spec, over ten times the settling time asked for."""
+    run = step_response(plant, spec, kd, max(10.0 * spec.settling_time, design_horizon(plant, spec)))
+    step = abs(spec.reference)
+    error = (spec.reference - run.position) / step
+    overshoot = max(0.0, float(np.max(-error * np.sign(spec.reference))))
+    settled = settling_time(run.time, error, spec.band + FEASIBLE)
+    peak = float(np.abs(run.voltage).max())
+    meets = settled is not None and settled <= spec.settling_time * (1 + 1e-12)
+    meets = meets and (spec.overshoot is None or overshoot <= spec.overshoot + FEASIBLE)
+    meets = meets and (spec.voltage_limit is None or peak <= spec.voltage_limit * (1 + FEASIBLE))
+    return Response(
+        kd=kd,
+        settling_time=settled,
+        overshoot=overshoot,
+        peak_voltage=peak,
+        final_error=float(error[-1]),
+        meets=bool(meets),
+    )
+
+
+def constraint_signals(plant: Plant, spec: PDSpec, kd: float) -> NDArray[np.float64]:
+    """Return every constraint at every instant it holds, as fractions; the spec is met where all are at most 0.
+
+    |e|/step − band from the settling time on; overshoot and |V| relative to their limits at all times.
+    """
+    run = step_response(plant, spec, kd, design_horizon(plant, spec))
+    step = abs(spec.reference)
+    error = (spec.reference - run.position) / step
+    parts = [np.abs(error[run.time >= spec.settling_time * (1 - 1e-9)]) - spec.band]
+    if spec.overshoot is not None:
+        parts.append(-error * np.sign(spec.reference) - spec.overshoot)
+    if spec.voltage_limit is not None:
+        parts.append(np.abs(run.voltage) / spec.voltage_limit - 1.0)
+    return np.concatenate(parts)
+
+
+def design_horizon(plant: Plant, spec: PDSpec) -> float:
+    """Return how long the band is watched [s]: three settling times, and three periods of the undamped loop after it."""
+    period = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
+    return float(max(3.0 * spec.settling_time, spec.settling_time + min(3.0 * period, 20.0 * spec.settling_time)))
