@@ -1,0 +1,54 @@
+"""What a check of records says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from servolens.summaries.wording import listed, number
+from servolens.summary import Summary, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.quality import RecordQuality
+
+__all__ = ["check_summary"]
+
+
+def check_summary(qualities: Sequence[RecordQuality]) -> Summary:
+    """Tell which records can be used, and how they were sampled; doubts are the summary's findings."""
+    unfit = [quality.name for quality in qualities if not quality.usable]
+    doubts = sum(finding.severity == "warning" for quality in qualities for finding in quality.findings)
+    return Summary(
+        title="Check",
+        sentences=(_verdict(len(qualities), unfit), *_counted(doubts)),
+        tables=(_table(qualities),),
+        findings=tuple(finding for quality in qualities for finding in quality.findings),
+    )
+
+
+def _verdict(count: int, unfit: Sequence[str]) -> str:
+    if not unfit:
+        return "The record can be used." if count == 1 else f"All {count} records can be used."
+    if count == 1:
+        return "The record is unfit for identification; the errors below say why."
+    return f"{len(unfit)} of {count} records are unfit for identification: {listed(unfit)}."
+
+
+def _counted(doubts: int) -> list[str]:
+    if not doubts:
+        return []
+    return [f"{'One warning says' if doubts == 1 else f'{doubts} warnings say'} what to know before trusting a number."]
+
+
+def _table(qualities: Sequence[RecordQuality]) -> Table:
+    rows = [
+        (
+            quality.name,
+            str(quality.samples),
+            number(1e3 * quality.sample_time),
+            "yes" if quality.usable else "no",
+        )
+        for quality in qualities
+    ]
+    return Table(title="Records", columns=("Record", "Samples", "Sample time [ms]", "Usable"), rows=tuple(rows))

@@ -1,0 +1,239 @@
+"""What an identification and a prediction say."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.effects import VelocityDecayDamping
+from servolens.model import Quantity
+from servolens.plant import Plant
+from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, unit
+from servolens.summary import Summary, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.identify import Identification
+    from servolens.identify.varying import VaryingDamping
+    from servolens.model import Model
+    from servolens.prediction import Prediction, RecordError
+    from servolens.record import Record
+
+__all__ = ["identification_summary", "model_table", "prediction_summary"]
+
+KINDS = {
+    "velocity": "damping that depends on speed",
+    "constant": "constant damping",
+    "varying": "damping that varies in time",
+}
+"""In the order in which people are told."""
+
+
+def identification_summary(identification: Identification) -> Summary:
+    """Tell how well each model simulates its own records, then its parameters."""
+    records = identification.records
+    models = {"constant": identification.constant, "velocity": identification.velocity}
+    sentences = [_accuracy(identification), *_damping_law(identification.velocity)]
+    for kind, model in models.items():
+        sentences += [] if model is None else _doubtful(kind, model)
+    tables = [
+        model_table(model, f"{KINDS[kind].capitalize()} ({kind})")
+        for kind, model in models.items()
+        if model is not None
+    ]
+    if identification.varying is not None:
+        tables.insert(
+            1 if identification.constant else 0, _varying_table(identification.varying, _gain_unit(records[0]))
+        )
+    if identification.errors:
+        tables.append(_errors_table(identification))
+    return Summary(
+        title=f"Identified from {listed([record.name for record in records])}",
+        sentences=tuple(sentences),
+        tables=tuple(tables),
+        findings=identification.findings,
+    )
+
+
+def model_table(model: Model, title: str) -> Table:
+    """Return the parameters of `model` with their errors and intervals."""
+    rows = []
+    for name, quantity in model.quantities.items():
+        rows.append((name.rpartition(".")[2], plus_minus(quantity), interval(quantity), unit(quantity.unit)))
+    effects = [effect.name for effect in model.plant.effects]
+    return Table(
+        title=title,
+        columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
+        rows=tuple(rows),
+        note=f"Effects: {listed(effects)}." if effects else "",
+    )
+
+
+def prediction_summary(
+    prediction: Prediction,
+    *,
+    trained_on: Sequence[str] = (),
+    voltage_driven: Sequence[str] = (),
+    length_unit: str = "m",
+) -> Summary:
+    """Tell how far the models are from the records.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        The errors.
+    trained_on : sequence of str
+        Names of the records that the models were identified from; all others are held out.
+    voltage_driven : sequence of str
+        Names of the records that were simulated from their voltage, not in closed loop.
+    length_unit : str
+        Of the records.
+    """
+    names = [row[0].name for row in prediction.errors]
+    held = [name for name in names if name not in trained_on]
+    sentences = [
+        f"{model} is {percent(average)} of the step off on average over {_records(len(names))}."
+        for model, average in zip(prediction.models, prediction.average_percent, strict=True)
+    ]
+    sentences.append(_data(names, held))
+    driven = [name for name in names if name in voltage_driven]
+    if driven:
+        sentences.append(f"Simulated from the logged voltage, not in closed loop: {listed(driven)}.")
+    single = len(prediction.models) == 1
+    table = _single(prediction, held, length_unit) if single else _many(prediction, held)
+    return Summary(title="Prediction", sentences=tuple(sentences), tables=(table,))
+
+
+def _accuracy(identification: Identification) -> str:
+    """Compare the models' errors in one sentence."""
+    parts = []
+    for kind, words in KINDS.items():
+        if kind in identification.errors:
+            errors = [error.percent_error for error in identification.errors[kind]]
+            parts.append((words, percent(float(np.mean(errors)))))
+    if not parts:
+        return "No model of these records can be simulated in closed loop without leaving all bounds."
+    (first, error), *others = parts
+    text = f"With {first} the simulated step is {error} of the step off on average"
+    text += "".join(f"; with {words} {value}" for words, value in others)
+    return f"{text} (on the records it was identified from)."
+
+
+def _damping_law(model: Model | None) -> list[str]:
+    law = None if model is None else model.plant.effect(VelocityDecayDamping.name)
+    if model is None or not isinstance(law, VelocityDecayDamping) or law.alpha2 <= 0:
+        return []
+    if model.quantities[f"{law.name}.alpha2"].stderr is None:
+        return []
+    verb = "falls" if law.alpha1 > 0 else "rises"
+    still, fast = model.plant.damping + law.alpha1, model.plant.damping
+    half = math.log(2.0) / law.alpha2
+    factor, length = scale([half], model.plant.length_unit)
+    return [
+        f"Damping {verb} from {number(still, 3)} 1/s at standstill to {number(fast, 3)} 1/s at high speed;"
+        f" half of the way is done at {number(factor * half, 2)} {length}/s."
+    ]
+
+
+def _doubtful(kind: str, model: Model) -> list[str]:
+    """Name the parameters that are not determined or stand at a bound."""
+    told = []
+    for name, quantity in model.quantities.items():
+        if quantity.stderr is None:
+            told.append(f"{kind}: {name} has no standard error: {quantity.reason or 'it is not known'}.")
+        elif quantity.value and quantity.stderr > abs(quantity.value):
+            told.append(f"{kind}: {name} is not told from zero by these data.")
+        if bound := _bound(model.plant, name, quantity.value):
+            told.append(f"{kind}: {name} stands at its bound {bound}.")
+    return told
+
+
+def _bound(plant: Plant, name: str, value: float) -> str:
+    spec = plant.parameters[name]
+    at = next((b for b in (spec.low, spec.high) if math.isclose(value, b, rel_tol=1e-9, abs_tol=1e-12)), None)
+    return "" if at is None else f"{number(at)} {unit(plant.unit(name))}"
+
+
+def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
+    errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
+    rows = [
+        (
+            f"{number(start, 3)} to {number(end, 3)}",
+            plus_minus(Quantity(value=float(c), stderr=float(error), unit="1/s")),
+            number(float(speed), 3),
+        )
+        for start, end, c, error, speed in zip(
+            varying.edges[:-1], varying.edges[1:], varying.damping, errors, varying.speed, strict=False
+        )
+    ]
+    gain = plus_minus(Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit))
+    active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
+    return Table(
+        title="Damping that varies in time (varying)",
+        columns=("Time since the step [s]", "Damping ± standard error [1/s]", "Mean |speed|"),
+        rows=tuple(rows),
+        note=f"Gain {gain} {unit(gain_unit)}.{active}",
+    )
+
+
+def _gain_unit(record: Record) -> str:
+    plant = Plant(gain=1.0, damping=0.0, length_unit=record.length_unit, command_unit=record.command_unit)
+    return plant.unit("gain")
+
+
+def _errors_table(identification: Identification) -> Table:
+    kinds = [kind for kind in ("constant", "varying", "velocity") if kind in identification.errors]
+    rows = [
+        (record.name, *(number(identification.errors[kind][i].percent_error, 3) for kind in kinds))
+        for i, record in enumerate(identification.records)
+    ]
+    return Table(
+        title="Mean error of the simulated step [% of the step]",
+        columns=("Record", *kinds),
+        rows=tuple(rows),
+        note="On the records it was identified from; other records tell more.",
+    )
+
+
+def _data(names: Sequence[str], held: Sequence[str]) -> str:
+    if not held:
+        return "It was identified from these very records; other records tell more."
+    if len(held) == len(names):
+        return "The data are held out: the model was not identified from them."
+    return f"Held out are {listed(held)}; the model was identified from the others."
+
+
+def _records(count: int) -> str:
+    return "1 record" if count == 1 else f"{count} records"
+
+
+def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Table:
+    errors: list[RecordError] = [row[0] for row in prediction.errors]
+    factor, length = scale([e.mean_abs_error for e in errors], length_unit)
+    rows = [
+        (
+            e.name,
+            number(factor * e.mean_abs_error, 3),
+            number(e.percent_error, 3),
+            number(e.fit_percent),
+            "held out" if e.name in held else "used",
+        )
+        for e in errors
+    ]
+    return Table(
+        title=f"Errors of {prediction.models[0]}",
+        columns=("Record", f"Mean |error| [{length}]", "Error [% of the step]", "Fit [%]", "Data"),
+        rows=tuple(rows),
+    )
+
+
+def _many(prediction: Prediction, held: Sequence[str]) -> Table:
+    rows = [
+        (row[0].name, *(number(e.percent_error, 3) for e in row), "held out" if row[0].name in held else "used")
+        for row in prediction.errors
+    ]
+    rows.append(("average", *(number(average, 3) for average in prediction.average_percent), ""))
+    return Table(title="Mean error [% of the step]", columns=("Record", *prediction.models, "Data"), rows=tuple(rows))

@@ -1,0 +1,174 @@
+"""How numbers are written for people: the digits that mean something, with their unit."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from servolens.model import Quantity
+
+__all__ = [
+    "inside",
+    "interval",
+    "listed",
+    "number",
+    "number_down",
+    "number_up",
+    "percent",
+    "plus_minus",
+    "scale",
+    "unit",
+]
+
+DIGITS = 4
+LARGEST_PLAIN, SMALLEST_PLAIN = 1e6, 1e-4
+
+
+def number(value: float | None, digits: int = DIGITS) -> str:
+    """Return `value` with `digits` significant digits; a dash for None.
+
+    Examples
+    --------
+    >>> number(3.78812), number(0.0), number(1234567.0), number(None)
+    ('3.788', '0', '1.235e+06', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0:
+        return "0"
+    if not SMALLEST_PLAIN <= abs(value) < LARGEST_PLAIN:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    text = f"{value:.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def number_up(value: float, digits: int = DIGITS) -> str:
+    """Return `value` rounded towards +∞, so that a lowest admissible value stays admissible.
+
+    Examples
+    --------
+    >>> number_up(3.78812), number_down(4.77583), number_up(3.5)
+    ('3.789', '4.775', '3.5')
+    """
+    return number(_toward(value, digits, math.ceil), digits)
+
+
+def number_down(value: float, digits: int = DIGITS) -> str:
+    """Return `value` rounded towards −∞; see :func:`number_up`."""
+    return number(_toward(value, digits, math.floor), digits)
+
+
+def inside(low: float, high: float) -> tuple[str, str]:
+    """Return the ends of an admissible interval, rounded inwards, with as many digits as keep them apart.
+
+    Examples
+    --------
+    >>> inside(3.78812, 4.77583), inside(3.78812, 3.78831)
+    (('3.789', '4.775'), ('3.7882', '3.7883'))
+    """
+    for digits in range(DIGITS, 12):
+        first, last = number_up(low, digits), number_down(high, digits)
+        if low == high or float(first) <= float(last):
+            break
+    return first, last
+
+
+def percent(value: float | None) -> str:
+    """Return a percentage with two or three significant digits; a dash for what is missing.
+
+    Examples
+    --------
+    >>> percent(0.1234), percent(12.34), percent(None)
+    ('0.12 %', '12.3 %', '–')
+    """
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{number(value, 2 if abs(value) < 10 else 3)} %"
+
+
+def plus_minus(quantity: Quantity) -> str:
+    """Return a quantity as value ± standard error (percent), without its unit.
+
+    Examples
+    --------
+    >>> from servolens.model import Quantity
+    >>> plus_minus(Quantity(value=1.91647, stderr=0.00211, unit="m/s^2/V"))
+    '1.9165 ± 0.0021 (0.11 %)'
+    """
+    value, error = quantity.value, quantity.stderr
+    if error is None:
+        return f"{number(value)} (error unknown)"
+    share = f" ({percent(100 * error / abs(value))})" if value else ""
+    if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
+        return f"{number(value)} ± {number(error, 2)}{share}"
+    decimals = _decimals(error)
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}{share}"
+
+
+def interval(quantity: Quantity) -> str:
+    """Return the 95 % interval of a quantity, to the digits of its error; a dash if it is not known."""
+    bounds = quantity.interval
+    if bounds is None or not quantity.stderr:
+        return "–"
+    if not SMALLEST_PLAIN * 0.1 <= max(abs(b) for b in bounds) < LARGEST_PLAIN:
+        return f"{number(bounds[0])} to {number(bounds[1])}"
+    decimals = _decimals(quantity.stderr)
+    return f"{bounds[0]:.{decimals}f} to {bounds[1]:.{decimals}f}"
+
+
+def unit(text: str) -> str:
+    """Return a unit as people write it.
+
+    Examples
+    --------
+    >>> unit("m/s^2/V")
+    'm/s²/V'
+    """
+    return text.replace("^2", "²").replace("^3", "³")
+
+
+def scale(values: Iterable[float], length_unit: str) -> tuple[float, str]:
+    """Return the factor and the unit in which the largest of `values` [m or rad] is easy to read.
+
+    Examples
+    --------
+    >>> scale([0.0003, 0.0121], "m")
+    (1000.0, 'mm')
+    """
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    for factor, prefix in ((1.0, ""), (1e3, "m")):
+        if largest * factor >= 0.5:
+            return factor, prefix + length_unit
+    return (1e3, "m" + length_unit) if largest == 0 or largest * 1e3 >= 0.05 else (1e6, "µ" + length_unit)
+
+
+def listed(words: Sequence[str], most: int = 4) -> str:
+    """Return `words` as a list in a sentence, at most `most` of them.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(list("abcdefg"))
+    ('a, b and c', 'a, b, c and 4 more')
+    """
+    if len(words) > most:
+        return f"{', '.join(words[: most - 1])} and {len(words) - most + 1} more"
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def _decimals(error: float) -> int:
+    """Decimals that show two significant digits of `error`."""
+    return min(max(1 - math.floor(math.log10(error)), 0), 12)
+
+
+def _toward(value: float, digits: int, rounding: Callable[[float], int]) -> float:
+    if value == 0 or not math.isfinite(value):
+        return value
+    power = digits - 1 - math.floor(math.log10(abs(value)))
+    shifted = value * 10.0**power
+    near = round(shifted)
+    whole = near if abs(shifted - near) < 1e-9 * abs(shifted) else rounding(shifted)
+    return float(whole) / 10.0**power
