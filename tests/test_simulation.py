@@ -1,0 +1,236 @@
+"""The kernel against closed forms, SciPy, and an event-driven reference."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
+from servolens.errors import InputError, NumericalError
+from servolens.plant import Plant
+from servolens.record import Controller, Record
+from servolens.simulate import simulate, simulate_continuous, simulate_loop, simulate_voltage
+
+LINEAR = Plant(gain=1.8545, damping=6.152)
+NLM1 = Plant(gain=1.9165, damping=5.9986, effects=(VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068),))
+STICKY = Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.4),))
+
+
+def grid(duration: float, h: float = 1e-3) -> np.ndarray:
+    return h * np.arange(round(duration / h) + 1)
+
+
+def test_sampled_linear_loop_equals_the_matrix_exponential() -> None:
+    time = grid(1.0)
+    run = simulate_loop(LINEAR, Controller(kp=60.0, kd=3.0), time, np.full(time.size, 0.1))
+    step = expm(np.array([[0, 1, 0], [0, -LINEAR.damping, LINEAR.gain], [0, 0, 0]]) * 1e-3)
+    state, last, expected = np.zeros(2), 0.0, []
+    for _ in time:
+        expected.append(state[0])
+        voltage = 60.0 * (0.1 - state[0]) - 3.0 * (state[0] - last) / 1e-3
+        last = state[0]
+        state = (step @ [*state, voltage])[:2]
+    np.testing.assert_allclose(run.position, expected, rtol=0, atol=1e-8)
+
+
+def test_continuous_loop_equals_the_damped_oscillator() -> None:
+    time = grid(1.0)
+    run = simulate_continuous(LINEAR, 60.0, 2.0, time, np.full(time.size, 0.1))
+    c, k = LINEAR.damping + LINEAR.gain * 2.0, LINEAR.gain * 60.0
+    w = np.sqrt(k - c**2 / 4)
+    expected = 0.1 * (1 - np.exp(-c * time / 2) * (np.cos(w * time) + c / (2 * w) * np.sin(w * time)))
+    np.testing.assert_allclose(run.position, expected, rtol=0, atol=3e-8)
+
+
+@pytest.mark.parametrize("plant", [NLM1, STICKY, LINEAR], ids=["decay", "coulomb", "linear"])
+def test_error_falls_at_least_with_the_square_of_the_step(plant: Plant) -> None:
+    time = grid(0.6, 4e-3)
+    reference = np.full(time.size, 0.1)
+    runs = {n: simulate_continuous(plant, 80.0, 0.0, time, reference, substeps=n).position for n in (2, 4, 8, 512)}
+    errors = [np.abs(runs[n] - runs[512]).max() for n in (2, 4, 8)]
+    assert errors[0] / errors[1] > 3.5
+    assert errors[1] / errors[2] > 3.5
+
+
+def test_coulomb_friction_agrees_with_an_event_driven_reference() -> None:
+    level, start = 0.4, 0.0
+    time = grid(0.8)
+    voltage = np.where(time < 0.2, 6.0, -1.2)
+    run = simulate_voltage(STICKY, time, voltage)
+    times, states, t, state = [np.zeros(1)], [np.zeros((2, 1))], start, np.zeros(2)
+    for end, u in ((0.2, 6.0), (0.8, -1.2)):
+        while t < end - 1e-12:
+            push = 1.9 * u - 6.0 * state[1]
+            d = np.sign(state[1]) if abs(state[1]) > 1e-12 else (np.sign(push) if abs(push) > level else 0.0)
+            if d == 0.0:
+                times.append(np.array([end]))
+                states.append(np.array([[state[0]], [0.0]]))
+                t, state = end, np.array([state[0], 0.0])
+                continue
+
+            def reversal(_: float, x: np.ndarray) -> float:
+                return x[1]
+
+            reversal.terminal, reversal.direction = True, -d  # type: ignore[attr-defined]  # SciPy's way
+            part = solve_ivp(
+                lambda _, x, u=u, d=d: [x[1], 1.9 * u - 6.0 * x[1] - level * d],
+                (t, end),
+                state,
+                events=reversal,
+                rtol=1e-12,
+                atol=1e-14,
+                dense_output=True,
+                max_step=0.01,
+            )
+            t, state = part.t[-1], part.y[:, -1]
+            if part.status == 1:
+                state[1] = 0.0
+            times.append(part.t)
+            states.append(part.y)
+    final = states[-1][0, -1]
+    assert abs(run.position[-1] - final) < 1e-9
+
+
+def test_an_axis_below_breakaway_does_not_move_one_bit() -> None:
+    time = grid(1000.0)
+    voltage = 0.2 * np.sin(np.arange(time.size) * 0.1)  # 0.38 < 0.4
+    run = simulate_voltage(STICKY, time, voltage, start=(0.123456789, 0.0))
+    assert np.all(run.position == 0.123456789)
+    assert np.all(run.velocity == 0.0)
+
+
+def test_an_effect_of_size_zero_changes_nothing() -> None:
+    time = grid(0.5)
+    reference = np.full(time.size, 0.1)
+    loop = Controller(kp=80.0, kd=1.0)
+    plain = simulate_loop(LINEAR, loop, time, reference, substeps=2).position
+    for effect in (CoulombFriction(level=0.0), VelocityDecayDamping(alpha1=0.0, alpha2=5.0), Saturation(limit=1e9)):
+        run = simulate_loop(LINEAR.with_effect(effect), loop, time, reference, substeps=2)
+        np.testing.assert_allclose(run.position, plain, rtol=0, atol=1e-15)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    level=st.floats(0.0, 3.0),
+    velocity=st.floats(-1.0, 1.0),
+    damping=st.floats(0.0, 20.0),
+)
+def test_friction_never_adds_energy(level: float, velocity: float, damping: float) -> None:
+    plant = Plant(gain=1.0, damping=damping, effects=(CoulombFriction(level=level),))
+    time = grid(0.3)
+    run = simulate_voltage(plant, time, np.zeros(time.size), start=(0.0, velocity))
+    assert np.all(np.diff(run.velocity**2) <= 1e-15)
+
+
+def test_saturation_clips_what_reaches_the_axis_and_not_what_is_asked() -> None:
+    time = grid(0.3)
+    limited = LINEAR.with_effect(Saturation(limit=2.0))
+    run = simulate_loop(limited, Controller(kp=60.0), time, np.full(time.size, 0.1))
+    assert run.voltage[0] == pytest.approx(6.0)
+    driven = simulate_voltage(LINEAR, time, np.clip(run.voltage, -2.0, 2.0))
+    np.testing.assert_allclose(run.position, driven.position, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("controller", "law"),
+    [
+        (Controller(kp=50.0, kd=2.0, derivative_filter=0.3), "filter"),
+        (Controller(kp=50.0, kd=2.0, derivative_window=2), "window"),
+        (Controller(kp=50.0, kd=2.0, derivative_on="error"), "error"),
+        (Controller(kp=50.0, kd=2.0, control_period=5e-3), "period"),
+    ],
+    ids=["filter", "window", "on error", "slower loop"],
+)
+def test_controller_law_is_that_of_its_description(controller: Controller, law: str) -> None:
+    time = grid(0.5)
+    reference = np.where(time < 0.25, 0.1, 0.0)
+    run = simulate_loop(NLM1, controller, time, reference, resolution=1e-5)
+    y, ratio, d, asked = run.measured, 5 if law == "period" else 1, 0.0, 0.0
+    for k in range(time.size):
+        if k % ratio == 0:
+            before = max(k - controller.derivative_window * ratio, 0)
+            span = controller.derivative_window * ratio * 1e-3
+            raw = (y[k] - y[before]) / span
+            if law == "error":
+                raw -= (reference[k] - reference[before]) / span
+            d += controller.derivative_filter * (raw - d)
+            asked = 50.0 * (reference[k] - y[k]) - 2.0 * d
+        assert run.voltage[k] == pytest.approx(asked, abs=1e-9)
+
+
+def test_lost_samples_do_not_stop_the_loop() -> None:
+    time = grid(0.6)
+    reference = np.full(time.size, 0.1)
+    whole = simulate_loop(NLM1, Controller(kp=60.0), time, reference)
+    keep = np.ones(time.size, dtype=bool)
+    keep[100:140] = False
+    record = Record(
+        time=time[keep], position=whole.position[keep], reference=reference[keep], controller=Controller(kp=60.0)
+    )
+    np.testing.assert_allclose(simulate(NLM1, record).position, whole.position[keep], rtol=0, atol=1e-9)
+
+
+def test_a_known_voltage_limit_of_the_record_saturates_the_plant() -> None:
+    time = grid(0.4)
+    record = Record(
+        time=time,
+        position=np.zeros(time.size),
+        reference=np.full(time.size, 0.1),
+        controller=Controller(kp=60.0),
+        voltage_limit=2.0,
+    )
+    limited = simulate_loop(LINEAR.with_effect(Saturation(limit=2.0)), Controller(kp=60.0), time, np.full(401, 0.1))
+    np.testing.assert_array_equal(simulate(LINEAR, record).position, limited.position)
+
+
+def test_unstable_loop_is_a_numerical_error_that_names_the_plant() -> None:
+    time = grid(60.0, 0.05)
+    with pytest.raises(NumericalError, match="leaves all bounds"):
+        simulate_loop(LINEAR, Controller(kp=5e4), time, np.full(time.size, 0.1))
+
+
+def test_control_period_must_be_whole_samples() -> None:
+    time = grid(0.1)
+    with pytest.raises(InputError, match="whole number of samples"):
+        simulate_loop(LINEAR, Controller(kp=1.0, control_period=2.5e-3), time, np.zeros(time.size))
+
+
+def test_voltage_drive_without_a_logged_voltage_is_refused() -> None:
+    record = Record(time=[0.0, 1.0], position=[0.0, 0.1], reference=[0.1, 0.1], controller=Controller(kp=1.0))
+    with pytest.raises(InputError, match="no voltage is logged"):
+        simulate(LINEAR, record, voltage_driven=True)
+
+
+PROGRAM = """
+import numpy as np
+from servolens.plant import Plant
+from servolens.effects import CoulombFriction
+from servolens.simulate import simulate_voltage
+run = simulate_voltage(Plant(gain=2.0, damping=3.0, effects=(CoulombFriction(level=0.5),)), np.arange(50) * 1e-3, np.ones(50))
+print(repr(float(run.position[-1])))
+"""
+
+
+@pytest.mark.parametrize("folder", ["shared", "unwritable"])
+def test_kernel_cache_is_safe_with_many_processes_and_needs_no_writable_folder(tmp_path, folder: str) -> None:
+    cache = tmp_path / "cache"
+    if folder == "unwritable":
+        cache.write_text("a file where the folder should be")
+    environment = {**os.environ, "SERVOLENS_CACHE": str(cache)}
+    running = [
+        subprocess.Popen([sys.executable, "-c", PROGRAM], env=environment, stdout=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    answers = {process.communicate(timeout=300)[0] for process in running}
+    assert [process.returncode for process in running] == [0, 0, 0]
+    assert len(answers) == 1
+    t, a, c = 0.049, 1.5, 3.0
+    assert float(answers.pop()) == pytest.approx(a / c * (t - (1 - np.exp(-c * t)) / c), abs=1e-11)
