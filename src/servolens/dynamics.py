@@ -70,8 +70,9 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
     firsts = [2 + sum(counts[:i]) for i in range(len(counts))]
     parts = [(cls, cls.symbols(parameters[a : a + n])) for cls, a, n in zip(structure, firsts, counts, strict=True)]
     effective = command
-    for cls, p in sorted((part for part in parts if issubclass(part[0], Actuator)), key=lambda part: part[0].stage):
-        effective = cls.physics(effective, axis, p)
+    chain = [(cls, p) for cls, p in parts if issubclass(cls, Actuator)]
+    for actuator, p in sorted(chain, key=lambda part: part[0].stage):
+        effective = actuator.physics(effective, axis, p)
     push = parameters[0] * effective - parameters[1] * velocity
     for cls, p in parts:
         if issubclass(cls, Force):

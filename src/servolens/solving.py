@@ -128,7 +128,7 @@ def constrained_least_squares(
     diagonal = np.abs(np.diag(r))
     if p == 0 or diagonal.min() <= 1e-14 * np.linalg.norm(r, axis=0).max():
         raise NumericalError("the data do not determine all unknowns of the fit: two of its columns are proportional")
-    free = np.linalg.solve(r, z)
+    free = np.asarray(np.linalg.solve(r, z), dtype=np.float64)
     if not constraints:
         return ConstrainedLeastSquares(x=free, active=(), multipliers=np.empty(0))
     rows = np.stack([c.row(p) for c in constraints])

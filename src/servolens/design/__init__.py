@@ -1,6 +1,6 @@
 """From a spec to the least derivative gain."""
 
-from servolens.design.compare import compare
+from servolens.design.comparison import compare
 from servolens.design.least_kd import tune
 from servolens.design.settle import evaluate, settling_time, step_response
 from servolens.design.spec import Comparison, Design, PDSpec, Response

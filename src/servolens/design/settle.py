@@ -109,6 +109,6 @@ def constraint_signals(plant: Plant, spec: PDSpec, kd: float) -> NDArray[np.floa
 
 
 def design_horizon(plant: Plant, spec: PDSpec) -> float:
-    """Return how long the band is watched [s]: three settling times, and three periods of the undamped loop after it."""
+    """Return how long the band is watched [s]: three settling times, three periods of the undamped loop after one."""
     period = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
     return float(max(3.0 * spec.settling_time, spec.settling_time + min(3.0 * period, 20.0 * spec.settling_time)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field, make_dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from servolens.effects import Axis, Effect, Force
@@ -38,7 +39,7 @@ def piecewise_damping(edges: Sequence[float], damping: Sequence[float]) -> Effec
     damping : sequence of float, length n ≤ 24
         Added to the plant's own damping.
     """
-    steps = [damping[0], *(after - before for before, after in zip(damping[:-1], damping[1:], strict=True))]
+    steps = [damping[0], *(after - before for before, after in pairwise(damping))]
     spare = CAPACITY - len(steps)
     times = [*edges[: len(steps)], *([1e9] * spare)]
     values = {f"step{i}": v for i, v in enumerate([*steps, *([0.0] * spare)])}

@@ -58,6 +58,19 @@ class Refinement:
     status: str
 
 
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """One stretch, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r)."""
+
+    factor: NDArray[np.float64]
+    along: NDArray[np.float64]
+    missed: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+@final
 @dataclass(slots=True, eq=False)
 class _Point:
     """A trial: parameters, initial states, and the cost there."""
@@ -157,10 +170,8 @@ class _Problem:
             return float(np.inf)
         return float(sum(r @ r for r in parts)) + self._prior_cost(point.values)
 
-    def linearise(
-        self, point: _Point
-    ) -> tuple[list[tuple[NDArray[np.float64], ...]], NDArray[np.float64], NDArray[np.float64]]:
-        """Return per segment (R₀, Q₀ᵀJ, Q₀ᵀr, projected J, projected r), and gradient and information of the rest."""
+    def linearise(self, point: _Point) -> tuple[list[_Block], NDArray[np.float64], NDArray[np.float64]]:
+        """Return each stretch's block, and gradient and information of the parameters."""
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))
@@ -170,7 +181,7 @@ class _Problem:
             q, r = np.linalg.qr(initial)
             along, missed = q.T @ jacobian, q.T @ residual
             jacobian, residual = jacobian - q @ along, residual - q @ missed
-            blocks.append((r, along, missed, jacobian, residual))
+            blocks.append(_Block(r, along, missed, jacobian, residual))
             gradient += jacobian.T @ residual
             information += jacobian.T @ jacobian
         for index, prior in self.priors:
@@ -199,7 +210,7 @@ class _Problem:
     def step(
         self,
         point: _Point,
-        blocks: list[tuple[NDArray[np.float64], ...]],
+        blocks: list[_Block],
         gradient: NDArray[np.float64],
         information: NDArray[np.float64],
         damping: float,
@@ -212,8 +223,8 @@ class _Problem:
         values = np.clip(point.values + change, self.low, self.high)
         moved = values - point.values
         starts = point.starts.copy()
-        for i, (r, along, missed, _, _) in enumerate(blocks):
-            starts[i] -= np.linalg.solve(r, missed + along @ moved)
+        for start, block in zip(starts, blocks, strict=True):
+            start -= np.linalg.solve(block.factor, block.missed + block.along @ moved)
         trial = _Point(values=values, starts=starts)
         trial.cost = self.cost(trial)
         return trial
@@ -226,7 +237,7 @@ class _Problem:
         inside = (point.values > self.low) & (point.values < self.high) & self._determined(information)
         if inside.any():
             kept = np.ix_(inside, inside)
-            scores = [(j * r[:, None])[:, inside] for *_, j, r in blocks]
+            scores = [(b.jacobian * b.residual[:, None])[:, inside] for b in blocks]
             degrees = self.samples / max(self.samples - point.values.size - 2 * len(self.segments), 1)
             index = self.free[inside]
             covariance[np.ix_(index, index)] = degrees * robust_covariance(scores, information[kept])

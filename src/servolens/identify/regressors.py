@@ -56,9 +56,9 @@ def _evaluate(chunked: Any, signals: list[NDArray[np.float64]], rows: int) -> ND
         count = min(CHUNK, n - first)
         for i, signal in enumerate(signals):
             part[i][:count] = signal[first : first + count]
-            buffer.set_arg(i, memoryview(part[i]))
+            buffer.set_arg(i, part[i].data)
         out = np.empty((CHUNK, rows))
-        buffer.set_res(0, memoryview(out))
+        buffer.set_res(0, out.data)
         run()
         result[:, first : first + count] = out[:count].T
     return result

@@ -10,7 +10,6 @@ import numpy as np
 
 from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
-from servolens.record import Controller
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
     from servolens.effects import Effect
     from servolens.plant import Plant
-    from servolens.record import Record
+    from servolens.record import Controller, Record
 
 __all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "substeps_for"]
 
