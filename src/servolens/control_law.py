@@ -85,7 +85,7 @@ def _ticks(record: Record, controller: Controller) -> NDArray[np.intp] | None:
         return None
     step = record.sample_time
     ratio = controller.control_period / step
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > 0.01 * ratio:
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > min(0.01 * ratio, 0.2):
         raise InputError(
             f"{record.name}: control_period is {controller.control_period:g} s and the sample time {step:g} s;"
             " the period must be a whole multiple of the sample time"

@@ -1,0 +1,143 @@
+"""The control law against its definition, written as a loop, against the laboratory and against a real drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.control_law import controller_voltage, law_columns
+from servolens.errors import InputError
+from servolens.record import Controller, Record
+
+
+def by_definition(record):
+    """The law sample by sample, as the contract states it."""
+    c, h = record.controller, 0.001
+    ratio = 1 if c.control_period is None else round(c.control_period / h)
+    y, r = record.position, record.reference
+    d, asked, voltages = 0.0, 0.0, []
+    for k in range(len(record)):
+        if k % ratio == 0:
+            before = max(k - c.derivative_window * ratio, 0)
+            span = c.derivative_window * ratio * h
+            raw = (y[k] - y[before]) / span
+            if c.derivative_on == "error":
+                raw -= (r[k] - r[before]) / span
+            if c.derivative == "velocity":
+                raw = record.velocity[k]
+            d += c.derivative_filter * (raw - d)
+            asked = c.kp * (r[k] - y[k]) - c.kd * d
+        voltages.append(asked + (0.0 if record.feedforward is None else record.feedforward[k]))
+    return np.array(voltages)
+
+
+def wandering(controller, n=400, **signals):
+    rng = np.random.default_rng(3)
+    return Record(
+        time=np.arange(n) * 1e-3,
+        position=np.cumsum(rng.normal(size=n)) * 1e-4,
+        reference=np.where(np.arange(n) < n // 2, 0.1, -0.1),
+        velocity=rng.normal(size=n),
+        controller=controller,
+        **signals,
+    )
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [
+        Controller(kp=60),
+        Controller(kp=60, kd=2.5),
+        Controller(kp=60, kd=2.5, derivative_filter=0.3),
+        Controller(kp=60, kd=2.5, derivative_window=2),
+        Controller(kp=60, kd=2.5, derivative_window=7, derivative_filter=0.5, derivative_on="error"),
+        Controller(kp=60, kd=2.5, derivative="velocity", derivative_filter=0.2),
+        Controller(kp=60, kd=2.5, control_period=0.005),
+        Controller(kp=60, kd=2.5, control_period=0.003, derivative_window=2, derivative_filter=0.4),
+        Controller(kp=60, kd=2.5, derivative_window=1000),
+    ],
+    ids=["p", "pd", "filter", "window", "error", "velocity", "slow", "slow and filtered", "window longer than record"],
+)
+@pytest.mark.parametrize("feedforward", [None, np.linspace(0, 1, 400)], ids=["", "feedforward"])
+def test_law_is_the_definition_sample_by_sample(controller, feedforward):
+    record = wandering(controller, feedforward=feedforward)
+    assert controller_voltage(record) == pytest.approx(by_definition(record), rel=1e-12, abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.3])
+def test_law_reproduces_the_laboratory_log(share):
+    record = lab.step_record(lab.NLM1, 60, 3, noise=1e-5, encoder=1e-5, seed=1)
+    controller = Controller(kp=60, kd=3, derivative_filter=share)
+    if share == 1.0:
+        assert controller_voltage(record) == pytest.approx(record.voltage, abs=1e-9)
+    columns = law_columns(record.with_({"controller": controller}))
+    assert 60 * columns[0] - 3 * columns[1] == pytest.approx(
+        controller_voltage(record.with_({"controller": controller})), abs=1e-12
+    )
+
+
+def test_constant_position_needs_no_derivative():
+    record = Record(time=[0, 1, 2], position=[5, 5, 5], reference=[7, 7, 7], controller=Controller(kp=2, kd=9))
+    assert controller_voltage(record).tolist() == [4, 4, 4]
+
+
+def test_difference_over_lost_samples_takes_the_time_that_passed():
+    time = np.array([0, 1, 2, 7, 8]) * 1e-3
+    record = Record(time=time, position=2.0 * time, reference=0 * time, controller=Controller(kp=0, kd=1))
+    assert law_columns(record)[1][1:] == pytest.approx(2.0)
+
+
+def test_slow_loop_keeps_its_ticks_over_lost_samples():
+    full = wandering(Controller(kp=60, kd=0, control_period=0.005))
+    keep = np.delete(np.arange(400), [102, 103])
+    part = Record(
+        time=full.time[keep], position=full.position[keep], reference=full.reference[keep], controller=full.controller
+    )
+    assert controller_voltage(part) == pytest.approx(controller_voltage(full)[keep], abs=1e-12)
+
+
+def test_a_million_samples_take_less_than_a_second():
+    import time
+
+    n = 1_000_000
+    record = Record(
+        time=np.arange(n) * 1e-3, position=np.zeros(n), reference=np.ones(n), controller=Controller(kp=1, kd=1)
+    )
+    begin = time.perf_counter()
+    controller_voltage(record)
+    assert time.perf_counter() - begin < 1.0
+
+
+@pytest.mark.parametrize(
+    ("record", "sentence"),
+    [
+        (
+            Record(time=[0, 1], position=[0, 1], voltage=[0, 1], reference=[0, 1]),
+            "record: the control law needs the gains; give kp and kd",
+        ),
+        (
+            Record(time=[0, 1], position=[0, 1], voltage=[0, 1], controller=Controller(kp=1)),
+            "record: the control law needs the reference; log it",
+        ),
+        (
+            Record(time=[0, 1], position=[0, 1], reference=[0, 1], controller=Controller(kp=1, derivative="velocity")),
+            "record: the loop used a velocity of its own (derivative = velocity); log it",
+        ),
+        (
+            Record(time=[0, 2], position=[0, 1], reference=[0, 1], controller=Controller(kp=1, control_period=3.0)),
+            "record: control_period is 3 s and the sample time 2 s;"
+            " the period must be a whole multiple of the sample time",
+        ),
+        (
+            Record(time=[0, 2], position=[0, 1], reference=[0, 1], controller=Controller(kp=1, control_period=0.5)),
+            "record: control_period is 0.5 s and the sample time 2 s;"
+            " the period must be a whole multiple of the sample time",
+        ),
+    ],
+    ids=["gains", "reference", "velocity", "fraction", "faster than the log"],
+)
+def test_what_is_missing_is_named(record, sentence):
+    with pytest.raises(InputError) as refusal:
+        controller_voltage(record)
+    assert str(refusal.value) == sentence
