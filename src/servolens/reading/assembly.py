@@ -1,0 +1,231 @@
+"""From columns and settings in whatever units to a record in SI."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING, Any, Literal, cast
+
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.reading.files import quote
+from servolens.reading.headings import check_mapping
+from servolens.reading.settings import Settings, parse_settings
+from servolens.record import Controller, Record
+from servolens.units import Unit, parse_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["assemble"]
+
+Signals = dict[str, "NDArray[np.float64]"]
+Stated = dict[str, tuple[str, Unit]]
+
+KINDS = {
+    "position": "{length}",
+    "reference": "{length}",
+    "voltage": "{command}",
+    "time": "s",
+    "velocity": "{length}/s",
+    "feedforward": "{command}",
+    "encoder_resolution": "{length}",
+    "kp": "{command}/{length}",
+    "kd": "{command} s/{length}",
+    "voltage_limit": "{command}",
+    "control_period": "s",
+    "counts_per_unit": "1/{length}",
+}
+"""What each quantity is measured in; those that settle the units of the record stand first."""
+LENGTHS = ("m", "rad")
+COMMANDS = ("V", "A", "N", "N m", "%")
+LARGEST = 1e15
+"""Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
+COUNTED = ("position", "reference", "velocity")
+
+
+def assemble(
+    signals: Mapping[str, NDArray[np.float64]],
+    header_units: Mapping[str, str | None],
+    *,
+    comments: Mapping[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
+    units: Mapping[str, str] | None = None,
+    name: str = "record",
+    source: str = "",
+) -> Record:
+    """Convert a table to SI and return it as a record.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray, shape (n,)
+        Signal names to values as logged.
+    header_units : mapping
+        Units that the headings state.
+    comments, settings : mapping, optional
+        Settings of the file, and those of the caller, which win.
+    units : mapping, optional
+        Units from the caller, which win over those of the headings.
+    name, source : str
+        Of the record, where the settings give no name.
+
+    Raises
+    ------
+    InputError
+        With one sentence, if table and settings do not make a record.
+    """
+    parsed = parse_settings(comments or {}, settings)
+    stated = _column_units(signals, {**header_units, **check_mapping(units, "units")})
+    stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
+    per_count = _take_counts(stated, signals, parsed)
+    length, command = _settle(stated)
+    values = _scaled(signals, stated, per_count)
+    numbers = {key: amount.value * _factor(key, stated) for key, amount in parsed.amounts.items()}
+    _check_size({**values, **numbers})
+    controller, remarks = _controller(numbers, parsed)
+    title = parsed.name or name
+    made = {
+        "controller": controller,
+        "encoder_resolution": numbers.get("encoder_resolution", per_count),
+        "voltage_limit": numbers.get("voltage_limit"),
+        "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
+    }
+    return _record(values, made, (length, command), title, source)
+
+
+def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> Stated:
+    stated: Stated = {}
+    for signal in signals:
+        text = texts.get(signal)
+        if text is None:
+            continue
+        unit = parse_unit(text)
+        if unit is None:
+            raise InputError(f"column {signal}: {quote(text)} is no unit; write e.g. [s], [mm], [rad] or [V]")
+        stated[signal] = (text, unit)
+    return stated
+
+
+def _take_counts(stated: Stated, signals: Iterable[str], settings: Settings) -> float | None:
+    """Return metres (radians) per encoder count, None without counts, and leave the counted columns out of `stated`."""
+    amount = settings.amounts.get("counts_per_unit")
+    counted = [signal for signal in COUNTED if signal in stated and "count" in dict(stated[signal][1].dimension)]
+    if amount is None:
+        if counted:
+            raise InputError(f"column {counted[0]} is in encoder counts; give counts_per_unit, counts per m or rad")
+        return None
+    if "position" in stated and "position" not in counted:
+        raise InputError(
+            f"position is in {quote(stated['position'][0])} and counts_per_unit is given too; give only one of the two"
+        )
+    scale = amount.value
+    if amount.unit is not None:
+        bases = dict(amount.unit.dimension)
+        bases.pop("count", None)
+        unit = Unit(amount.unit.factor, tuple(bases.items()))
+        stated["counts_per_unit"] = (amount.text, unit)
+        scale *= unit.factor
+    per_count = 1 / scale
+    for signal in ("position", "reference"):
+        if signal in counted or (signal in signals and signal not in stated):
+            stated[signal] = ("counts", Unit(per_count, (("count", 1.0),)))
+    return per_count
+
+
+def _settle(stated: Stated) -> tuple[Literal["m", "rad"], str]:
+    """Return the units of length and command that agree with everything that is stated."""
+    left = list(product(LENGTHS, COMMANDS))
+    seen: list[str] = []
+    for key, kind in KINDS.items():
+        if key not in stated or (key in COUNTED and "count" in dict(stated[key][1].dimension)):
+            continue
+        text, unit = stated[key]
+        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == unit.dimension]
+        if not fits:
+            raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
+        agreed = [pair for pair in left if pair in fits]
+        if not agreed:
+            raise InputError(f"{key} is in {quote(text)}, which contradicts the unit of {' and '.join(seen)}")
+        if len(agreed) < len(left):
+            seen.append(key)
+        left = agreed
+    length, command = left[0]
+    return cast("Literal['m', 'rad']", length), command
+
+
+def _dimension(kind: str, pair: tuple[str, str]) -> tuple[tuple[str, float], ...]:
+    unit = parse_unit(kind.format(length=pair[0], command=pair[1]))
+    return () if unit is None else unit.dimension
+
+
+def _admissible(kind: str) -> str:
+    examples = [kind.format(length=length, command="V") for length in LENGTHS]
+    command = ", or A, N, N m, % in place of V" if "{command}" in kind else ""
+    return f"give it in {' or '.join(dict.fromkeys(examples))}{command}"
+
+
+def _factor(key: str, stated: Stated) -> float:
+    return stated[key][1].factor if key in stated else 1.0
+
+
+def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated, per_count: float | None) -> Signals:
+    values: Signals = {}
+    for signal, value in signals.items():
+        factor = _factor(signal, stated)
+        if signal == "velocity" and signal in stated and "count" in dict(stated[signal][1].dimension):
+            factor *= per_count or 1.0
+        if signal == "time" and factor in (1e-3, 1e-6):
+            values[signal] = value / round(1 / factor)  # 3 ms is 0.003 s to the last digit
+        else:
+            values[signal] = value if factor == 1.0 else value * factor
+    return values
+
+
+def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
+    for key, value in quantities.items():
+        largest = float(abs(value).max()) if not isinstance(value, float) and value.size else abs(float(value or 0.0))
+        if largest > LARGEST:
+            raise InputError(f"{key} reaches {largest:g} in SI units; up to {LARGEST:g} is read, check its unit")
+
+
+def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
+    loop = [key for key in ("kd", "control_period", *settings.numbers, *settings.words) if _given(key, settings)]
+    if "kp" not in numbers:
+        if "kd" in numbers:
+            raise InputError("kd is given without kp; give both")
+        what = [key for key in loop if key != "controller"]
+        message = f"kp is not given, so {', '.join(what)} says nothing."
+        return None, [Finding(code="settings_without_gains", severity="note", message=message)] if what else []
+    window = int(settings.numbers.get("derivative_window", 1))
+    return Controller(
+        kp=numbers["kp"],
+        kd=numbers.get("kd", 0.0),
+        derivative_filter=settings.numbers.get("derivative_filter", 1.0),
+        derivative_window=window,
+        derivative_on=cast("Literal['measurement', 'error']", settings.words.get("derivative_on", "measurement")),
+        derivative=cast("Literal['position', 'velocity']", settings.words.get("derivative", "position")),
+        control_period=numbers.get("control_period"),
+    ), []
+
+
+def _given(key: str, settings: Settings) -> bool:
+    return key in settings.amounts or key in settings.numbers or key in settings.words
+
+
+def _record(
+    values: Signals, made: Mapping[str, object], units: tuple[Literal["m", "rad"], str], name: str, source: str
+) -> Record:
+    arguments: dict[str, Any] = {**values, **made}
+    try:
+        return Record(
+            **arguments,
+            name=name,
+            source=source,
+            length_unit=units[0],
+            command_unit=units[1],
+        )
+    except InputError as error:
+        raise InputError(str(error).removeprefix(f"{name}: ")) from error

@@ -1,0 +1,186 @@
+"""Units of measured quantities: what a text such as ``V s/mm`` means in SI.
+
+The units of ordinary logs stand in a table; pint, which costs a quarter of a second to import, is asked for the rest.
+The radian, the percent of a command and the encoder count are dimensions of their own here, so that V/m, V/rad and V
+can be told apart.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, final
+
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Unit", "parse_unit", "split_number"]
+
+Dimension = tuple[tuple[str, float], ...]
+
+LONGEST = 40
+"""Longest text that is looked at as a unit."""
+_VOLT = {"kg": 1, "m": 2, "s": -3, "A": -1}
+_NEWTON = {"kg": 1, "m": 1, "s": -2}
+_TORQUE = {"kg": 1, "m": 2, "s": -2}
+_ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
+    "1": (1.0, {}),
+    "s": (1.0, {"s": 1}),
+    "ms": (1e-3, {"s": 1}),
+    "us": (1e-6, {"s": 1}),
+    "m": (1.0, {"m": 1}),
+    "cm": (1e-2, {"m": 1}),
+    "mm": (1e-3, {"m": 1}),
+    "um": (1e-6, {"m": 1}),
+    "nm": (1e-9, {"m": 1}),
+    "rad": (1.0, {"rad": 1}),
+    "mrad": (1e-3, {"rad": 1}),
+    "deg": (math.pi / 180, {"rad": 1}),
+    "°": (math.pi / 180, {"rad": 1}),
+    "rev": (2 * math.pi, {"rad": 1}),
+    "V": (1.0, _VOLT),
+    "mV": (1e-3, _VOLT),
+    "A": (1.0, {"A": 1}),
+    "mA": (1e-3, {"A": 1}),
+    "N": (1.0, _NEWTON),
+    "mN": (1e-3, _NEWTON),
+    "kN": (1e3, _NEWTON),
+    "Nm": (1.0, _TORQUE),
+    "mNm": (1e-3, _TORQUE),
+    "%": (1.0, {"%": 1}),
+    "percent": (1.0, {"%": 1}),
+    **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks"), (1.0, {"count": 1})),
+}
+_BASES = {
+    "[length]": "m",
+    "[mass]": "kg",
+    "[time]": "s",
+    "[current]": "A",
+    "[angle]": "rad",
+    "[percent]": "%",
+    "[count]": "count",
+}
+_NO_UNITS = re.compile(r"\b(units?|position|per cent of)\b", re.IGNORECASE)  # pint reads "unit" as a micronit
+_HARMLESS = re.compile(r"[A-Za-z0-9_°%·*/^(). ²³-]+")
+_POWER = re.compile(r"(?:\*\*|\^)")
+_SMALL_POWER = re.compile(r"(?:\*\*|\^)\s*\(?\s*-?\s*[1-4]\s*\)?(?!\s*(?:[0-9.]|\*\*|\^))")
+_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?)(.*)", re.DOTALL)
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit as a multiple of SI.
+
+    Parameters
+    ----------
+    factor : float
+        A value in this unit times `factor` is the value in SI.
+    dimension : tuple of (str, float)
+        Powers of kg, m, s, A, rad, %, count, sorted; two units measure the same kind of thing if these are equal.
+    """
+
+    factor: float
+    dimension: Dimension
+
+
+def parse_unit(text: str) -> Unit | None:
+    """Return the unit that `text` names, or None if it is no unit.
+
+    At most 40 characters and small powers are looked at, so that no text can keep the reader busy.
+
+    Examples
+    --------
+    >>> parse_unit("mm").factor
+    0.001
+    >>> parse_unit("V/m") == parse_unit("V / rad")
+    False
+    >>> parse_unit("V per position unit") is None
+    True
+    """
+    text = text.strip().replace("μ", "u").replace("µ", "u")
+    if not text or len(text) > LONGEST or not _HARMLESS.fullmatch(text):
+        return None
+    return _from_table(text) or _from_pint(text)
+
+
+def split_number(text: str) -> tuple[float, str]:
+    """Split ``"60 V/m"`` into 60.0 and ``"V/m"``; brackets around the unit are dropped.
+
+    Raises
+    ------
+    InputError
+        If the text does not begin with a finite number.
+    """
+    match = _NUMBER.fullmatch(text.strip())
+    if match is None:
+        raise InputError("is not a number")
+    value, rest = float(match[1]), match[2].strip()
+    if re.match(r",\d", rest):
+        raise InputError("has a decimal comma; write a point")
+    if re.match(r"[\w.]", match[2]) and parse_unit(rest) is None:
+        raise InputError("is not a number")
+    if not math.isfinite(value):
+        raise InputError("is not a finite number")
+    if rest[:1] + rest[-1:] in ("[]", "()") and "(" not in rest[1:]:
+        rest = rest[1:-1].strip()
+    return value, rest
+
+
+@cache
+def _from_table(text: str) -> Unit | None:
+    """Read products of known units over at most one more, e.g. ``V s/mm``."""
+    above, slash, below = text.partition("/")
+    powers = [(atom, 1) for atom in re.split(r"[ *·]+", above.strip())]
+    if slash:
+        powers.append((below.strip(), -1))
+    factor, dimension = 1.0, dict[str, float]()
+    for atom, power in powers:
+        if atom not in _ATOMS:
+            return None
+        size, bases = _ATOMS[atom]
+        factor *= size**power
+        for base, exponent in bases.items():
+            dimension[base] = dimension.get(base, 0) + power * exponent
+    return Unit(factor, _sorted(dimension))
+
+
+@cache
+def _from_pint(text: str) -> Unit | None:
+    powers = len(_POWER.findall(text))
+    if powers > 3 or powers != len(_SMALL_POWER.findall(text)) or re.search(r"[²³]{2}|\d{7}", text):
+        return None
+    if _NO_UNITS.search(text):
+        return None
+    registry = _registry()
+    try:
+        quantity = registry.Quantity(registry.parse_expression(text)).to_base_units()
+        factor = float(quantity.magnitude)
+        dimension = {_BASES.get(base, base): float(power) for base, power in quantity.dimensionality.items()}
+    except Exception:  # noqa: BLE001, RUF100 - pint raises many kinds on text that is no unit
+        return None
+    if not (math.isfinite(factor) and factor > 0):
+        return None
+    return Unit(factor, _sorted(dimension))
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    registry: Any = pint.UnitRegistry(on_redefinition="ignore")
+    registry.define("radian = [angle] = rad")
+    registry.define("percent = [percent] = %")
+    registry.define("count = [count] = counts = cts = cnt = tick = ticks")
+    registry.define("rev = 2 * pi * radian")
+    registry.define("Nm = newton * meter")
+    registry._build_cache()
+    return registry
+
+
+def _sorted(dimension: Mapping[str, float]) -> Dimension:
+    return tuple(sorted((base, float(power)) for base, power in dimension.items() if power))
