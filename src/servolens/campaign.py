@@ -1,0 +1,226 @@
+"""Several records of the same axis: from files, folders, or a campaign TOML."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from servolens.errors import InputError
+from servolens.reading import KEYS, read_record
+from servolens.reading.files import located, printable, quote, read_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from servolens.record import Record
+
+__all__ = ["read_records"]
+
+StrPath = str | os.PathLike[str]
+SUFFIXES = (".csv", ".mat")
+LARGEST_TOML = 2**20
+TABLES = ("columns", "units")
+
+
+def read_records(
+    paths: StrPath | Iterable[StrPath],
+    *,
+    settings: Mapping[str, object] | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    data_root: StrPath | None = None,
+) -> tuple[Record, ...]:
+    """Read the records of one axis.
+
+    Parameters
+    ----------
+    paths : path or iterable of paths
+        Files; folders, of which every ``.csv`` and ``.mat`` is read in the order of their names; campaign files
+        ``.toml`` with ``[[records]]`` entries (``file``, settings, ``columns``, ``units``) and a ``[defaults]`` table
+        with what all entries share.
+    settings, columns, units : mapping, optional
+        For every record, as in :func:`~servolens.reading.read_record`; they win over the entries of a campaign.
+    data_root : path, optional
+        Files named by a campaign or found in a folder may lie anywhere below it; by default only below the
+        campaign's own folder.
+
+    Returns
+    -------
+    tuple of Record
+        In the order given, all in the same units.
+
+    Raises
+    ------
+    InputError
+        With one sentence; a refused entry is named as ``campaign.toml: records[2] (run3.csv): …``.
+
+    Examples
+    --------
+    >>> read_records([])
+    Traceback (most recent call last):
+        ...
+    servolens.errors.InputError: no records are given; name files, folders or a campaign TOML
+    """
+    named = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    root = None if data_root is None else _real(Path(data_root))
+    sources = [source for path in named for source in _sources(Path(path), root)]
+    if not sources:
+        raise InputError("no records are given; name files, folders or a campaign TOML")
+    _check_distinct(sources)
+    records = tuple(_read(source, settings, columns, units) for source in sources)
+    _check_units(records, sources)
+    return records
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Source:
+    """One file to be read, what refusals call it, and what its campaign says about it."""
+
+    path: Path
+    label: str
+    settings: Mapping[str, object] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def _sources(path: Path, root: Path | None) -> Iterator[_Source]:
+    if path.suffix.lower() == ".toml" and not path.is_dir():
+        yield from _campaign(path, root)
+    elif path.is_dir():
+        yield from _folder(path, root)
+    else:
+        yield _Source(path=path, label=str(path))
+
+
+def _folder(folder: Path, root: Path | None) -> Iterator[_Source]:
+    with located(str(folder)):
+        try:
+            files = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+        except OSError as error:
+            raise InputError(f"cannot be listed: {(error.strerror or str(error)).lower()}") from error
+        if not files:
+            raise InputError("is a folder without .csv or .mat files")
+    for file in files:
+        with located(str(file)):
+            yield _Source(path=_inside(file, folder, root), label=str(file))
+
+
+def _campaign(path: Path, root: Path | None) -> Iterator[_Source]:
+    with located(str(path)):
+        document = _toml(path)
+        entries = _entries(document)
+        defaults = document.get("defaults", {})
+        _check_keys("defaults", defaults, (*KEYS, *TABLES))
+    for index, entry in enumerate(entries):
+        with located(f"{path}: records[{index}]"):
+            file = entry.get("file")
+            if not isinstance(file, str) or not file:
+                raise InputError("file is missing; name the record's file, relative to the TOML")
+            where = f"({printable(file)[:80]})"
+        label = f"{path}: records[{index}] {where}"
+        with located(label):
+            _check_keys("the entry", entry, ("file", *KEYS, *TABLES))
+            yield _Source(
+                path=_inside(path.parent / file, path.parent, root),
+                label=label,
+                settings={key: value for key, value in {**defaults, **entry}.items() if key in KEYS},
+                columns={**_table(defaults, "columns"), **_table(entry, "columns")},
+                units={**_table(defaults, "units"), **_table(entry, "units")},
+            )
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    content = read_bytes(path, LARGEST_TOML)
+    try:
+        return tomllib.loads(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text (byte {error.start})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {quote(error)}") from error
+    except (RecursionError, ValueError) as error:
+        raise InputError("is not valid TOML: nested too deep, or a number too long") from error
+
+
+def _entries(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    _check_keys("the campaign", document, ("records", "defaults"))
+    entries = document.get("records")
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise InputError("holds no [[records]] entries; write one for each file")
+    return entries
+
+
+def _check_keys(what: str, table: object, known: Sequence[str]) -> None:
+    if not isinstance(table, dict):
+        raise InputError(f"{what} must be a table of keys and values")
+    unknown = sorted(set(table) - set(known))
+    if unknown:
+        raise InputError(f"{what} has a key {quote(unknown[0])}; known are {', '.join(known)}")
+
+
+def _table(entry: Mapping[str, Any], key: str) -> dict[str, str]:
+    table = entry.get(key, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{key} must be a table such as {{position = 'qm'}}")
+    return table
+
+
+def _inside(path: Path, folder: Path, root: Path | None) -> Path:
+    """Return where the file really is, symbolic links followed, if that is below the folder or the data root."""
+    real = _real(path)
+    if not real.is_relative_to(_real(folder) if root is None else root):
+        where = "its folder" if root is None else "the data root"
+        raise InputError(f"the file lies outside {where}; name a data root (--data-root) that holds it")
+    return real
+
+
+def _real(path: Path) -> Path:
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError("the path cannot be followed; check its symbolic links") from error
+
+
+def _check_distinct(sources: Sequence[_Source]) -> None:
+    seen: dict[tuple[int, int], str] = {}
+    for source in sources:
+        try:
+            status = source.path.stat()
+        except (OSError, ValueError):
+            continue  # reading it will say why
+        earlier = seen.setdefault((status.st_dev, status.st_ino), source.label)
+        if earlier is not source.label:
+            raise InputError(f"{printable(source.label)}: the same file is given twice, first as {printable(earlier)}")
+
+
+def _read(
+    source: _Source,
+    settings: Mapping[str, object] | None,
+    columns: Mapping[str, str] | None,
+    units: Mapping[str, str] | None,
+) -> Record:
+    given = {key: value for key, value in (settings or {}).items() if value is not None}
+    return read_record(
+        source.path,
+        settings={**source.settings, **given},
+        columns={**source.columns, **(columns or {})},
+        units={**source.units, **(units or {})},
+        label=source.label,
+    )
+
+
+def _check_units(records: Sequence[Record], sources: Sequence[_Source]) -> None:
+    first = records[0]
+    for record, source in zip(records, sources, strict=True):
+        for what, mine, other in (
+            ("position", record.length_unit, first.length_unit),
+            ("the command", record.command_unit, first.command_unit),
+        ):
+            if mine != other:
+                raise InputError(
+                    f"{printable(source.label)}: {what} is in {mine}, in {printable(sources[0].label)} in {other};"
+                    " records of one axis have the same units"
+                )
