@@ -264,14 +264,14 @@ class Record:
             if value is not None:
                 smooth = signal in ("position", "velocity")
                 changes[signal] = np.interp(time, self.time, value) if smooth else value[held]
-        return replace(self, **changes)  # type: ignore[arg-type]
+        return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names
 
     def with_(self, changes: Mapping[str, object]) -> Record:
         """Return a copy with other settings, e.g. ``record.with_({"controller": Controller(kp=58.7)})``."""
         known = {field.name for field in fields(self)}
         unknown = sorted(set(changes) - known)
         _require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
-        return replace(self, **changes)  # type: ignore[arg-type]
+        return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names
 
     def _take(self, first: int, last: int) -> Record:
         parts = {s: v[first:last] for s in SIGNALS if (v := getattr(self, s)) is not None}
