@@ -1,0 +1,172 @@
+"""The least gain against the paper's models, SciPy, and properties that any design must have."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from servolens.design import PDSpec, compare, evaluate, settling_time, tune
+from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
+from servolens.errors import InputError
+from servolens.plant import Plant
+
+
+def cart(gain: float, damping: float, *law: float) -> Plant:
+    effects = (VelocityDecayDamping(alpha1=law[0], alpha2=law[1]),) if law else ()
+    return Plant(gain=gain, damping=damping, effects=effects)
+
+
+MODELS = {
+    "Lm1": cart(1.8545, 6.1520),
+    "Lm2": cart(1.7482, 5.4916),
+    "Lm3": cart(1.7866, 4.5866),
+    "NLm1": cart(1.9165, 5.9986, 17.3264, 13.1068),
+    "NLm2": cart(1.9180, 5.6035, 22.1357, 18.2233),
+    "NLm3": cart(1.9100, 3.7990, 15.2528, 5.9934),
+}
+FEASIBLE = {
+    "Lm1": [(5.365, 11.542)],
+    "Lm2": [(5.801, 11.958)],
+    "Lm3": [(6.279, 12.443)],
+    "NLm1": [(3.597, 4.598), (7.302, 9.694)],
+    "NLm2": [(4.001, 4.917), (7.764, 9.988)],
+    "NLm3": [(3.788, 4.775), (7.510, 9.869)],
+}
+SPEC = PDSpec(kp=100.0, settling_time=0.5, control="continuous")
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
+    design = tune(MODELS[name], SPEC)
+    np.testing.assert_allclose(np.array(design.intervals), np.array(FEASIBLE[name]), atol=0.01)
+    assert design.kd == design.intervals[0][0]
+    assert design.verified[0].meets
+    np.testing.assert_allclose(design.candidates, [low for low, _ in design.intervals], atol=1e-3)
+
+
+def test_a_gain_for_all_three_nonlinear_models() -> None:
+    design = tune([MODELS["NLm1"], MODELS["NLm2"], MODELS["NLm3"]], SPEC)
+    np.testing.assert_allclose(np.array(design.intervals), [(4.001, 4.598), (7.764, 9.694)], atol=0.01)
+    assert all(response.meets for response in design.verified)
+
+
+def test_the_linear_gain_breaks_the_spec_on_the_nonlinear_cart() -> None:
+    comparison = compare(MODELS["Lm3"], MODELS["NLm3"], SPEC)
+    crossed = comparison.linear_on_nonlinear
+    assert crossed is not None
+    assert not crossed.meets
+    assert crossed.settling_time == pytest.approx(0.547, abs=1e-3)
+    assert evaluate(MODELS["NLm3"], SPEC, 7.35).settling_time == pytest.approx(0.5125, abs=1e-3)
+    assert evaluate(MODELS["NLm3"], SPEC, 3.55).settling_time == pytest.approx(0.6125, abs=1e-3)
+    assert comparison.nonlinear.verified[0].meets
+
+
+@pytest.mark.parametrize("kd", [3.0, 3.9, 6.0, 8.0, 15.0])
+def test_settling_time_agrees_with_scipy(kd: float) -> None:
+    plant = MODELS["NLm2"]
+
+    def motion(_: float, x: np.ndarray) -> list[float]:
+        c = 5.6035 + 22.1357 * np.exp(-18.2233 * abs(x[1]))
+        return [x[1], 1.9180 * (100.0 * (0.1 - x[0]) - kd * x[1]) - c * x[1]]
+
+    time = np.arange(0.0, 3.0, 2e-5)
+    run = solve_ivp(motion, (0.0, 3.0), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-13)
+    outside = np.flatnonzero(np.abs(0.1 - run.y[0]) > 0.001)
+    assert evaluate(plant, SPEC, kd).settling_time == pytest.approx(time[outside[-1] + 1], abs=2e-4)
+
+
+def test_settling_time_of_a_known_signal() -> None:
+    time = np.linspace(0.0, 5.0, 5001)
+    assert settling_time(time, np.exp(-time), 0.01) is not None
+    assert settling_time(time, np.exp(-time), 0.01) == pytest.approx(np.log(100.0), abs=1e-6)
+    assert settling_time(time, np.ones(5001), 0.01) is None
+    assert settling_time(time, np.zeros(5001), 0.01) == 0.0
+
+
+def test_every_gain_inside_an_interval_is_feasible_and_none_outside() -> None:
+    design = tune(MODELS["NLm3"], SPEC)
+    rng = np.random.default_rng(5)
+    for kd in rng.uniform(0.0, 20.0, 300):
+        inside = any(low <= kd <= high for low, high in design.intervals)
+        near = min(abs(kd - edge) for interval in design.intervals for edge in interval) < 1e-4
+        assert near or evaluate(MODELS["NLm3"], SPEC, float(kd)).meets == inside
+
+
+@settings(max_examples=12, deadline=None)
+@given(slower=st.floats(0.4, 0.6), factor=st.floats(0.7, 1.0), wide=st.floats(0.01, 0.05))
+def test_a_tighter_spec_never_gives_a_smaller_gain(slower: float, factor: float, wide: float) -> None:
+    loose = tune(MODELS["Lm2"], PDSpec(kp=100.0, settling_time=slower, band=wide))
+    tight = tune(MODELS["Lm2"], PDSpec(kp=100.0, settling_time=slower * factor, band=wide))
+    if tight.kd is not None:
+        assert loose.kd is not None
+        assert tight.kd >= loose.kd - 1e-4
+
+
+def test_more_models_never_give_a_smaller_gain() -> None:
+    one = tune(MODELS["NLm1"], SPEC).kd
+    both = tune([MODELS["NLm1"], MODELS["NLm3"]], SPEC).kd
+    assert both >= one  # type: ignore[operator]  # both are feasible
+
+
+def test_overshoot_limit_binds_and_holds() -> None:
+    spec = PDSpec(kp=100.0, settling_time=0.9, overshoot=0.05)
+    free, held = tune(MODELS["Lm1"], PDSpec(kp=100.0, settling_time=0.9)), tune(MODELS["Lm1"], spec)
+    assert held.kd > free.kd  # type: ignore[operator]  # both are feasible
+    assert held.verified[0].overshoot == pytest.approx(0.05, abs=1e-4)
+    damping = (6.152 + 1.8545 * held.kd) / (2 * np.sqrt(1.8545 * 100.0))  # type: ignore[operator]
+    assert np.exp(-np.pi * damping / np.sqrt(1 - damping**2)) == pytest.approx(0.05, abs=2e-3)
+
+
+def test_voltage_beyond_the_limit_is_infeasible_with_a_reason() -> None:
+    design = tune(MODELS["Lm1"], PDSpec(kp=100.0, settling_time=0.5, voltage_limit=8.0))
+    assert not design.feasible
+    assert design.intervals == ()
+    assert design.reason is not None
+    assert "asks for 10 V" in design.reason
+    assert design.to_json()["kd"] is None
+
+
+def test_sticking_axis_that_stops_outside_the_band_is_infeasible() -> None:
+    stuck = cart(1.9, 6.0).with_effect(CoulombFriction(level=1.0))
+    design = tune(stuck, PDSpec(kp=60.0, settling_time=0.5))
+    assert all(evaluate(stuck, design.spec, kd).meets for kd, _ in design.intervals)
+    far = cart(1.9, 6.0).with_effect(CoulombFriction(level=5.0))
+    late = evaluate(far, PDSpec(kp=10.0, settling_time=0.5), 20.0)
+    assert late.settling_time is None
+    assert not late.meets
+
+
+def test_saturation_of_the_plant_is_part_of_the_design() -> None:
+    limited = MODELS["Lm1"].with_effect(Saturation(limit=5.0))
+    spec = PDSpec(kp=100.0, settling_time=0.6)
+    assert tune(limited, spec).intervals != tune(MODELS["Lm1"], spec).intervals
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"kp": -1.0}, "kp must be positive"),
+        ({"kp": float("nan")}, "kp must be positive"),
+        ({"band": 1.0}, "band must be between 0 and 1"),
+        ({"reference": 0.0}, "reference must be finite and not 0"),
+        ({"settling_time": 1e-3}, "less than three samples"),
+        ({"control": "analogue"}, "control must be"),
+        ({"derivative_filter": 0.0}, "derivative_filter must lie in"),
+        ({"overshoot": -0.1}, "overshoot must not be negative"),
+        ({"voltage_limit": 0.0}, "voltage_limit must be positive"),
+    ],
+)
+def test_wrong_specs_are_one_sentence(change: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        PDSpec(**{"kp": 100.0, "settling_time": 0.5, **change})
+
+
+def test_models_of_different_units_are_refused() -> None:
+    radians = Plant(gain=1.0, damping=1.0, length_unit="rad")
+    with pytest.raises(InputError, match="different units"):
+        tune([MODELS["Lm1"], radians], SPEC)
+    with pytest.raises(InputError, match="no model"):
+        tune([], SPEC)

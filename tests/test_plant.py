@@ -1,0 +1,109 @@
+"""Plants, effects and model files."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+
+from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
+from servolens.errors import InputError
+from servolens.model import Model, Quantity, read_model
+from servolens.plant import Plant
+
+NLM1 = Plant(gain=1.9165, damping=5.9986, effects=(VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068),))
+
+
+def test_values_go_in_and_out_in_the_same_order() -> None:
+    assert NLM1.values == (1.9165, 5.9986, 17.3264, 13.1068)
+    assert list(NLM1.parameters) == [
+        "gain",
+        "damping",
+        "velocity_decay_damping.alpha1",
+        "velocity_decay_damping.alpha2",
+    ]
+    assert NLM1.with_values(NLM1.values) == NLM1
+    assert NLM1.with_values([1.0, 2.0, 3.0, 4.0]).values == (1.0, 2.0, 3.0, 4.0)
+
+
+def test_units_follow_the_axis() -> None:
+    arm = Plant(gain=45.0, damping=23.0, effects=(CoulombFriction(level=1.0),), length_unit="rad", command_unit="N m")
+    assert arm.unit("gain") == "rad/s^2/(N m)"
+    assert arm.unit("coulomb_friction.level") == "rad/s^2"
+    assert NLM1.unit("velocity_decay_damping.alpha2") == "s/m"
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_describes_itself(name: str) -> None:
+    effect = CATALOGUE[name]
+    assert effect.name == name
+    assert effect.sentence.endswith(".")
+    assert effect.latex
+    assert all(p.meaning and p.unit and p.low < p.high for p in effect.parameters())
+
+
+def test_values_are_frozen() -> None:
+    with pytest.raises(FrozenInstanceError):
+        NLM1.gain = 2.0  # type: ignore[misc]  # that is the test
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Plant(gain=0.0, damping=1.0), "gain must not be 0"),
+        (lambda: Plant(gain=float("inf"), damping=1.0), "gain must lie in"),
+        (lambda: CoulombFriction(level=-1.0), "coulomb_friction: level must lie in"),
+        (lambda: Plant(gain=1.0, damping=1.0, effects=(CoulombFriction(level=1.0),) * 2), "appears twice"),
+        (lambda: Plant.effect_from("magic", {}), "there is no effect 'magic'"),
+        (lambda: Plant.effect_from("saturation", {"width": 1.0}), "needs the parameters limit"),
+    ],
+)
+def test_wrong_plants_are_one_sentence(make, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+def test_model_survives_its_file(tmp_path) -> None:
+    covariance = np.diag([1e-6, 1e-4, np.nan, 1e-2])
+    covariance[0, 1] = covariance[1, 0] = 2e-6
+    model = Model(plant=NLM1, covariance=covariance, identified_from=("kp 60",))
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **model.to_json()}, allow_nan=False))
+    back = read_model(path)
+    assert back.plant == NLM1
+    assert back.identified_from == ("kp 60",)
+    np.testing.assert_array_equal(back.covariance, np.where(np.isnan(covariance), np.nan, covariance))
+
+
+def test_quantity_has_a_95_percent_interval_or_a_reason() -> None:
+    known = Quantity(value=2.0, unit="1/s", stderr=0.1).to_json()
+    assert known["interval"] == pytest.approx([2.0 - 0.196, 2.0 + 0.196], abs=1e-4)
+    unknown = Quantity(value=2.0, unit="1/s", reason="at its bound").to_json()
+    assert unknown == {"value": 2.0, "stderr": None, "interval": None, "unit": "1/s", "reason": "at its bound"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is not JSON"),
+        ("[]", "is not a model"),
+        ('{"schema": "servolens.design/1"}', "is not a model"),
+        ('{"schema": "servolens.model/1"}', "'gain' is missing"),
+        ('{"schema": "servolens.model/1", "gain": 3, "damping": 4}', "wrong type"),
+        ('{"schema": "servolens.model/1", "gain": {"value": NaN}, "damping": {"value": 1}}', "gain must lie in"),
+    ],
+)
+def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) -> None:
+    path = tmp_path / "model.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message) as caught:
+        read_model(path)
+    assert "\n" not in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+def test_missing_model_file_is_one_sentence(tmp_path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_model(tmp_path / "none.json")
