@@ -152,6 +152,7 @@ def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], N
     if count > 10 * MOST_PIECES:
         raise InputError(f"pieces of {length:g} s would be {count} over {longest:g} s; choose longer ones")
     inner = length * np.arange(count)
+    inner = inner[[i == 0 or any(_moves(s, t, t + length) for s in segments) for i, t in enumerate(inner)]]
     shares = []
     for segment in segments:
         starts = np.unique(np.searchsorted(segment.time, inner - 1e-9))
@@ -163,6 +164,13 @@ def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], N
         shares.append(Pieces(edges=np.append(starts, segment.time.size), groups=np.arange(starts.size, dtype=np.intp)))
     count = max(share.groups.size for share in shares)
     return shares, np.append(inner[:count], longest)
+
+
+def _moves(segment: Segment, start: float, end: float) -> bool:
+    """Tell whether the axis moves between two times; at rest a piece says nothing about damping and joins the last."""
+    first, stop = np.searchsorted(segment.time, [start, end])
+    floor = max(6.0 * segment.noise, 2.0 * (segment.record.encoder_resolution or 0.0))
+    return bool(stop > first and np.ptp(segment.position[first:stop]) > floor)
 
 
 def _mean_speed(segments: Sequence[Segment], shares: Sequence[Pieces], count: int, window: int) -> NDArray[np.float64]:
