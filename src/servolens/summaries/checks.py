@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servolens.summaries.wording import listed, number
+from servolens.summaries.wording import listed, number, scale
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -15,21 +15,31 @@ if TYPE_CHECKING:
 __all__ = ["check_summary"]
 
 
-def check_summary(qualities: Sequence[RecordQuality]) -> Summary:
-    """Tell which records can be used, and how they were sampled; doubts are the summary's findings."""
+def check_summary(qualities: Sequence[RecordQuality], *, length_unit: str = "m") -> Summary:
+    """Tell which records can be used, and how they were sampled; doubts are the summary's findings.
+
+    Parameters
+    ----------
+    qualities : sequence of RecordQuality
+        One a record.
+    length_unit : str
+        Of the records.
+    """
     unfit = [quality.name for quality in qualities if not quality.usable]
     doubts = sum(finding.severity == "warning" for quality in qualities for finding in quality.findings)
     return Summary(
         title="Check",
         sentences=(_verdict(len(qualities), unfit), *_counted(doubts)),
-        tables=(_table(qualities),),
+        tables=(_table(qualities, length_unit),),
         findings=tuple(finding for quality in qualities for finding in quality.findings),
     )
 
 
 def _verdict(count: int, unfit: Sequence[str]) -> str:
     if not unfit:
-        return "The record can be used." if count == 1 else f"All {count} records can be used."
+        return {1: "The record can be used.", 2: "Both records can be used."}.get(
+            count, f"All {count} records can be used."
+        )
     if count == 1:
         return "The record is unfit for identification; the errors below say why."
     return f"{len(unfit)} of {count} records are unfit for identification: {listed(unfit)}."
@@ -41,14 +51,30 @@ def _counted(doubts: int) -> list[str]:
     return [f"{'One warning says' if doubts == 1 else f'{doubts} warnings say'} what to know before trusting a number."]
 
 
-def _table(qualities: Sequence[RecordQuality]) -> Table:
+def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
+    factor, length = scale([quality.noise for quality in qualities], length_unit)
     rows = [
         (
             quality.name,
             str(quality.samples),
             number(1e3 * quality.sample_time),
+            number(quality.duration),
+            number(factor * quality.noise, 2),
+            str(sum(finding.severity != "note" for finding in quality.findings)),
             "yes" if quality.usable else "no",
         )
         for quality in qualities
     ]
-    return Table(title="Records", columns=("Record", "Samples", "Sample time [ms]", "Usable"), rows=tuple(rows))
+    return Table(
+        title="Records",
+        columns=(
+            "Record",
+            "Samples",
+            "Sample time [ms]",
+            "Duration [s]",
+            f"Noise [{length}]",
+            "Doubts",
+            "Usable",
+        ),
+        rows=tuple(rows),
+    )

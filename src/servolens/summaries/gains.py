@@ -29,8 +29,8 @@ def design_summary(design: Design, *, length_unit: str = "m", command_unit: str 
     spec = design.spec
     kd_unit = f"{command_unit} s/{length_unit}"
     if design.kd is None:
-        sentence = f"No kd from 0 to {number(spec.kd_max)} {kd_unit} meets the spec: {_stop(design.reason)}"
-        return Summary(title="Design", sentences=(sentence, _asked(spec, length_unit, command_unit)))
+        sentences = [_stop(design.reason), _asked(spec, length_unit, command_unit)]
+        return Summary(title="Design", sentences=tuple(sentences))
     sentences = [
         f"kd = {_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
@@ -58,7 +58,7 @@ def comparison_summary(comparison: Comparison, *, length_unit: str = "m", comman
     return Summary(
         title="Linear and nonlinear recommendation",
         sentences=tuple(sentences),
-        tables=(_side_by_side(comparison, kd_unit, command_unit),),
+        tables=(_side_by_side(comparison, kd_unit, command_unit),) if linear.feasible or nonlinear.feasible else (),
     )
 
 
@@ -149,7 +149,7 @@ def _responses(design: Design, command_unit: str) -> Table:
 
 def _verdict(kind: str, design: Design, response: Response | None, kd_unit: str) -> str:
     if design.kd is None or response is None:
-        return f"No kd meets the spec on the {kind} model: {_stop(design.reason)}"
+        return f"{kind.capitalize()} model: {_stop(design.reason)}"
     subject = f"The {kind} recommendation kd = {_gain(design)} {kd_unit}"
     asked = f"{number(design.spec.settling_time)} s"
     if response.settling_time is None:
@@ -193,4 +193,5 @@ def _side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Ta
 
 
 def _stop(reason: str | None) -> str:
-    return f"{(reason or 'no reason is known').rstrip('.')}."
+    text = (reason or "no gain meets the spec").rstrip(".")
+    return f"{text[0].upper()}{text[1:]}."

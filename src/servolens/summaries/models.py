@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.effects import VelocityDecayDamping
-from servolens.model import Quantity
+from servolens.model import NORMAL_95, Quantity
 from servolens.plant import Plant
 from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, unit
 from servolens.summary import Summary, Table
@@ -95,7 +95,7 @@ def prediction_summary(
     names = [row[0].name for row in prediction.errors]
     held = [name for name in names if name not in trained_on]
     sentences = [
-        f"{model} is {percent(average)} of the step off on average over {_records(len(names))}."
+        f"{model[:1].upper()}{model[1:]} is {percent(average)} of the step off on average over {_records(len(names))}."
         for model, average in zip(prediction.models, prediction.average_percent, strict=True)
     ]
     sentences.append(_data(names, held))
@@ -144,7 +144,7 @@ def _doubtful(kind: str, model: Model) -> list[str]:
     for name, quantity in model.quantities.items():
         if quantity.stderr is None:
             told.append(f"{kind}: {name} has no standard error: {quantity.reason or 'it is not known'}.")
-        elif quantity.value and quantity.stderr > abs(quantity.value):
+        elif quantity.value and abs(quantity.value) < NORMAL_95 * quantity.stderr:
             told.append(f"{kind}: {name} is not told from zero by these data.")
         if bound := _bound(model.plant, name, quantity.value):
             told.append(f"{kind}: {name} stands at its bound {bound}.")
@@ -203,7 +203,7 @@ def _data(names: Sequence[str], held: Sequence[str]) -> str:
         return "It was identified from these very records; other records tell more."
     if len(held) == len(names):
         return "The data are held out: the model was not identified from them."
-    return f"Held out are {listed(held)}; the model was identified from the others."
+    return f"Held out: {listed(held)}; the model was identified from the others."
 
 
 def _records(count: int) -> str:
@@ -225,8 +225,9 @@ def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Ta
     ]
     return Table(
         title=f"Errors of {prediction.models[0]}",
-        columns=("Record", f"Mean |error| [{length}]", "Error [% of the step]", "Fit [%]", "Data"),
+        columns=("Record", f"Mean |error| [{length}]", "Error [%]", "Fit [%]", "Data"),
         rows=tuple(rows),
+        note="Error: mean |error| in percent of the step. Fit: 100 % is perfect, 0 % no better than the mean position.",
     )
 
 

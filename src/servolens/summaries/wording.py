@@ -101,7 +101,7 @@ def plus_minus(quantity: Quantity) -> str:
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
-        return f"{number(value)} (error unknown)"
+        return f"{number(value)} (error not known)"
     share = f" ({percent(100 * error / abs(value))})" if value else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
@@ -147,16 +147,17 @@ def scale(values: Iterable[float], length_unit: str) -> tuple[float, str]:
 
 
 def listed(words: Sequence[str], most: int = 4) -> str:
-    """Return `words` as a list in a sentence, at most `most` of them.
+    """Return `words` as a list in a sentence, at most `most` of them; semicolons part words that hold commas.
 
     Examples
     --------
     >>> listed(["a", "b", "c"]), listed(list("abcdefg"))
     ('a, b and c', 'a, b, c and 4 more')
     """
+    mark = "; " if any("," in word for word in words) else ", "
     if len(words) > most:
-        return f"{', '.join(words[: most - 1])} and {len(words) - most + 1} more"
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
+        return f"{mark.join(words[: most - 1])} and {len(words) - most + 1} more"
+    return " and ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _decimals(error: float) -> int:

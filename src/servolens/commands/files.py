@@ -1,0 +1,153 @@
+"""What commands read and write, checked before the work begins."""
+
+from __future__ import annotations
+
+import os
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from servolens.errors import InputError, ServolensError
+from servolens.results import STANDARD_OUTPUT
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from servolens.commands.options import Recordings
+    from servolens.findings import Finding
+    from servolens.identify import Prior
+    from servolens.model import Model
+    from servolens.record import Record
+
+__all__ = ["about", "check_outputs", "load_models", "load_records", "priors_from", "quality_findings", "together"]
+
+
+def check_outputs(outputs: Mapping[str, str | None], inputs: Sequence[str] = ()) -> None:
+    """Refuse output files that cannot be written or would overwrite an input.
+
+    Parameters
+    ----------
+    outputs : mapping of str to str or None
+        Option to file; ``"-"`` is standard output.
+    inputs : sequence of str
+        Files that the command reads.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    taken = list(inputs)
+    for option, name in outputs.items():
+        if name is None or name == STANDARD_OUTPUT:
+            continue
+        _check_output(option, name)
+        for other in taken:
+            if _same(name, other):
+                raise InputError(f"{name}: {option} would overwrite {other}; choose another file")
+        taken.append(name)
+
+
+def load_records(
+    recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
+) -> tuple[Record, ...]:
+    """Read the records; refuse `outputs` that are one of their files, which a folder or a campaign may name."""
+    from servolens.campaign import read_records
+
+    check_outputs(outputs, recordings.paths)
+    progress("Reading", 0, 0)
+    records = read_records(
+        recordings.paths,
+        settings=recordings.settings or None,
+        columns=recordings.columns or None,
+        units=recordings.units or None,
+        data_root=recordings.data_root,
+    )
+    check_outputs(outputs, [record.source for record in records if record.source])
+    return records
+
+
+def quality_findings(records: Sequence[Record]) -> tuple[Finding, ...]:
+    """Return what a check has to say about the records."""
+    from servolens.quality import assess
+
+    return tuple(finding for record in records for finding in assess(record).findings)
+
+
+def together(*groups: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return the findings of all groups; what an earlier group has told of a record, a later one does not repeat."""
+    told: list[Finding] = []
+    for group in groups:
+        known = {(finding.code, finding.record) for finding in told}
+        told += [finding for finding in group if (finding.code, finding.record) not in known]
+    return tuple(told)
+
+
+def priors_from(given: Sequence[tuple[str, float, float]]) -> dict[str, Prior]:
+    """Return data-sheet knowledge by parameter name.
+
+    Raises
+    ------
+    InputError
+        If a parameter is given twice.
+    """
+    from servolens.identify import Prior
+
+    names = [name for name, _, _ in given]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"--prior gives {twice[:40]!r} twice; keep one")
+    return {name: Prior(value=value, deviation=deviation) for name, value, deviation in given}
+
+
+def load_models(files: Sequence[str]) -> list[Model]:
+    """Read model files.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    from servolens.model import read_model
+
+    models = []
+    for name in files:
+        path = Path(name)
+        if path.exists() and not path.is_file():
+            raise InputError(f"{name}: is a folder or a device; give a file that `servolens identify --out` wrote")
+        try:
+            models.append(read_model(path))
+        except (RecursionError, OverflowError):
+            raise InputError(f"{name}: is not a model: it is nested too deeply or holds a number too large") from None
+    return models
+
+
+@contextmanager
+def about(*files: str) -> Iterator[None]:
+    """Let every refusal inside begin with the files it is about."""
+    try:
+        yield
+    except ServolensError as error:
+        shown = ", ".join(files) if len(files) <= 3 else f"{files[0]} and {len(files) - 1} more"
+        raise type(error)(f"{shown}: {error}") from error
+
+
+def _check_output(option: str, name: str) -> None:
+    path = Path(name)
+    if not name.strip() or path.is_dir():
+        raise InputError(f"{name or option}: {option} needs the name of a file, this is a folder")
+    folder = path.parent
+    if not folder.is_dir():
+        raise InputError(f"{name}: the folder {folder} does not exist; create it first")
+    target = path if path.exists() else folder
+    if not os.access(target, os.W_OK):
+        raise InputError(f"{name}: cannot be written (permission denied)")
+
+
+def _same(first: str, second: str) -> bool:
+    if Path(first).exists() and not Path(first).is_file():
+        return False  # a device takes everything
+    try:
+        return Path(first).samefile(second)
+    except OSError:
+        return Path(first).absolute() == Path(second).absolute()

@@ -1,0 +1,103 @@
+"""Commands that give gains: design, compare."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import click
+
+from servolens.commands.files import (
+    about,
+    check_outputs,
+    load_models,
+    load_records,
+    priors_from,
+    quality_findings,
+    together,
+)
+from servolens.commands.options import (
+    Documented,
+    Recordings,
+    SpecOptions,
+    json_option,
+    prior,
+    recordings,
+    specification,
+)
+from servolens.commands.terminal import progress_bar, show
+from servolens.results import write_json
+
+__all__ = ["compare", "design"]
+
+
+@click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
+@click.argument("model_files", nargs=-1, required=True, metavar="MODEL.json...")
+@specification()
+@json_option
+def design(model_files: tuple[str, ...], spec: SpecOptions, json_file: str | None) -> int:
+    """Find the least derivative gain that settles in time.
+
+    With several models the gain holds for all of them. Exit status 1 if no gain meets the specification.
+    """
+    check_outputs({"--json": json_file}, model_files)
+    from servolens.design import PDSpec, tune
+    from servolens.summaries import design_summary
+
+    wanted = PDSpec(**spec.given)
+    plants = [model.plant for model in load_models(model_files)]
+    with progress_bar() as progress, about(*model_files):
+        result = tune(plants, wanted, progress=progress)
+    summary = design_summary(result, length_unit=plants[0].length_unit, command_unit=plants[0].command_unit)
+    if json_file:
+        write_json(json_file, "design", {**result.to_json(), "model_files": list(model_files)}, summary.findings)
+    show(summary, json_file)
+    return 0 if result.feasible else 1
+
+
+@click.command(cls=Documented, epilog="servolens compare kp60.csv --kp 100 --settling-time 0.5")
+@recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
+@specification()
+@click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    type=prior,
+    metavar="NAME=MEAN,SD",
+    help="Data-sheet knowledge: gain=45,2. May be repeated.",
+)
+@json_option
+def compare(
+    recordings: Recordings, spec: SpecOptions, priors: tuple[tuple[str, float, float], ...], json_file: str | None
+) -> int:
+    """Compare the gain that a linear model recommends with that of the nonlinear one.
+
+    Both models are identified from the records; both recommendations are run on the nonlinear model. Exit status 1 if
+    no gain meets the specification there.
+    """
+    check_outputs({"--json": json_file}, recordings.paths)
+    from servolens.design import PDSpec
+    from servolens.design import compare as compare_designs
+    from servolens.identify import identify
+    from servolens.summaries import comparison_summary
+
+    wanted = PDSpec(**spec.given)
+    with progress_bar() as progress:
+        records = load_records(recordings, {"--json": json_file}, progress)
+        findings = quality_findings(records)
+        progress("Identifying", 0, 0)
+        with about(*recordings.paths):
+            known = priors_from(priors)
+            fits = [
+                identify(records, model="constant", priors=known),
+                identify(records, model="velocity", priors=known),
+            ]
+            linear, nonlinear = (fit.model for fit in fits)
+            result = compare_designs(linear.plant, nonlinear.plant, wanted, progress=progress)
+    findings = together(findings, *(fit.findings for fit in fits))
+    if json_file:
+        models = {"constant": linear.to_json(), "velocity": nonlinear.to_json()}
+        write_json(json_file, "comparison", {**result.to_json(), "models": models}, findings)
+    first = records[0]
+    summary = comparison_summary(result, length_unit=first.length_unit, command_unit=first.command_unit)
+    show(replace(summary, findings=findings), json_file)
+    return 0 if result.nonlinear.feasible else 1

@@ -1,0 +1,241 @@
+"""What commands have in common: records with their options, a design's specification, result files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import wraps
+from typing import TYPE_CHECKING, Any, final
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    Command = Callable[..., int]
+
+__all__ = ["Documented", "Recordings", "SpecOptions", "finite", "json_option", "prior", "recordings", "specification"]
+
+SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward")
+
+
+@final
+class Documented(click.Command):
+    """A command whose epilog is an example, printed as it is to be typed."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example on a line of its own."""
+        formatter.write(f"\nExample:\n  {self.epilog}\n")
+
+
+def finite(value: Any) -> float:
+    """Convert an option to a finite number."""
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise click.BadParameter(f"{str(value)[:40]!r} is not a finite number")
+    return number
+
+
+def prior(value: str) -> tuple[str, float, float]:
+    """Convert ``parameter=mean,deviation``."""
+    name, mark, numbers = value.partition("=")
+    mean, comma, deviation = numbers.partition(",")
+    if not (mark and comma):
+        raise click.BadParameter(f"{value[:40]!r} is not NAME=MEAN,SD, e.g. gain=45,2")
+    return name.strip(), finite(mean), finite(deviation)
+
+
+def _setting(value: str) -> str:
+    """Check for a number, perhaps with a unit behind it that the reader converts."""
+    finite(value.strip().partition(" ")[0])
+    return value
+
+
+def _mapped(value: str) -> tuple[str, str]:
+    """Convert ``signal=text``."""
+    signal, mark, text = (part.strip() for part in value.partition("="))
+    if not mark or not text:
+        raise click.BadParameter(f"{value[:40]!r} is not SIGNAL=NAME, e.g. position=qm")
+    if signal not in SIGNALS:
+        raise click.BadParameter(f"{signal[:40]!r} is no signal; known are {', '.join(SIGNALS)}")
+    return signal, text
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recordings:
+    """Records as they were named on the command line.
+
+    Attributes
+    ----------
+    paths : tuple of str
+        Files, folders, campaigns.
+    settings : mapping
+        ``kp``, ``kd`` where given.
+    columns, units : mapping
+        Signal to column name, signal to unit.
+    data_root : str or None
+        Folder that a campaign's files may not leave.
+    """
+
+    paths: tuple[str, ...]
+    settings: Mapping[str, object]
+    columns: Mapping[str, str]
+    units: Mapping[str, str]
+    data_root: str | None
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpecOptions:
+    """A design's specification as it was given; the library checks it.
+
+    Attributes
+    ----------
+    given : mapping
+        Fields of ``PDSpec``.
+    """
+
+    given: Mapping[str, Any]
+
+
+def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",)) -> Callable[[Command], Command]:
+    """Give a command the argument ``RECORD…`` and its options, as one ``recordings``.
+
+    Parameters
+    ----------
+    kp, kd : tuple of str
+        How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
+    """
+    decorators = (
+        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
+        click.option(
+            *kp,
+            "record_kp",
+            type=_setting,
+            metavar="NUMBER",
+            help="Proportional gain of the loop that made the records.",
+        ),
+        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
+        click.option(
+            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
+        ),
+        click.option(
+            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
+        ),
+        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
+    )
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def run(**options: Any) -> int:
+            gains = {"kp": options.pop("record_kp"), "kd": options.pop("record_kd")}
+            chosen = Recordings(
+                paths=_named(options.pop("records")),
+                settings={name: value for name, value in gains.items() if value is not None},
+                columns=_once(options.pop("column"), "--column"),
+                units=_once(options.pop("unit"), "--unit"),
+                data_root=options.pop("data_root"),
+            )
+            return command(recordings=chosen, **options)
+
+        return _stacked(run, decorators)
+
+    return decorate
+
+
+def specification(*, required: bool = True) -> Callable[[Command], Command]:
+    """Give a command the options of a design, as one ``spec``."""
+    decorators = (
+        click.option(
+            "--kp",
+            type=finite,
+            metavar="NUMBER",
+            required=required,
+            help="Proportional gain to design for [V/m or V/rad].",
+        ),
+        click.option(
+            "--settling-time",
+            type=finite,
+            metavar="NUMBER",
+            required=required,
+            help="In the band from this time on [s].",
+        ),
+        click.option(
+            "--band",
+            type=finite,
+            metavar="NUMBER",
+            help="Half width of the band as a fraction of the step.  [default: 0.01]",
+        ),
+        click.option("--reference", type=finite, metavar="NUMBER", help="Size of the step [m or rad].  [default: 0.1]"),
+        click.option("--overshoot", type=finite, metavar="NUMBER", help="Largest overshoot as a fraction of the step."),
+        click.option(
+            "--voltage-limit",
+            type=finite,
+            metavar="NUMBER",
+            help="Largest voltage that the controller may ask for [V].",
+        ),
+        click.option(
+            "--kd-max", type=finite, metavar="NUMBER", help="End of the search, which begins at 0.  [default: 20]"
+        ),
+        click.option(
+            "--control",
+            type=click.Choice(["sampled", "continuous"]),
+            help="A digital loop, or an ideal continuous PD.  [default: sampled]",
+        ),
+        click.option("--sample-time", type=finite, metavar="NUMBER", help="Of the digital loop [s].  [default: 0.001]"),
+        click.option(
+            "--derivative-filter", type=finite, metavar="NUMBER", help="Of the digital loop; 1 is none.  [default: 1]"
+        ),
+    )
+    names = (
+        "kp",
+        "settling_time",
+        "band",
+        "reference",
+        "overshoot",
+        "voltage_limit",
+        "kd_max",
+        "control",
+        "sample_time",
+        "derivative_filter",
+    )
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def run(**options: Any) -> int:
+            given = {name: options.pop(name) for name in names}
+            return command(
+                spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
+            )
+
+        return _stacked(run, decorators)
+
+    return decorate
+
+
+json_option = click.option(
+    "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
+)
+
+
+def _named(paths: tuple[str, ...]) -> tuple[str, ...]:
+    if not all(path.strip() for path in paths):
+        raise click.UsageError("a record's file name is empty")
+    return paths
+
+
+def _once(pairs: tuple[tuple[str, str], ...], option: str) -> dict[str, str]:
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        raise click.UsageError(f"{option} names a signal twice; keep one")
+    return mapping
+
+
+def _stacked(command: Command, decorators: tuple[Callable[[Command], Command], ...]) -> Command:
+    for decorator in reversed(decorators):
+        command = decorator(command)
+    return command

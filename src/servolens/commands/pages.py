@@ -1,0 +1,101 @@
+"""Commands that write a page: demo, report."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from servolens.commands.files import about, check_outputs, load_records, quality_findings
+from servolens.commands.options import Documented, Recordings, SpecOptions, json_option, recordings, specification
+from servolens.commands.terminal import progress_bar
+from servolens.errors import InputError
+from servolens.results import STANDARD_OUTPUT, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.design import PDSpec
+
+__all__ = ["demo", "report"]
+
+
+@click.command(cls=Documented, epilog="servolens demo --out servolens-demo")
+@click.option("--out", default="servolens-demo", show_default=True, metavar="DIR", help="Folder; created if needed.")
+@json_option
+def demo(out: str, json_file: str | None) -> int:
+    """Run the whole workflow on the built-in virtual cart.
+
+    Three step records and the eight gain pairs of a published table; models, their prediction errors, figures and the
+    design comparison, as DIR/report.html and DIR/results.json.
+    """
+    folder = Path(out)
+    if not out.strip() or (folder.exists() and not folder.is_dir()):
+        raise InputError(f"{out or '--out'}: is not a folder; name one, it is created if needed")
+    check_outputs({"--json": json_file})
+    from servolens.demo import run_demo
+
+    with progress_bar() as progress, _writing(folder):
+        body = run_demo(folder, progress=progress)
+    if json_file:
+        write_json(json_file, "demo", body)
+    click.echo(
+        f"{folder / 'report.html'}: the report\n{folder / 'results.json'}: its numbers",
+        err=json_file == STANDARD_OUTPUT,
+    )
+    return 0
+
+
+@click.command(cls=Documented, epilog="servolens report kp60.csv --kp 100 --settling-time 0.5 --out report.html")
+@recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
+@specification(required=False)
+@click.option("--out", required=True, metavar="FILE.html", help="The page to write.")
+@json_option
+def report(recordings: Recordings, spec: SpecOptions, out: str, json_file: str | None) -> int:
+    """Write everything about the records into one self-contained page.
+
+    Quality, models, prediction errors and, with --kp and --settling-time, the comparison of gains. Without
+    --settling-time, --kp and --kd are the gains of the loop that made the records.
+    """
+    recordings, wanted = _split(recordings, spec)
+    outputs = {"--out": out, "--json": json_file}
+    check_outputs(outputs, recordings.paths)
+    from servolens.report import write_report
+
+    with progress_bar() as progress:
+        records = load_records(recordings, outputs, progress)
+        with about(*recordings.paths), _writing(Path(out)):
+            body = write_report(Path(out), records, spec=wanted, progress=progress)
+        findings = quality_findings(records)
+    if json_file:
+        write_json(json_file, "report", body, findings)
+    click.echo(f"{out}: the report", err=json_file == STANDARD_OUTPUT)
+    return 0
+
+
+def _split(recordings: Recordings, spec: SpecOptions) -> tuple[Recordings, PDSpec | None]:
+    """Tell the gains that made the records from the gain to design for."""
+    from servolens.design import PDSpec
+
+    given = dict(spec.given)
+    if "settling_time" in given:
+        if "kp" not in given:
+            raise click.UsageError("--settling-time needs --kp, the proportional gain to design for")
+        return recordings, PDSpec(**given)
+    kp = given.pop("kp", None)
+    if given:
+        raise click.UsageError(f"--{next(iter(given)).replace('_', '-')} needs --kp and --settling-time")
+    if kp is not None and "kp" not in recordings.settings:
+        recordings = replace(recordings, settings={"kp": kp, **recordings.settings})
+    return recordings, None
+
+
+@contextmanager
+def _writing(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written ({(error.strerror or 'unknown error').lower()})") from error

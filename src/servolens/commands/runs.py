@@ -1,0 +1,170 @@
+"""Commands on measured runs: check, identify, predict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import click
+
+from servolens.commands.files import (
+    about,
+    check_outputs,
+    load_models,
+    load_records,
+    priors_from,
+    quality_findings,
+    together,
+)
+from servolens.commands.options import Documented, Recordings, finite, json_option, prior, recordings
+from servolens.commands.terminal import progress_bar, show
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.results import STANDARD_OUTPUT, write_json
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["check", "identify", "predict"]
+
+
+@click.command(cls=Documented, epilog="servolens check kp60.csv kp80.csv")
+@recordings()
+@json_option
+def check(recordings: Recordings, json_file: str | None) -> int:
+    """Tell whether records can be trusted.
+
+    Looks at sampling, gaps, quantisation, clipped voltage, excitation, and whether the log contradicts its gains.
+    Exit status 1 if a record is unfit for identification.
+    """
+    from servolens.quality import assess
+    from servolens.summaries import check_summary
+
+    with progress_bar() as progress:
+        records = load_records(recordings, {"--json": json_file}, progress)
+        qualities = []
+        for done, record in enumerate(records):
+            progress("Checking", done, len(records))
+            qualities.append(assess(record))
+    summary = check_summary(qualities, length_unit=records[0].length_unit)
+    if json_file:
+        write_json(json_file, "check", {"records": [quality.to_json() for quality in qualities]}, summary.findings)
+    show(summary, json_file)
+    return 0 if all(quality.usable for quality in qualities) else 1
+
+
+@click.command(cls=Documented, epilog="servolens identify kp60.csv kp80.csv --out model.json")
+@recordings()
+@click.option(
+    "--model",
+    type=click.Choice(["constant", "varying", "velocity", "all"]),
+    default="all",
+    show_default=True,
+    help="What damping may depend on: nothing, time, speed.",
+)
+@click.option(
+    "--delta", type=finite, metavar="NUMBER", help="Varying: damping falls by at most this from piece to piece [1/s]."
+)
+@click.option(
+    "--piece", type=finite, metavar="NUMBER", help="Varying: length of a piece [s]; by default from the reversals."
+)
+@click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    type=prior,
+    metavar="NAME=MEAN,SD",
+    help="Data-sheet knowledge: gain=45,2. May be repeated.",
+)
+@click.option("--out", metavar="FILE", help="Write the model: the chosen one, with 'all' the velocity model.")
+@json_option
+def identify(
+    recordings: Recordings,
+    model: str,
+    delta: float | None,
+    piece: float | None,
+    priors: tuple[tuple[str, float, float], ...],
+    out: str | None,
+    json_file: str | None,
+) -> int:
+    """Identify the axis from measured steps.
+
+    Fits constant damping, damping that varies in time and damping that depends on speed, each with errors and units.
+    """
+    if out == json_file == STANDARD_OUTPUT:
+        raise click.UsageError("--out and --json cannot both go to standard output")
+    if model == "varying" and (out or priors):
+        what = "--out writes no time-varying model: it holds for its own step alone" if out else "--prior is for others"
+        raise click.UsageError(f"{what}; choose --model constant, velocity or all")
+    from servolens.identify import identify as fit
+    from servolens.summaries import identification_summary
+
+    with progress_bar() as progress:
+        records = load_records(recordings, {"--out": out, "--json": json_file}, progress)
+        quality = quality_findings(records)
+        progress("Identifying", 0, 0)
+        with about(*recordings.paths):
+            result = fit(records, model=model, delta=delta, piece=piece, priors=priors_from(priors))  # type: ignore[arg-type] # click.Choice
+    findings = together(quality, result.findings)
+    if out:
+        write_json(out, "model", result.model.to_json(), findings)
+    if json_file:
+        write_json(json_file, "identification", result.to_json(), findings)
+    stream = STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
+    show(replace(identification_summary(result), findings=findings), stream)
+    return 0
+
+
+@click.command(cls=Documented, epilog="servolens predict model.json kp100.csv")
+@click.argument("model_file", metavar="MODEL.json")
+@recordings()
+@json_option
+def predict(model_file: str, recordings: Recordings, json_file: str | None) -> int:
+    """Simulate records with a model and tell how far it is off.
+
+    Each record's reference is simulated with its own gains; a record without them from its logged voltage.
+    """
+    from servolens.prediction import Prediction, prediction_error
+    from servolens.summaries import prediction_summary
+
+    check_outputs({"--json": json_file}, [model_file])
+    (model,) = load_models([model_file])
+    with progress_bar() as progress:
+        records = load_records(recordings, {"--json": json_file}, progress)
+        _check_units(model.plant, records, model_file)
+        errors = []
+        for done, record in enumerate(records):
+            progress("Simulating", done, len(records))
+            with about(record.source or record.name):
+                errors.append(prediction_error(model.plant, record))
+    driven = [record.name for record in records if record.reference is None or record.controller is None]
+    findings = together(quality_findings(records), _voltage_driven(driven))
+    if json_file:
+        rows = [{**e.to_json(), "held_out": e.name not in model.identified_from} for e in errors]
+        write_json(json_file, "prediction", {"model": model_file, "records": rows}, findings)
+    prediction = Prediction(models=("the model",), errors=tuple((error,) for error in errors))
+    summary = prediction_summary(
+        prediction, trained_on=model.identified_from, voltage_driven=driven, length_unit=model.plant.length_unit
+    )
+    show(replace(summary, findings=findings), json_file)
+    return 0
+
+
+def _check_units(plant: Plant, records: Sequence[Record], model_file: str) -> None:
+    for record in records:
+        for kind in ("length_unit", "command_unit"):
+            given, wanted = getattr(record, kind), getattr(plant, kind)
+            if given != wanted:
+                what = "positions" if kind == "length_unit" else "commands"
+                raise InputError(
+                    f"{record.source or record.name}: has {what} in {given}, {model_file} in {wanted};"
+                    " predict records of the axis that was identified, in its units"
+                )
+
+
+def _voltage_driven(names: Sequence[str]) -> tuple[Finding, ...]:
+    message = "no reference or no gains are logged; it was simulated from its voltage, not in closed loop."
+    return tuple(Finding(code="voltage_driven", severity="note", message=message, record=name) for name in names)
