@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -153,11 +154,12 @@ def _nearest_point(
     white = white / scale[:, None]
     low, high = (lower - rows @ free) / scale, (upper - rows @ free) / scale
     reach = max(float(np.abs(np.clip(0.0, low, high)).max()), 1e-300)
-    for plugin in SOLVERS:
-        solution = _conic(white.shape[1], white.shape[0], plugin)(h=np.eye(white.shape[1]), a=white, lba=low, uba=high)
-        found = _polish(white, low, high, np.asarray(solution["lam_a"]).ravel(), reach)
+    low, high = low / reach, high / reach
+    guesses = (_solver_multipliers(plugin, white, low, high) for plugin in SOLVERS)
+    for guess in chain(guesses, map(_least_distance_multipliers, [white], [low], [high])):
+        found = _polish(white, low, high, guess)
         if found is not None:
-            w, multipliers = found
+            w, multipliers = found[0] * reach, found[1] * reach
             active = tuple(c.name for c, m in zip(constraints, multipliers, strict=True) if m != 0.0)
             return ConstrainedLeastSquares(
                 x=free + np.linalg.solve(r, w), active=active, multipliers=multipliers / scale
@@ -165,12 +167,38 @@ def _nearest_point(
     raise _explain(white, low, high, constraints)
 
 
+def _solver_multipliers(
+    plugin: str, white: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Ask one of CasADi's solvers for the multipliers; NaN where it fails."""
+    solver = _conic(white.shape[1], white.shape[0], plugin)
+    return np.asarray(solver(h=np.eye(white.shape[1]), a=white, lba=low, uba=high)["lam_a"]).ravel()
+
+
+def _least_distance_multipliers(
+    white: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solve the same problem as nonnegative least squares (Lawson and Hanson 1974, ch. 23.4): slow and sure."""
+    from scipy.optimize import nnls
+
+    rows, bounds = np.vstack([white, -white]), np.concatenate([low, -high])
+    finite = np.isfinite(bounds)
+    problem = np.vstack([rows[finite].T, bounds[finite]])
+    target = np.append(np.zeros(white.shape[1]), 1.0)
+    weights, _ = nnls(problem, target, maxiter=100 * problem.shape[1])
+    share = 1.0 - problem[-1] @ weights
+    if share <= 1e-14:
+        return np.full(low.size, np.nan)
+    multipliers = np.zeros(bounds.size)
+    multipliers[finite] = weights / share
+    return multipliers[low.size :] - multipliers[: low.size]
+
+
 def _polish(
     white: NDArray[np.float64],
     low: NDArray[np.float64],
     high: NDArray[np.float64],
     multipliers: NDArray[np.float64],
-    reach: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Solve exactly on the active set that a solver found, and check optimality; None if it is not optimal.
 
@@ -178,16 +206,20 @@ def _polish(
     """
     if not np.isfinite(multipliers).all():
         return None
-    sign = np.where(np.abs(multipliers) > 1e-9 * reach, np.sign(multipliers), 0.0)
+    sign = np.where(np.abs(multipliers) > 1e-9, np.sign(multipliers), 0.0)
     for _ in range(3 * white.shape[0] + 3):
         on = sign != 0.0
         tight, target = white[on], np.where(sign > 0, high, low)[on]
+        q, r = np.linalg.qr(tight.T)
+        if on.any() and np.abs(np.diag(r)).min() <= 1e-12:
+            return None
+        along = np.linalg.solve(r.T, target)
+        w = q @ along
         exact = np.zeros(sign.size)
-        exact[on] = -np.linalg.lstsq(tight @ tight.T, target, rcond=None)[0]
-        w = -white.T @ exact
+        exact[on] = -np.linalg.solve(r, along)
         excess = np.maximum(low - white @ w, white @ w - high)
-        wrong = exact * sign < -1e-12 * reach
-        if not wrong.any() and excess.max() <= FEASIBLE * reach:
+        wrong = exact * sign < -1e-12 * max(float(np.abs(exact).max()), 1.0)
+        if not wrong.any() and excess.max() <= FEASIBLE:
             return w, exact
         if wrong.any():
             sign[int(np.argmin(exact * sign))] = 0.0
@@ -217,8 +249,7 @@ def _explain(
         ubx=np.full(p + 2 * m, np.inf),
     )
     slack = np.abs(np.asarray(solution["x"]).ravel()[p:]).reshape(2, m).sum(axis=0)
-    reach = max(1.0, float(np.abs(np.clip(0.0, low, high)).max()))
-    guilty = [c.name for c, s in zip(constraints, slack, strict=True) if s > 1e-6 * reach]
+    guilty = [c.name for c, s in zip(constraints, slack, strict=True) if s > 1e-6]
     if guilty:
         return InputError(f"the constraints contradict each other; relax {', '.join(guilty)}")
     return NumericalError("the solver of the constrained fit did not reach an optimum although one exists")
