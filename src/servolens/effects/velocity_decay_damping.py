@@ -22,7 +22,7 @@ class VelocityDecayDamping(Force):
     sentence = "Damping is higher at low speed and decays exponentially to its base value as the axis moves faster."
     latex = r"\alpha_1 e^{-\alpha_2 |v|}\,v"
 
-    alpha1: float = parameter(r"\alpha_1", "1/s", "extra damping at standstill", low=-1e9)
+    alpha1: float = parameter(r"\alpha_1", "1/s", "extra damping at standstill")
     alpha2: float = parameter(r"\alpha_2", "s/{x}", "how fast it fades with speed")
 
     @staticmethod

@@ -17,6 +17,7 @@ from servolens.identify.integral import assemble, solve_integral
 from servolens.identify.regressors import regressor
 from servolens.identify.smoothing import smooth
 from servolens.plant import Plant
+from servolens.solving import Constraint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +31,8 @@ __all__ = ["fit_law", "law_from_pieces"]
 SLOWEST_DECAY, FASTEST_DECAY = 0.3, 300.0
 """Range of α₂ times the highest speed: below, the law is a straight line; above, it acts at standstill only."""
 GRID = 24
+NOT_NEGATIVE = Constraint(name="α₁ ≥ 0", coefficients={2: 1.0}, lower=0.0)
+"""Damping falls with speed, or does not depend on it."""
 
 
 def law_from_pieces(varying: VaryingDamping) -> Plant:
@@ -50,6 +53,8 @@ def law_from_pieces(varying: VaryingDamping) -> Plant:
     def solve(alpha2: float) -> tuple[float, float, float]:
         basis = np.column_stack([np.exp(-alpha2 * varying.speed), np.ones(varying.speed.size)])
         (alpha1, gamma), *_ = np.linalg.lstsq(basis, varying.damping, rcond=None)
+        if alpha1 < 0.0:
+            alpha1, gamma = 0.0, varying.damping.mean()
         return float(np.sum((basis @ [alpha1, gamma] - varying.damping) ** 2)), float(alpha1), float(gamma)
 
     alpha2 = _search(lambda a: solve(a)[0], float(varying.speed.max()))
@@ -76,7 +81,7 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
         forces = [law.columns(s.time, s.position, v, alpha2) for s, v in zip(segments, velocities, strict=True)]
         factor = assemble(segments, forces=forces)
         noise = abs(float(factor[-1, -1])) / np.sqrt(sum(s.time.size for s in segments))
-        solution = solve_integral(factor, priors, noise)
+        solution = solve_integral(factor, priors, noise, (NOT_NEGATIVE,))
         misfit = np.linalg.norm(factor[:-1, :-1] @ solution.x - factor[:-1, -1]) ** 2 + factor[-1, -1] ** 2
         return float(misfit), [float(v) for v in solution.x]
 

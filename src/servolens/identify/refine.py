@@ -1,21 +1,22 @@
-"""Output-error refinement: the simulated axis, driven by the voltage it really got, against the measured position.
+"""Output-error refinement: simulated minus measured position, minimised over the parameters.
 
-The measured voltage contains what the controller made of the noise, so the axis is simulated open loop over each
-stretch of motion and the residual is the position's noise itself. Each stretch has an initial position and velocity of
-its own; they are eliminated stretch by stretch, so the work grows linearly with the data.
+Two kinds of run. Driven by the voltage the axis really got, the residual is the position's noise itself, for that
+voltage contains what the controller made of the noise; each stretch of motion then has an initial position and
+velocity of its own, eliminated stretch by stretch. In closed loop from the reference the controller holds the
+simulation near the measurement, which bears what the model lacks (sticking above all) without drifting away.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
 
 from servolens.errors import NumericalError
 from servolens.identify.smoothing import smooth
 from servolens.identify.uncertainty import robust_covariance
-from servolens.simulate.loop import simulate_voltage, substeps_for
+from servolens.simulate.loop import simulate, simulate_voltage, substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,8 +26,9 @@ if TYPE_CHECKING:
     from servolens.identify.integral import Prior
     from servolens.identify.segments import Segment
     from servolens.plant import Plant
+    from servolens.record import Record
 
-__all__ = ["Refinement", "refine"]
+__all__ = ["Refinement", "refine", "refine_closed_loop"]
 
 STEP = 1e-4
 MOST_ITERATIONS = 40
@@ -46,7 +48,7 @@ class Refinement:
     rms_error : float
         Root mean square of the residual [m or rad].
     converged : bool
-        Whether the last step was negligible against the standard errors.
+        Whether no step lowered the residual any more.
     status : str
         One sentence.
     """
@@ -58,28 +60,6 @@ class Refinement:
     status: str
 
 
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class _Block:
-    """One stretch, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r)."""
-
-    factor: NDArray[np.float64]
-    along: NDArray[np.float64]
-    missed: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    residual: NDArray[np.float64]
-
-
-@final
-@dataclass(slots=True, eq=False)
-class _Point:
-    """A trial: parameters, initial states, and the cost there."""
-
-    values: NDArray[np.float64]
-    starts: NDArray[np.float64]
-    cost: float = np.inf
-
-
 def refine(
     plant: Plant,
     segments: Sequence[Segment],
@@ -88,7 +68,7 @@ def refine(
     priors: Mapping[str, Prior] | None = None,
     window: int = 21,
 ) -> Refinement:
-    """Minimise simulated minus measured position by Levenberg–Marquardt, within the parameters' bounds.
+    """Refine `plant` on stretches of motion, each driven by its voltage from an initial state of its own.
 
     Parameters
     ----------
@@ -103,80 +83,153 @@ def refine(
     window : int
         Samples of the smoothing derivative that gives the initial velocities.
     """
-    problem = _Problem(plant, segments, [n not in held for n in plant.parameters], dict(priors or {}))
-    point = problem.start(window)
+    substeps = substeps_for(plant, max(s.record.sample_time for s in segments))
+    runs = [_VoltageRun(segment, window, substeps) for segment in segments]
+    return _minimise(_Problem(plant, runs, held, dict(priors or {}), max(s.noise for s in segments)))
+
+
+def refine_closed_loop(
+    plant: Plant,
+    records: Sequence[Record],
+    *,
+    noise: float,
+    held: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+) -> Refinement:
+    """Refine `plant` on whole steps in closed loop, each from rest at its first measured position.
+
+    Parameters
+    ----------
+    plant, held, priors
+        As :func:`refine`.
+    records : sequence of Record
+        With reference and controller.
+    noise : float
+        Standard deviation of the position's noise, against which the priors are weighed.
+    """
+    runs = [_ClosedRun(step) for record in records for step in record.steps()]
+    return _minimise(_Problem(plant, runs, held, dict(priors or {}), noise))
+
+
+class _Run(Protocol):
+    """A simulation to be compared with a measurement; `start` is its initial state, of size 0 if that is known."""
+
+    measured: NDArray[np.float64]
+    start: NDArray[np.float64]
+    shifts: tuple[float, ...]
+
+    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]: ...
+
+
+@final
+class _VoltageRun:
+    def __init__(self, segment: Segment, window: int, substeps: int) -> None:
+        self.segment, self.substeps, self.measured = segment, substeps, segment.position
+        value, slope = smooth(segment.time, segment.position, window)
+        self.start = np.array([value[0], slope[0]])
+        travel = 1e-4 * max(float(np.ptp(segment.position)), 1e-9)
+        self.shifts = (travel, travel / max(float(segment.time[-1]), 1e-3))
+
+    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        begin = (float(start[0]), float(start[1]))
+        run = simulate_voltage(plant, self.segment.time, self.segment.voltage, start=begin, substeps=self.substeps)
+        return run.position
+
+
+@final
+class _ClosedRun:
+    def __init__(self, record: Record) -> None:
+        self.record, self.measured = record, record.position
+        self.start = np.empty(0)
+        self.shifts: tuple[float, ...] = ()
+
+    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:  # noqa: ARG002 - it is known
+        return simulate(plant, self.record).position
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """One run, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r)."""
+
+    factor: NDArray[np.float64]
+    along: NDArray[np.float64]
+    missed: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+@final
+@dataclass(slots=True, eq=False)
+class _Point:
+    """A trial: parameters, initial states, and the cost there."""
+
+    values: NDArray[np.float64]
+    starts: list[NDArray[np.float64]]
+    cost: float = np.inf
+
+
+def _minimise(problem: _Problem) -> Refinement:
+    """Levenberg–Marquardt within the parameters' bounds."""
+    point = problem.start()
     damping = 1e-3
-    converged = False
     for _ in range(MOST_ITERATIONS):
         blocks, gradient, information = problem.linearise(point)
-        accepted = False
         for _ in range(12):
             trial = problem.step(point, blocks, gradient, information, damping)
             if trial.cost < point.cost:
-                accepted = True
                 break
             damping *= 5.0
-        if not accepted:
-            converged = True
-            break
-        gain = 1.0 - trial.cost / point.cost
+        else:
+            return problem.finish(point, converged=True)
+        gained = 1.0 - trial.cost / point.cost
         point, damping = trial, max(damping / 10.0, 1e-12)
-        if gain < 1e-10:
-            converged = True
-            break
-    return problem.finish(point, converged=converged)
+        if gained < 1e-10:
+            return problem.finish(point, converged=True)
+    return problem.finish(point, converged=False)
 
 
+@final
 class _Problem:
-    """Residuals of all segments as functions of the free parameters and the initial states."""
+    """Residuals of all runs as functions of the free parameters and the initial states."""
 
-    def __init__(self, plant: Plant, segments: Sequence[Segment], free: list[bool], priors: dict[str, Prior]) -> None:
-        self.plant, self.segments = plant, segments
-        self.free = np.flatnonzero(free)
-        specs = list(plant.parameters.values())
+    def __init__(
+        self, plant: Plant, runs: Sequence[_Run], held: Sequence[str], priors: dict[str, Prior], noise: float
+    ) -> None:
+        names, specs = list(plant.parameters), list(plant.parameters.values())
+        self.plant, self.runs = plant, runs
+        self.free = np.flatnonzero([name not in held for name in names])
         self.low = np.array([specs[i].low for i in self.free])
         self.high = np.array([specs[i].high for i in self.free])
-        names = list(plant.parameters)
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
-        self.substeps = substeps_for(plant, max(s.record.sample_time for s in segments))
-        self.samples = sum(s.time.size for s in segments)
-        self.noise = max(max(s.noise for s in segments), 1e-12)
+        self.samples = sum(run.measured.size for run in runs)
+        self.noise = max(noise, 1e-12)
 
-    def start(self, window: int) -> _Point:
-        """Begin at the given plant, each stretch from its smoothed position and velocity."""
-        starts = np.empty((len(self.segments), 2))
-        for start, segment in zip(starts, self.segments, strict=True):
-            value, slope = smooth(segment.time, segment.position, window)
-            start[:] = value[0], slope[0]
-        point = _Point(values=np.array(self.plant.values)[self.free], starts=starts)
+    def start(self) -> _Point:
+        point = _Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
         point.cost = self.cost(point)
         return point
 
-    def simulated(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    def residual(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
         full = np.array(self.plant.values)
         full[self.free] = values
-        segment = self.segments[i]
-        plant = self.plant.with_values(full.tolist())
-        run = simulate_voltage(
-            plant, segment.time, segment.voltage, start=(float(start[0]), float(start[1])), substeps=self.substeps
-        )
-        return run.position
+        return self.runs[i].simulated(self.plant.with_values(full.tolist()), start) - self.runs[i].measured
 
     def cost(self, point: _Point) -> float:
         try:
-            parts = [self.simulated(point.values, i, point.starts[i]) - s.position for i, s in enumerate(self.segments)]
+            parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
         except NumericalError:
             return float(np.inf)
         return float(sum(r @ r for r in parts)) + self._prior_cost(point.values)
 
     def linearise(self, point: _Point) -> tuple[list[_Block], NDArray[np.float64], NDArray[np.float64]]:
-        """Return each stretch's block, and gradient and information of the parameters."""
+        """Return each run's block, and gradient and information of the parameters."""
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))
-        for i, segment in enumerate(self.segments):
-            residual = self.simulated(point.values, i, point.starts[i]) - segment.position
+        for i in range(len(self.runs)):
+            residual = self.residual(point.values, i, point.starts[i])
             jacobian, initial = self._sensitivities(point, i)
             q, r = np.linalg.qr(initial)
             along, missed = q.T @ jacobian, q.T @ residual
@@ -191,20 +244,20 @@ class _Problem:
         return blocks, gradient, information
 
     def _sensitivities(self, point: _Point, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        n = self.segments[i].time.size
-        jacobian, initial = np.empty((n, self.free.size)), np.empty((n, 2))
+        """Central differences by the parameters and by the initial state."""
+        n, start, shifts = self.runs[i].measured.size, point.starts[i], self.runs[i].shifts
+        jacobian, initial = np.empty((n, self.free.size)), np.empty((n, len(shifts)))
         for k in range(self.free.size):
             h = STEP * max(abs(point.values[k]), 1e-3 * self.scale[k])
             up, down = point.values.copy(), point.values.copy()
             up[k], down[k] = min(up[k] + h, self.high[k]), max(down[k] - h, self.low[k])
-            change = self.simulated(up, i, point.starts[i]) - self.simulated(down, i, point.starts[i])
+            change = self.residual(up, i, start) - self.residual(down, i, start)
             jacobian[:, k] = change / (up[k] - down[k])
-        travel = max(float(np.ptp(self.segments[i].position)), 1e-9)
-        for k, h in enumerate((1e-4 * travel, 1e-4 * travel / max(float(self.segments[i].time[-1]), 1e-3))):
-            shift = np.zeros(2)
+        for k, h in enumerate(shifts):
+            shift = np.zeros(start.size)
             shift[k] = h
-            above = self.simulated(point.values, i, point.starts[i] + shift)
-            initial[:, k] = (above - self.simulated(point.values, i, point.starts[i] - shift)) / (2 * h)
+            above, below = self.residual(point.values, i, start + shift), self.residual(point.values, i, start - shift)
+            initial[:, k] = (above - below) / (2 * h)
         return jacobian, initial
 
     def step(
@@ -215,17 +268,18 @@ class _Problem:
         information: NDArray[np.float64],
         damping: float,
     ) -> _Point:
+        """Return the trial that the damped normal equations propose, at most half of each parameter away."""
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
         normal = information / np.outer(scale, scale) + damping * np.eye(scale.size)
         change = -np.linalg.lstsq(normal, gradient / scale, rcond=None)[0] / scale
         reach = 0.5 * np.maximum(np.abs(point.values), self.scale)
-        change = np.clip(change, -reach, reach)
-        values = np.clip(point.values + change, self.low, self.high)
+        values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
         moved = values - point.values
-        starts = point.starts.copy()
-        for start, block in zip(starts, blocks, strict=True):
-            start -= np.linalg.solve(block.factor, block.missed + block.along @ moved)
-        trial = _Point(values=values, starts=starts)
+        starts = [
+            start - np.linalg.solve(block.factor, block.missed + block.along @ moved) if start.size else start
+            for start, block in zip(point.starts, blocks, strict=True)
+        ]
+        trial = _Point(values, starts)
         trial.cost = self.cost(trial)
         return trial
 
@@ -234,31 +288,28 @@ class _Problem:
         full = np.array(self.plant.values)
         full[self.free] = point.values
         covariance = np.full((full.size, full.size), np.nan)
-        inside = (point.values > self.low) & (point.values < self.high) & self._determined(information)
-        if inside.any():
-            kept = np.ix_(inside, inside)
+        inside = (point.values > self.low) & (point.values < self.high) & (np.diag(information) > 0)
+        if inside.any() and _well_conditioned(information[np.ix_(inside, inside)]):
             scores = [(b.jacobian * b.residual[:, None])[:, inside] for b in blocks]
-            degrees = self.samples / max(self.samples - point.values.size - 2 * len(self.segments), 1)
+            unknowns = point.values.size + sum(start.size for start in point.starts)
+            degrees = self.samples / max(self.samples - unknowns, 1)
             index = self.free[inside]
-            covariance[np.ix_(index, index)] = degrees * robust_covariance(scores, information[kept])
+            inner = robust_covariance(scores, information[np.ix_(inside, inside)])
+            covariance[np.ix_(index, index)] = degrees * inner
         rms = float(np.sqrt(max(point.cost - self._prior_cost(point.values), 0.0) / self.samples))
-        status = "the refinement reached its optimum" if converged else "the refinement stopped before its optimum"
         return Refinement(
             plant=self.plant.with_values(full.tolist()),
             covariance=covariance,
             rms_error=rms,
             converged=converged,
-            status=status,
+            status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
         )
-
-    def _determined(self, information: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Tell which parameters the data determine: no column vanishes, none depends on the others."""
-        scale = np.sqrt(np.diag(information))
-        alive = scale > 0
-        normal = information[np.ix_(alive, alive)] / np.outer(scale[alive], scale[alive])
-        if alive.all() and np.linalg.cond(normal) < 1e14:
-            return alive
-        return alive & False
 
     def _prior_cost(self, values: NDArray[np.float64]) -> float:
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
+
+
+def _well_conditioned(information: NDArray[np.float64]) -> bool:
+    """Tell whether the data determine all parameters: no column depends on the others."""
+    scale = np.sqrt(np.diag(information))
+    return bool(np.linalg.cond(information / np.outer(scale, scale)) < 1e14)

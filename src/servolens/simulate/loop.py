@@ -24,7 +24,10 @@ __all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "si
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
-MOST_SUBSTEPS = 4000
+FINE_SUBSTEPS = 8
+STIFF_STEP_TIMES_RATE = 0.25
+"""The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
+MOST_SUBSTEPS = 400
 
 
 @final
@@ -223,7 +226,8 @@ def _run(
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
     """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
     rate = _fastest_rate(plant.structure)(plant.values) + extra
-    return int(np.clip(np.ceil(step * rate / STEP_TIMES_RATE), 1, MOST_SUBSTEPS))
+    fine, coarse = np.ceil(step * rate / STEP_TIMES_RATE), np.ceil(step * rate / STIFF_STEP_TIMES_RATE)
+    return int(np.clip(max(min(fine, FINE_SUBSTEPS), coarse), 1, MOST_SUBSTEPS))
 
 
 @lru_cache(maxsize=256)
