@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.identify.factors import LONGEST_PIECE, factor_pieces, link
+from servolens.identify.factors import LONGEST_PIECE, segment_factor
 from servolens.identify.smoothing import value_weights
 from servolens.solving import ConstrainedLeastSquares, constrained_least_squares
 
@@ -17,8 +17,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identify.segments import Segment
+    from servolens.solving import Constraint
 
-__all__ = ["Pieces", "Prior", "assemble", "solve_integral"]
+__all__ = ["Pieces", "Prior", "assemble", "segment_factors", "solve_integral", "stacked"]
+
+_NO_FORCES: NDArray[np.float64] = np.empty((0, 0))
 
 
 @final
@@ -78,16 +81,39 @@ def assemble(
         Upper triangular over the columns ``[c₁ … c_d, β, θ₁ … θ_m, y]``.
     """
     shares = [Pieces.whole(s.time.size) for s in segments] if pieces is None else pieces
-    dampings = 1 + max(int(p.groups.max()) for p in shares)
-    blocks = []
-    for i, (segment, share) in enumerate(zip(segments, shares, strict=True)):
-        columns = np.empty((0, segment.time.size)) if forces is None else forces[i]
-        blocks.append(_segment_factor(segment, share, columns, dampings, window)[2:, 2:])
-    return blocks[0] if len(blocks) == 1 else np.linalg.qr(np.vstack(blocks), mode="r")
+    return stacked([block[2:, 2:] for block in segment_factors(segments, shares, forces, window)])
+
+
+def stacked(factors: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the triangular factor of all `factors`' rows."""
+    return factors[0] if len(factors) == 1 else np.asarray(np.linalg.qr(np.vstack(factors), mode="r"))
+
+
+def segment_factors(
+    segments: Sequence[Segment],
+    pieces: Sequence[Pieces],
+    forces: Sequence[NDArray[np.float64]] | None = None,
+    window: int = 21,
+) -> list[NDArray[np.float64]]:
+    """Return each segment's triangular factor over ``[y₀, v₀, c₁ … c_d, β, θ₁ … θ_m, y]``; see :func:`assemble`."""
+    dampings = 1 + max(int(share.groups.max()) for share in pieces)
+    columns = [_NO_FORCES] * len(segments) if forces is None else forces
+    size = dampings + columns[0].shape[0] + 4
+    factors = []
+    for segment, share, force in zip(segments, pieces, columns, strict=True):
+        factor, weights = np.empty((size, size)), value_weights(min(window, segment.time.size))
+        segment_factor(
+            segment.time, segment.position, segment.voltage, force, weights, share.edges, share.groups, factor
+        )
+        factors.append(factor)
+    return factors
 
 
 def solve_integral(
-    factor: NDArray[np.float64], priors: Mapping[int, Prior] | None = None, noise: float = 0.0
+    factor: NDArray[np.float64],
+    priors: Mapping[int, Prior] | None = None,
+    noise: float = 0.0,
+    constraints: Sequence[Constraint] = (),
 ) -> ConstrainedLeastSquares:
     """Solve the assembled equation; `priors` by unknown, weighed against the equation's `noise`."""
     if priors:
@@ -95,30 +121,5 @@ def solve_integral(
         for row, (index, prior) in zip(rows, priors.items(), strict=True):
             weight = noise / prior.deviation
             row[index], row[-1] = weight, weight * prior.value
-        factor = np.linalg.qr(np.vstack([factor, rows]), mode="r")
-    return constrained_least_squares(factor)
-
-
-def _segment_factor(
-    segment: Segment, share: Pieces, columns: NDArray[np.float64], dampings: int, window: int
-) -> NDArray[np.float64]:
-    m = columns.shape[0]
-    count = share.groups.size
-    factors, ends = np.empty((count, m + 5, m + 5)), np.empty((count, 2 * m + 5))
-    anchors = _anchors(segment, share.edges, window)
-    factor_pieces(segment.time, segment.position, segment.voltage, columns, anchors, share.edges, factors, ends)
-    out = np.empty((dampings + m + 4, dampings + m + 4))
-    link(factors, ends, share.groups, dampings, out)
-    return out
-
-
-def _anchors(segment: Segment, edges: NDArray[np.intp], window: int) -> NDArray[np.float64]:
-    """Smoothed position at the edges; a raw sample's noise would act as an offset of all that follows."""
-    y = segment.position
-    anchors = y[np.minimum(edges, y.size - 1)].copy()
-    half = window // 2
-    for i in range(1, edges.size - 1):
-        a, b = max(int(edges[i]) - half, 0), min(int(edges[i]) + half + 1, y.size)
-        if b - a >= 5:
-            anchors[i] = value_weights(b - a)[int(edges[i]) - a] @ y[a:b]
-    return anchors
+        factor = stacked([factor, rows])
+    return constrained_least_squares(factor, constraints)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError
-from servolens.identify.integral import Pieces, assemble
+from servolens.errors import InputError, NumericalError
+from servolens.identify.factors import triangular_solution
+from servolens.identify.integral import Pieces, segment_factors, stacked
 from servolens.identify.smoothing import smooth, smoothing_window
 from servolens.identify.uncertainty import integral_covariance
 from servolens.solving import Constraint, constrained_least_squares
@@ -20,10 +21,12 @@ if TYPE_CHECKING:
 
     from servolens.identify.segments import Segment
 
-__all__ = ["VaryingDamping", "fit_varying", "ordering", "piece_duration"]
+__all__ = ["PieceFit", "VaryingDamping", "fit_pieces", "fit_varying", "ordering", "piece_duration"]
 
 FEWEST_IN_PIECE = 8
 MOST_PIECES = 24
+UNEXPLAINED = 1e-14
+"""Least share of a column that the others must leave unexplained."""
 
 
 @final
@@ -52,6 +55,29 @@ class VaryingDamping:
     damping: NDArray[np.float64]
     speed: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    active: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PieceFit:
+    """The estimate for given pieces.
+
+    Attributes
+    ----------
+    gain : float
+        β.
+    damping : ndarray, shape (n,)
+        c of each piece [1/s].
+    starts : ndarray, shape (segments, 2)
+        Position and velocity at each segment's first sample.
+    active : tuple of str
+        Constraints that hold with equality.
+    """
+
+    gain: float
+    damping: NDArray[np.float64]
+    starts: NDArray[np.float64]
     active: tuple[str, ...]
 
 
@@ -85,16 +111,51 @@ def fit_varying(
     count = edges.size - 1
     wanted = [*constraints, *(ordering(count, delta) if delta is not None else ())]
     window = smoothing_window(length, _sample_time(segments))
-    factor = assemble(segments, shares, window=window)
-    solution = constrained_least_squares(factor, wanted)
-    covariance, _ = integral_covariance(segments, shares, solution.x)
+    fit = fit_pieces(segments, shares, wanted, window)
+    covariance, _ = integral_covariance(segments, shares, np.append(fit.damping, fit.gain))
     return VaryingDamping(
-        gain=float(solution.x[-1]),
+        gain=fit.gain,
         edges=edges,
-        damping=solution.x[:-1],
+        damping=fit.damping,
         speed=_mean_speed(segments, shares, count, window),
         covariance=covariance,
-        active=solution.active,
+        active=fit.active,
+    )
+
+
+def fit_pieces(
+    segments: Sequence[Segment], pieces: Sequence[Pieces], constraints: Sequence[Constraint] = (), window: int = 21
+) -> PieceFit:
+    """Fit damping, gain and initial state for given pieces: the estimate alone, in microseconds.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Steps.
+    pieces : sequence of Pieces
+        How damping is shared, a segment each.
+    constraints : sequence of Constraint
+        On the unknowns ``[c₁ … c_n, β]``.
+    window : int
+        Samples over which the position at a piece's edge is smoothed.
+
+    Raises
+    ------
+    InputError
+        If the constraints contradict each other.
+    NumericalError
+        If the data do not determine the unknowns.
+    """
+    factors = segment_factors(segments, pieces, window=window)
+    if len(factors) == 1 and not constraints:
+        x = np.empty(factors[0].shape[0] - 1)
+        if triangular_solution(factors[0], x) > UNEXPLAINED:
+            return PieceFit(gain=float(x[-1]), damping=x[2:-1], starts=x[None, :2], active=())
+        raise NumericalError("the data do not determine all unknowns of the fit: two of its columns are proportional")
+    solution = constrained_least_squares(stacked([factor[2:, 2:] for factor in factors]), constraints)
+    starts = [np.linalg.solve(f[:2, :2], f[:2, -1] - f[:2, 2:-1] @ solution.x) for f in factors]
+    return PieceFit(
+        gain=float(solution.x[-1]), damping=solution.x[:-1], starts=np.array(starts), active=solution.active
     )
 
 
@@ -122,7 +183,7 @@ def piece_duration(segments: Sequence[Segment]) -> float:
 
 
 def _velocity_zeros(segment: Segment) -> NDArray[np.float64]:
-    """Times [s] of the onset and of each reversal."""
+    """Return the times [s] of the onset and of each reversal."""
     time, y = segment.time, segment.position
     window = smoothing_window(float(time[-1]) / 6.0, float(np.median(np.diff(time))))
     velocity = smooth(time, y, window)[1]
@@ -159,7 +220,8 @@ def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], N
         starts = starts[starts <= segment.time.size - FEWEST_IN_PIECE]
         if np.any(np.diff(starts) < FEWEST_IN_PIECE):
             raise InputError(
-                f"{segment.record.name}: pieces of {length:g} s hold fewer than {FEWEST_IN_PIECE} samples; choose longer ones"
+                f"{segment.record.name}: pieces of {length:g} s hold fewer than {FEWEST_IN_PIECE} samples; "
+                "choose longer ones"
             )
         shares.append(Pieces(edges=np.append(starts, segment.time.size), groups=np.arange(starts.size, dtype=np.intp)))
     count = max(share.groups.size for share in shares)
