@@ -13,7 +13,7 @@ from servolens.findings import Finding
 from servolens.identify.damping_law import fit_law, law_from_pieces
 from servolens.identify.integral import Pieces, assemble, solve_integral
 from servolens.identify.piecewise import varying_plant
-from servolens.identify.refine import refine
+from servolens.identify.refine import Refinement, refine, refine_closed_loop
 from servolens.identify.segments import motion_segments
 from servolens.identify.smoothing import smoothing_window
 from servolens.identify.uncertainty import integral_covariance
@@ -36,6 +36,14 @@ ModelName = Literal["constant", "varying", "velocity", "all"]
 MOST_SAMPLES = 200_000
 """The law and its refinement use the first stretches of motion up to this many samples."""
 SIGNIFICANT = 3.0
+"""Standard errors that the extra damping must be away from zero."""
+AT_NOISE = 3.0
+"""Times the noise within which the law explains the records."""
+SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
+BEYOND_THE_LAW = (
+    "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to the "
+    "closed-loop response as a whole; its intervals are those of the best law, not of the machine."
+)
 
 
 @final
@@ -157,7 +165,7 @@ def identify(
     if model in ("all", "constant"):
         result = replace(result, constant=_constant(runs, segments, priors or {}))
     if model in ("all", "varying"):
-        result = replace(result, varying=fit_varying(segments, duration=piece, delta=delta))
+        result = _with_varying(result, segments, piece, delta, wanted=model == "varying")
     if model in ("all", "velocity"):
         result = _with_velocity(result, segments, priors or {})
     return _with_errors(result)
@@ -200,33 +208,74 @@ def _constant(runs: tuple[Record, ...], segments: Sequence[Segment], priors: Map
     )
 
 
+def _with_varying(
+    result: Identification, segments: Sequence[Segment], piece: float | None, delta: float | None, *, wanted: bool
+) -> Identification:
+    """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
+    try:
+        return replace(result, varying=fit_varying(segments, duration=piece, delta=delta))
+    except NumericalError as error:
+        if wanted:
+            raise
+        finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
+        return replace(result, findings=(*result.findings, finding))
+
+
 def _with_velocity(result: Identification, segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Identification:
     runs = result.records
     used, findings = _bounded(segments)
-    duration = piece_duration(used)
-    window = smoothing_window(duration, min(run.sample_time for run in runs))
+    window = smoothing_window(piece_duration(used), min(run.sample_time for run in runs))
     start = fit_law(used, window, _integral_priors(priors))
-    law, shape = VelocityDecayDamping.name, f"{VelocityDecayDamping.name}.alpha2"
-    refined = refine(start, used, held=[shape], priors=priors, window=window)
-    index = list(start.parameters).index(f"{law}.alpha1")
-    spread = float(np.sqrt(refined.covariance[index, index]))
-    reasons = {}
-    if not abs(refined.plant.values[index]) > SIGNIFICANT * spread:
-        reasons[shape] = "damping does not depend on speed within its error, so the rate of decay is not determined"
-        findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[shape]}."))
-    else:
+    refined = refine(start, used, held=[SHAPE], priors=priors, window=window)
+    noise = max(s.noise for s in used)
+    if refined.rms_error > AT_NOISE * noise and _can_close(runs):
+        refined = _best_in_closed_loop((start, refined.plant), runs, priors, noise)
+        findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
+    elif _depends_on_speed(refined):
         refined = refine(refined.plant, used, priors=priors, window=window)
+    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
+    if not _depends_on_speed(refined):
+        reasons[SHAPE] = "damping does not depend on speed within its error, so the rate of decay is not determined"
+        findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[SHAPE]}."))
     if not refined.converged:
         findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
     velocity = Model(
         plant=_plant(runs, refined.plant),
         covariance=refined.covariance,
         identified_from=tuple(run.name for run in runs),
-        reasons=dict.fromkeys(start.parameters, "the data do not determine it") | reasons,
+        reasons=reasons,
     )
-    pieces = result.varying or fit_varying(used)
-    paper = _plant(runs, law_from_pieces(pieces)) if pieces.damping.size >= 3 else None
-    return replace(result, velocity=velocity, law_from_pieces=paper, findings=(*result.findings, *findings))
+    return replace(
+        result, velocity=velocity, law_from_pieces=_paper_route(result, used), findings=(*result.findings, *findings)
+    )
+
+
+def _best_in_closed_loop(
+    starts: tuple[Plant, ...], runs: tuple[Record, ...], priors: Mapping[str, Prior], noise: float
+) -> Refinement:
+    """Refine from several starts, the law's shape being the hard one; the best ends."""
+    law = starts[0].effects[0]
+    moderate = replace(starts[0], effects=(type(law)(alpha1=abs(starts[0].damping) + 1.0, alpha2=law.values[1] / 4.0),))
+    found = [refine_closed_loop(plant, runs, noise=noise, priors=priors) for plant in (*starts, moderate)]
+    return min(found, key=lambda refined: refined.rms_error)
+
+
+def _depends_on_speed(refined: Refinement) -> bool:
+    index = list(refined.plant.parameters).index(SIZE)
+    spread = np.sqrt(refined.covariance[index, index])
+    return bool(refined.plant.values[index] > SIGNIFICANT * spread)
+
+
+def _can_close(runs: tuple[Record, ...]) -> bool:
+    return all(run.reference is not None and run.controller is not None for run in runs)
+
+
+def _paper_route(result: Identification, used: Sequence[Segment]) -> Plant | None:
+    try:
+        pieces = result.varying or fit_varying(used)
+        return _plant(result.records, law_from_pieces(pieces))
+    except (InputError, NumericalError):
+        return None
 
 
 def _with_errors(result: Identification) -> Identification:
