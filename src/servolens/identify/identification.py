@@ -34,7 +34,7 @@ __all__ = ["Identification", "identify"]
 
 ModelName = Literal["constant", "varying", "velocity", "all"]
 MOST_SAMPLES = 200_000
-"""The law and its refinement use the first stretches of motion up to this many samples."""
+"""The law and its refinement use the first stretches of motion up to this many samples; so do the errors."""
 SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
 AT_NOISE = 3.0
@@ -286,13 +286,27 @@ def _with_errors(result: Identification) -> Identification:
         plants["varying"] = _plant(result.records, varying_plant(result.varying))
     if result.velocity is not None:
         plants["velocity"] = result.velocity.plant
-    errors, findings = {}, []
+    shown, findings = _beginnings(result.records)
+    errors = {}
     for name, plant in plants.items():
         try:
-            errors[name] = tuple(_own_error(name, plant, record) for record in result.records)
+            errors[name] = tuple(_own_error(name, plant, record) for record in shown)
         except NumericalError as error:
             findings.append(Finding(code="unstable_model", severity="warning", message=f"{name} model: {error}."))
     return replace(result, errors=errors, findings=(*result.findings, *findings))
+
+
+def _beginnings(runs: tuple[Record, ...]) -> tuple[list[Record], list[Finding]]:
+    """Return what of each record the models are compared with."""
+    shown, findings = [], []
+    for run in runs:
+        if len(run) > MOST_SAMPLES:
+            end = float(run.time[MOST_SAMPLES - 1])
+            message = f"the errors are those of its first {end - run.time[0]:g} s, of {run.duration:g} s."
+            findings.append(Finding(code="not_all_data_used", severity="note", message=message, record=run.name))
+            run = run.slice(float(run.time[0]), end)
+        shown.append(run)
+    return shown, findings
 
 
 def _own_error(name: str, plant: Plant, record: Record) -> RecordError:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
+from servolens.identify.smoothing import smooth, smoothing_window
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -53,7 +55,8 @@ class Segment:
 def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     """Cut `records` into stretches of motion.
 
-    A record is split where its reference jumps and where samples are lost. Each stretch begins when the axis first
+    A record is split where its reference jumps, or, when it follows a trajectory or states no reference, where the axis
+    turns round; and where samples are lost. Each stretch begins when the axis first
     leaves its initial position and ends a tenth of its length after the axis was last outside 1 % of the step (or
     four standard deviations of the noise, or one and a half encoder steps, whichever is larger).
 
@@ -68,10 +71,12 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
         names.append(record.name)
         voltage = applied_voltage(record)
         noise = noise_level(record)
-        for first, stop in _stretches(record):
-            window = _motion(record, first, stop, noise)
+        step, sample_time = record.step_size, _sample_time(record)
+        floor = max(4.0 * noise, 1.5 * (record.encoder_resolution or 0.0))
+        for first, stop in _stretches(record, sample_time):
+            window = _motion(record.position[first:stop], step, floor, sample_time)
             if window is not None:
-                a, b = window
+                a, b = first + window[0], first + window[1]
                 found.append(
                     Segment(
                         record=record,
@@ -106,31 +111,46 @@ def noise_level(record: Record) -> float:
     """
     third = np.diff(record.position[:100_000], 3)
     spread = float(np.sqrt(np.mean(third**2) / 20.0)) if third.size else 0.0
-    return max(spread, (record.encoder_resolution or 0.0) / np.sqrt(12.0))
+    return max(spread, (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
 
 
-def _stretches(record: Record) -> list[tuple[int, int]]:
+def _sample_time(record: Record) -> float:
+    """Return the median sampling interval [s] of at most 10⁵ samples."""
+    return float(np.median(np.diff(record.time[:100_001])))
+
+
+def _stretches(record: Record, sample_time: float) -> list[tuple[int, int]]:
     edges = record.edges()
-    cuts = edges.tolist() if edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES else []
-    steps = np.diff(record.time)
-    if steps.max() > 1.5 * record.sample_time:
-        cuts += (np.flatnonzero(steps > 1.5 * record.sample_time) + 1).tolist()
-    bounds = sorted({0, *cuts, len(record)})
-    return list(zip(bounds[:-1], bounds[1:], strict=True))
+    is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
+    cuts = edges.tolist() if is_steps else _reversals(record, sample_time)
+    cuts += (np.flatnonzero(np.diff(record.time) > 1.5 * sample_time) + 1).tolist()
+    return list(pairwise(sorted({0, *cuts, len(record)})))
 
 
-def _motion(record: Record, first: int, stop: int, noise: float) -> tuple[int, int] | None:
-    y = record.position[first:stop]
+def _reversals(record: Record, sample_time: float) -> list[int]:
+    """Return the samples at which an axis that follows a trajectory turns round.
+
+    What the equation lacks (friction above all) is integrated twice; over a whole trajectory it would bury the rest,
+    over one stroke it is nearly constant.
+    """
+    window = smoothing_window(0.1, sample_time)
+    velocity = smooth(record.time, record.position, window)[1]
+    fast = np.flatnonzero(np.abs(velocity) > 0.05 * np.abs(velocity).max())
+    turns = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
+    return [int(fast[k - 1] + fast[k]) // 2 for k in turns]
+
+
+def _motion(y: NDArray[np.float64], step: float, floor: float, sample_time: float) -> tuple[int, int] | None:
+    """Return the first sample of the motion and the one after its last, of a stretch's position."""
     if y.size < FEWEST_SAMPLES:
         return None
-    step = record.step_size
-    floor = max(4.0 * noise, 1.5 * (record.encoder_resolution or 0.0))
-    rest = max(y.size // 20, 5)
+    rest = np.sort(y[-max(y.size // 20, 5) :])
+    final = 0.5 * float(rest[(rest.size - 1) // 2] + rest[rest.size // 2])
     begin = int(np.argmax(np.abs(y - y[0]) > floor))
-    final = float(np.median(y[-rest:]))
-    outside = np.flatnonzero(np.abs(y - final) > max(floor, SETTLED * step))
-    if begin == 0 or outside.size == 0 or np.ptp(y) < max(2.0 * floor, 5e-3 * step):
+    outside = np.abs(y - final) > max(floor, SETTLED * step)
+    last = y.size - 1 - int(np.argmax(outside[::-1]))
+    if begin == 0 or not outside[last] or y.max() - y.min() < max(2.0 * floor, 5e-3 * step):
         return None
-    begin = 0 if begin < 0.05 / record.sample_time else max(begin - 3, 0)
-    end = min(int(outside[-1]) + max((int(outside[-1]) - begin) // 10, 5), y.size)
-    return (first + begin, first + end) if end - begin >= FEWEST_SAMPLES else None
+    begin = 0 if begin < 0.05 / sample_time else max(begin - 3, 0)
+    end = min(last + max((last - begin) // 10, 5), y.size)
+    return (begin, end) if end - begin >= FEWEST_SAMPLES else None

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["correlation_factor", "integral_covariance", "robust_covariance"]
 
 MOST_SAMPLES = 200_000
+FEWEST_SEGMENTS = 20
+"""Of longer data every k-th segment is looked at, then every k-th sample; the rest is taken to be like them."""
 
 
 def integral_covariance(
@@ -45,9 +47,12 @@ def integral_covariance(
         Root mean square of the whitened residual [m or rad].
     """
     p = estimate.size
-    stride = max(1, sum(s.time.size for s in segments) // MOST_SAMPLES)
+    total = sum(s.time.size for s in segments)
+    used = slice(None, None, max(1, min(total // MOST_SAMPLES, len(segments) // FEWEST_SEGMENTS)))
+    seen = sum(s.time.size for s in segments[used])
+    stride = max(1, seen // MOST_SAMPLES)
     bread, meat, squares, samples, factor = np.zeros((p, p)), np.zeros((p, p)), 0.0, 0, 1.0
-    for segment, share in zip(segments, pieces, strict=True):
+    for segment, share in zip(segments[used], pieces[used], strict=True):
         x, y, damping, time = _columns(segment, share, estimate, stride)
         if time.size < 4:
             continue
@@ -64,7 +69,7 @@ def integral_covariance(
         samples += time.size
     scale = 1.0 / np.sqrt(np.diag(bread))
     inverse = np.linalg.inv(bread * np.outer(scale, scale)) * np.outer(scale, scale)
-    return inverse @ meat @ inverse / stride, float(np.sqrt(squares / max(samples - p, 1)))
+    return inverse @ meat @ inverse * (seen / total / stride), float(np.sqrt(squares / max(samples - p, 1)))
 
 
 def correlation_factor(residual: NDArray[np.float64]) -> float:
