@@ -16,6 +16,18 @@ if TYPE_CHECKING:
 
 __all__ = ["Documented", "Recordings", "SpecOptions", "finite", "json_option", "prior", "recordings", "specification"]
 
+SPEC_FIELDS = (
+    "kp",
+    "settling_time",
+    "band",
+    "reference",
+    "overshoot",
+    "voltage_limit",
+    "kd_max",
+    "control",
+    "sample_time",
+    "derivative_filter",
+)
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward")
 
 
@@ -150,64 +162,26 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
 def specification(*, required: bool = True) -> Callable[[Command], Command]:
     """Give a command the options of a design, as one ``spec``."""
     decorators = (
-        click.option(
-            "--kp",
-            type=finite,
-            metavar="NUMBER",
-            required=required,
-            help="Proportional gain to design for [V/m or V/rad].",
-        ),
-        click.option(
-            "--settling-time",
-            type=finite,
-            metavar="NUMBER",
-            required=required,
-            help="In the band from this time on [s].",
-        ),
-        click.option(
-            "--band",
-            type=finite,
-            metavar="NUMBER",
-            help="Half width of the band as a fraction of the step.  [default: 0.01]",
-        ),
-        click.option("--reference", type=finite, metavar="NUMBER", help="Size of the step [m or rad].  [default: 0.1]"),
-        click.option("--overshoot", type=finite, metavar="NUMBER", help="Largest overshoot as a fraction of the step."),
-        click.option(
-            "--voltage-limit",
-            type=finite,
-            metavar="NUMBER",
-            help="Largest voltage that the controller may ask for [V].",
-        ),
-        click.option(
-            "--kd-max", type=finite, metavar="NUMBER", help="End of the search, which begins at 0.  [default: 20]"
-        ),
+        _number("--kp", "Proportional gain to design for [V/m or V/rad].", required=required),
+        _number("--settling-time", "In the band from this time on [s].", required=required),
+        _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
+        _number("--reference", "Size of the step [m or rad].  [default: 0.1]"),
+        _number("--overshoot", "Largest overshoot as a fraction of the step."),
+        _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
+        _number("--kd-max", "End of the search, which begins at 0.  [default: 20]"),
         click.option(
             "--control",
             type=click.Choice(["sampled", "continuous"]),
             help="A digital loop, or an ideal continuous PD.  [default: sampled]",
         ),
-        click.option("--sample-time", type=finite, metavar="NUMBER", help="Of the digital loop [s].  [default: 0.001]"),
-        click.option(
-            "--derivative-filter", type=finite, metavar="NUMBER", help="Of the digital loop; 1 is none.  [default: 1]"
-        ),
-    )
-    names = (
-        "kp",
-        "settling_time",
-        "band",
-        "reference",
-        "overshoot",
-        "voltage_limit",
-        "kd_max",
-        "control",
-        "sample_time",
-        "derivative_filter",
+        _number("--sample-time", "Of the digital loop [s].  [default: 0.001]"),
+        _number("--derivative-filter", "Of the digital loop; 1 is none.  [default: 1]"),
     )
 
     def decorate(command: Command) -> Command:
         @wraps(command)
         def run(**options: Any) -> int:
-            given = {name: options.pop(name) for name in names}
+            given = {name: options.pop(name) for name in SPEC_FIELDS}
             return command(
                 spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
             )
@@ -220,6 +194,10 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
 )
+
+
+def _number(option: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:
+    return click.option(option, type=finite, metavar="NUMBER", required=required, help=text)
 
 
 def _named(paths: tuple[str, ...]) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +12,9 @@ import click
 
 from servolens.commands.files import about, check_outputs, load_records, quality_findings
 from servolens.commands.options import Documented, Recordings, SpecOptions, json_option, recordings, specification
-from servolens.commands.terminal import progress_bar
+from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
@@ -37,15 +39,14 @@ def demo(out: str, json_file: str | None) -> int:
         raise InputError(f"{out or '--out'}: is not a folder; name one, it is created if needed")
     check_outputs({"--json": json_file})
     from servolens.demo import run_demo
+    from servolens.summaries import demo_summary
 
     with progress_bar() as progress, _writing(folder):
         body = run_demo(folder, progress=progress)
     if json_file:
-        write_json(json_file, "demo", body)
-    click.echo(
-        f"{folder / 'report.html'}: the report\n{folder / 'results.json'}: its numbers",
-        err=json_file == STANDARD_OUTPUT,
-    )
+        told = json.loads((folder / "results.json").read_text(encoding="utf-8"))["findings"]
+        write_json(json_file, "demo", body, [Finding(**finding) for finding in told])
+    show(demo_summary(body, out), json_file)
     return 0
 
 

@@ -82,11 +82,13 @@ def percent(value: float | None) -> str:
 
     Examples
     --------
-    >>> percent(0.1234), percent(12.34), percent(None)
-    ('0.12 %', '12.3 %', '–')
+    >>> percent(0.1234), percent(12.34), percent(1e-14), percent(None)
+    ('0.12 %', '12.3 %', 'less than 0.0001 %', '–')
     """
     if value is None or not math.isfinite(value):
         return "–"
+    if 0 < abs(value) < SMALLEST_PLAIN:
+        return f"less than {SMALLEST_PLAIN:.4f} %"
     return f"{number(value, 2 if abs(value) < 10 else 3)} %"
 
 

@@ -1,0 +1,63 @@
+"""What the demo says."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from servolens.summaries.wording import number, number_up, percent
+from servolens.summary import Summary, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["demo_summary"]
+
+
+def demo_summary(results: Mapping[str, Any], folder: str) -> Summary:
+    """Tell the demo's main figures and where its page is.
+
+    Parameters
+    ----------
+    results : mapping
+        The fields of ``servolens.demo/1``.
+    folder : str
+        Where the page is.
+    """
+    table = results["table_one"]
+    averages = [f"{m}: {percent(e)}" for m, e in zip(table["models"], table["average_percent_error"], strict=True)]
+    return Summary(
+        title="Demo on the virtual cart",
+        sentences=(
+            f"Predicting {len(table['gains'])} other gain pairs, each model is off by this share of the step on"
+            f" average: {'; '.join(averages)}.",
+            f"The page: {folder}/report.html; its numbers: {folder}/results.json.",
+        ),
+        tables=(_designs(results["design"]["sampled"]),),
+    )
+
+
+def _designs(comparisons: Mapping[str, Any]) -> Table:
+    rows = []
+    for name, comparison in comparisons.items():
+        linear, nonlinear = comparison["linear"], comparison["nonlinear"]
+        on = linear["on_nonlinear"] or {"settling_time": None, "meets": False}
+        rows.append(
+            (
+                name,
+                _gain(linear["kd"]),
+                number(on["settling_time"]),
+                "yes" if on["meets"] else "no",
+                _gain(nonlinear["kd"]),
+                number(nonlinear["settling_time"]),
+            )
+        )
+    return Table(
+        title="Least kd for the demo's specification, from each record",
+        columns=("Record", "Linear kd", "takes [s]", "Meets", "Nonlinear kd", "takes [s]"),
+        rows=tuple(rows),
+        note="Both gains are run on the nonlinear model.",
+    )
+
+
+def _gain(kd: float | None) -> str:
+    return "–" if kd is None else number_up(kd)
