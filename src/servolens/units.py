@@ -67,7 +67,7 @@ _BASES = {
 _NO_UNITS = re.compile(r"\b(units?|position|per cent of)\b", re.IGNORECASE)  # pint reads "unit" as a micronit
 _HARMLESS = re.compile(r"[A-Za-z0-9_°%·*/^(). ²³-]+")
 _POWER = re.compile(r"(?:\*\*|\^)")
-_SMALL_POWER = re.compile(r"(?:\*\*|\^)\s*\(?\s*-?\s*[1-4]\s*\)?(?!\s*(?:[0-9.]|\*\*|\^))")
+_SMALL_POWER = re.compile(r"(?:\*\*|\^)\s*\(?\s*-?\s*[1-4]\s*\)?(?!\s*(?:[0-9.eE]|\*\*|\^))")
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?)(.*)", re.DOTALL)
 
 
@@ -122,7 +122,7 @@ def split_number(text: str) -> tuple[float, str]:
     value, rest = float(match[1]), match[2].strip()
     if re.match(r",\d", rest):
         raise InputError("has a decimal comma; write a point")
-    if re.match(r"[\w.]", match[2]) and parse_unit(rest) is None:
+    if re.match(r"[\d._]", match[2]) or (re.match(r"\w", match[2]) and parse_unit(rest) is None):
         raise InputError("is not a number")
     if not math.isfinite(value):
         raise InputError("is not a finite number")

@@ -48,9 +48,13 @@ def read_bytes(path: Path, largest: int | None = None) -> bytes:
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise InputError(f"cannot be opened: {why.lower()}") from error
-    with open(descriptor, "rb") as stream:  # noqa: PTH123 - the descriptor was opened without waiting for a pipe
+    try:
         status = os.fstat(descriptor)
         _check_kind(status.st_mode)
+    except InputError:
+        os.close(descriptor)
+        raise
+    with os.fdopen(descriptor, "rb") as stream:
         if status.st_size > limit:
             raise InputError(f"has {status.st_size / 2**20:.0f} MiB; files up to {limit / 2**20:.0f} MiB are read")
         try:

@@ -38,7 +38,7 @@ def heading(text: str) -> Heading:
     """
     text = text.strip().strip('"').strip()
     match = _UNIT.fullmatch(text)
-    if match is None:
+    if match is None or re.search(r"\S\[\d+\]$", text):  # y[0] is an index, not a unit
         return Heading(text)
     unit = match[2].strip()
     return Heading(match[1].strip(), None if unit in ("", "-") else unit)

@@ -1,31 +1,41 @@
-"""MATLAB's MAT v5 files: the vectors that are asked for, and nothing else of them."""
+"""MATLAB's MAT v5 files: the vectors that are asked for, and nothing else of them.
+
+The format is MathWorks' *MAT-File Format*, "Level 5 MAT-Files". It is read here and not by ``scipy.io.loadmat``, which
+a damaged file can crash together with the interpreter; every offset is checked, and compressed parts are inflated only
+as far as they are needed.
+"""
 
 from __future__ import annotations
 
-import io
 import math
 import struct
-import warnings
 import zlib
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.reading import files
 from servolens.reading.csv_text import Table
-from servolens.reading.files import LARGEST, quote
+from servolens.reading.files import quote
 from servolens.reading.headings import select
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
 __all__ = ["read_mat"]
 
-NUMERIC = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "logical")
+_MATRIX, _COMPRESSED = 14, 15
+_STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_KINDS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse matrix", 16: "function", 17: "object"}
+_NUMERIC = range(6, 16)
+_COMPLEX = 0x800
 _HEADER = 128
-_COMPRESSED = 15
+_BEGINNING = 4096
+"""Bytes of a variable that are inflated to learn its name, its kind and its shape."""
 _DAMAGED = "is a damaged MAT file; save it again with -v7"
 
 
@@ -37,84 +47,131 @@ def read_mat(content: bytes, columns: Mapping[str, str] | None) -> Table:
     InputError
         If a signal is missing or no real vector, or if the file is damaged.
     """
-    _check_inflated(content)
-    variables = _variables(content)
-    chosen = select(list(variables), columns)
-    names = {signal: list(variables)[index] for signal, (index, _) in chosen.items()}
-    for name in names.values():
-        _check_variable(name, *variables[name])
-    loaded = _quietly("loadmat", content, variable_names=list(names.values()))
-    return Table(
-        signals={signal: _vector(name, loaded.get(name)) for signal, name in names.items()},
-        units={signal: heading.unit for signal, (_, heading) in chosen.items()},
-        comments={},
-    )
+    try:
+        variables = list(_variables(content))
+        _check_flat(variables)
+        chosen = select([variable.name for variable in variables], columns)
+        needed = {signal: variables[index] for signal, (index, _) in chosen.items()}
+        for variable in needed.values():
+            _check_vector(variable)
+        _check_size(needed)
+        signals = {signal: _values(variable) for signal, variable in needed.items()}
+    except (struct.error, zlib.error, IndexError) as error:
+        raise InputError(_DAMAGED) from error
+    return Table(signals, {signal: heading.unit for signal, (_, heading) in chosen.items()}, {})
 
 
-def _check_inflated(content: bytes) -> None:
-    """Refuse a file whose compressed parts would fill the memory."""
+@final
+@dataclass(frozen=True, slots=True)
+class _Variable:
+    """A variable's name, class and shape, and where its bytes are; `order` is the file's byte order."""
+
+    name: str
+    kind: int
+    is_complex: bool
+    shape: tuple[int, ...]
+    body: memoryview
+    compressed: bool
+    order: str
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Element:
+    """One tagged piece: its type, its bytes (perhaps cut short), its stated size, where the next one begins."""
+
+    kind: int
+    data: memoryview
+    size: int
+    end: int
+
+
+def _variables(content: bytes) -> Iterator[_Variable]:
     order = "<" if content[126:128] == b"IM" else ">"
-    total, at = 0, _HEADER
-    while at + 8 <= len(content):
-        kind, size = struct.unpack(f"{order}II", content[at : at + 8])
+    whole, at = memoryview(content), _HEADER
+    while at < len(content):
+        kind, size = struct.unpack_from(f"{order}II", content, at)
+        body = whole[at : at + 8 + size]
+        if len(body) < 8 + size:
+            raise InputError(_DAMAGED)
         if kind == _COMPRESSED:
-            total += _inflated_size(content[at + 8 : at + 8 + size], LARGEST - total)
+            inflated = zlib.decompressobj().decompress(body[8:], _BEGINNING)
+            yield _described(memoryview(inflated), body[8:], True, order)
+        elif kind == _MATRIX:
+            yield _described(body, body, False, order)
         at += 8 + size
 
 
-def _inflated_size(data: bytes, limit: int) -> int:
-    inflater, total = zlib.decompressobj(), 0
-    try:
-        while data and not inflater.eof:
-            piece = inflater.decompress(data, 2**20)
-            total += len(piece)
-            if total > limit:
-                raise InputError(f"holds more than {LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
-            data = inflater.unconsumed_tail
-    except zlib.error as error:
-        raise InputError(_DAMAGED) from error
-    return total
+def _described(beginning: memoryview, body: memoryview, compressed: bool, order: str) -> _Variable:
+    """Read flags, shape and name, which stand before a variable's values."""
+    if struct.unpack_from(f"{order}I", beginning, 0)[0] != _MATRIX:
+        raise InputError(_DAMAGED)
+    flags = _element(beginning, 8, order)
+    word = struct.unpack_from(f"{order}I", flags.data)[0]
+    kind = word & 0xFF
+    shape: tuple[int, ...] = ()
+    following = _element(beginning, flags.end, order)
+    if kind != 17:  # an object of MATLAB's newer classes has no shape
+        shape = struct.unpack(f"{order}{len(following.data) // 4}i", following.data[: len(following.data) // 4 * 4])
+        following = _element(beginning, following.end, order)
+    name = bytes(following.data).decode("ascii", "replace")
+    return _Variable(name, kind, bool(word & _COMPLEX), shape, body, compressed, order)
 
 
-def _variables(content: bytes) -> dict[str, tuple[tuple[int, ...], str]]:
-    variables = {str(name): (tuple(shape), str(kind)) for name, shape, kind in _quietly("whosmat", content)}
-    nested = [name for name, (_, kind) in variables.items() if kind not in NUMERIC]
-    if nested and len(nested) == len(variables):
-        kind = variables[nested[0]][1]
+def _element(buffer: memoryview, at: int, order: str) -> _Element:
+    """Read the tag at `at`; up to four bytes of data may stand in the tag itself."""
+    word, size = struct.unpack_from(f"{order}II", buffer, at)
+    if word >> 16:
+        size = word >> 16
+        return _Element(word & 0xFFFF, buffer[at + 4 : at + 4 + min(size, 4)], size, at + 8)
+    return _Element(word, buffer[at + 8 : at + 8 + size], size, at + 8 + -(-size // 8) * 8)
+
+
+def _check_flat(variables: list[_Variable]) -> None:
+    nested = [v for v in variables if v.kind not in _NUMERIC and v.name]
+    if nested and not any(v.kind in _NUMERIC and v.name for v in variables):
         raise InputError(
-            f"holds only a {kind} {quote(nested[0])}; save its fields as plain vectors (save with -struct in MATLAB)"
+            f"holds only a {_kind(nested[0])} {quote(nested[0].name)};"
+            " save its fields as plain vectors (save with -struct in MATLAB)"
         )
-    return variables
 
 
-def _check_variable(name: str, shape: tuple[int, ...], kind: str) -> None:
-    if kind not in NUMERIC:
-        raise InputError(f"variable {quote(name)} is a {kind}, not a vector of numbers; save it as a plain vector")
-    if math.prod(shape) != max(shape, default=1):
-        raise InputError(f"variable {quote(name)} has shape {_times(shape)}; a signal is a vector, one column of it")
+def _check_vector(variable: _Variable) -> None:
+    name, shape = quote(variable.name), variable.shape
+    if variable.kind not in _NUMERIC:
+        raise InputError(f"variable {name} is a {_kind(variable)}, not a vector of numbers; save it as a plain vector")
+    if variable.is_complex:
+        raise InputError(f"variable {name} is complex; a signal is real")
+    if min(shape, default=-1) < 0 or len(shape) > 32:
+        raise InputError(_DAMAGED)
+    if math.prod(shape) != max(shape):
+        sizes = " × ".join(str(size) for size in shape)
+        raise InputError(f"variable {name} has shape {sizes}; a signal is a vector, one column of it")
 
 
-def _vector(name: str, value: Any) -> NDArray[np.float64]:
-    array = np.asarray(value)
-    if array.dtype.kind == "c":
-        raise InputError(f"variable {quote(name)} is complex; a signal is real")
-    if array.dtype.kind not in "fiub":
-        raise InputError(f"variable {quote(name)} is not a vector of numbers; save it as a plain vector")
-    return array.astype(np.float64).ravel()
+def _check_size(needed: Mapping[str, _Variable]) -> None:
+    if sum(8 * math.prod(variable.shape) for variable in needed.values()) > files.LARGEST:
+        raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
 
 
-def _quietly(function: str, content: bytes, **options: Any) -> Any:
-    import scipy.io
+def _values(variable: _Variable) -> NDArray[np.float64]:
+    """Return the values as float64, in whatever type they are stored."""
+    order, count = variable.order, math.prod(variable.shape)
+    buffer = variable.body
+    if variable.compressed:
+        buffer = memoryview(zlib.decompressobj().decompress(buffer, _BEGINNING + 8 * count))
+    at = 8
+    for _ in range(3):  # flags, shape, name
+        at = _element(buffer, at, order).end
+    numbers = _element(buffer, at, order)
+    stored = _STORED.get(numbers.kind)
+    if stored is None:
+        raise InputError(_DAMAGED)
+    dtype = np.dtype(order + stored)
+    if numbers.size != count * dtype.itemsize or len(numbers.data) != numbers.size:
+        raise InputError(_DAMAGED)
+    return np.frombuffer(numbers.data, dtype=dtype).astype(np.float64)
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return getattr(scipy.io, function)(io.BytesIO(content), **options)
-    except MemoryError as error:
-        raise InputError("is too large for this computer's memory") from error
-    except Exception as error:  # noqa: BLE001, RUF100 - SciPy raises whatever a damaged file makes it stumble over
-        raise InputError(_DAMAGED) from error
 
-
-def _times(shape: tuple[int, ...]) -> str:
-    return " × ".join(str(size) for size in shape)
+def _kind(variable: _Variable) -> str:
+    return _KINDS.get(variable.kind, "value of an unknown class")
