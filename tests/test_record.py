@@ -1,0 +1,160 @@
+"""The record as a value: what it admits, what it offers, and that it cannot be changed."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from servolens.errors import InputError
+from servolens.record import Controller, Record
+
+
+def record(**changes):
+    given = {
+        "time": [0.0, 0.1, 0.2, 0.3],
+        "position": [0.0, 1.0, 2.0, 3.0],
+        "reference": [4.0, 4.0, 4.0, 4.0],
+        "controller": Controller(kp=2.0),
+    }
+    return Record(**{**given, **changes})
+
+
+def test_signals_are_read_only_copies():
+    position = np.zeros(4)
+    made = record(position=position)
+    position[0] = 7.0
+    assert made.position[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        made.position[0] = 1.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        made.name = "other"
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"time": [0.0]}, "record: a record needs at least 2 samples, got 1"),
+        ({"position": [1.0, 2.0]}, "record: position has 2 samples, time has 4"),
+        ({"position": [[1.0] * 4]}, "record: position must be one-dimensional, got shape (1, 4)"),
+        ({"position": [0, 1, np.nan, 3]}, "record: position must be finite; sample 2 is nan"),
+        ({"reference": [0, np.inf, 0, 3]}, "record: reference must be finite; sample 1 is inf"),
+        (
+            {"time": [0, 0.1, 0.1, 0.3]},
+            "record: time must increase; sample 2 (0.1 s) repeats sample 1 (0.1 s)",
+        ),
+        (
+            {"time": [0, 0.2, 0.1, 0.3]},
+            "record: time must increase; sample 2 (0.1 s) lies before sample 1 (0.2 s)",
+        ),
+        (
+            {"reference": None},
+            "record: neither reference nor voltage is given; log at least one of the two",
+        ),
+        (
+            {"controller": None},
+            "record: no voltage is logged and the gains are unknown; give kp and kd",
+        ),
+        ({"encoder_resolution": 0.0}, "record: encoder_resolution must be positive, got 0.0"),
+        ({"encoder_resolution": -1.0}, "record: encoder_resolution must be positive, got -1.0"),
+        ({"voltage_limit": float("nan")}, "record: voltage_limit must be positive, got nan"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(changes, sentence):
+    with pytest.raises(InputError) as refusal:
+        record(**changes)
+    assert str(refusal.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"kp": float("nan")}, "kp must be finite, got nan"),
+        ({"kd": float("inf")}, "kd must be finite, got inf"),
+        ({"derivative_filter": 0.0}, "derivative_filter must lie in (0, 1], got 0.0"),
+        ({"derivative_filter": 1.1}, "derivative_filter must lie in (0, 1], got 1.1"),
+        ({"derivative_window": 0}, "derivative_window must be at least 1, got 0"),
+        ({"derivative_on": "x"}, "derivative_on must be 'measurement' or 'error', got 'x'"),
+        ({"derivative": "x"}, "derivative must be 'position' or 'velocity', got 'x'"),
+        ({"control_period": 0.0}, "control_period must be positive, got 0.0"),
+    ],
+)
+def test_controller_refuses_what_is_out_of_range(changes, sentence):
+    with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
+        Controller(**{"kp": 1.0, **changes})
+
+
+def test_times_and_sizes():
+    made = record()
+    assert len(made) == 4
+    assert made.sample_time == pytest.approx(0.1)
+    assert made.duration == pytest.approx(0.3)
+    assert made.step_size == 4.0
+    assert record(reference=None, voltage=[0, 0, 0, 0]).step_size == 3.0
+
+
+def test_slice_keeps_both_ends():
+    part = record().slice(0.1, 0.2)
+    assert part.time.tolist() == [0.1, 0.2]
+    assert part.reference.tolist() == [4.0, 4.0]
+    with pytest.raises(InputError) as refusal:
+        record().slice(0.11, 0.19)
+    assert str(refusal.value) == "record: only 0 samples lie between 0.11 and 0.19 s (the record spans 0 to 0.3 s)"
+
+
+def test_steps_begin_at_the_edges_of_the_reference():
+    n = 400
+    reference = np.repeat([0.0, 0.1, 0.0, 0.1], 100)
+    position = np.concatenate((np.zeros(100), np.linspace(0, 0.1, 100), np.linspace(0.1, 0, 100), np.full(100, 0.05)))
+    made = record(time=np.arange(n) * 1e-3, reference=reference, position=position, name="run")
+    steps = made.steps()
+    assert made.edges().tolist() == [100, 200, 300]
+    assert [step.name for step in steps] == ["run, step 1", "run, step 2", "run, step 3"]
+    assert [float(step.time[0]) for step in steps] == pytest.approx([0.1, 0.2, 0.3])
+
+
+def test_ramp_is_no_series_of_steps():
+    made = record(reference=[0.0, 1.0, 2.0, 3.0])
+    assert made.steps() == (made,)
+
+
+def test_onset_is_the_last_sample_at_rest():
+    position = np.concatenate((np.zeros(50), 1e-3 * np.arange(1, 51)))
+    made = record(
+        time=np.arange(100) * 1e-3, position=position, reference=np.repeat([0.0, 1.0], 50), encoder_resolution=1e-4
+    )
+    assert made.onset() == pytest.approx(0.049)
+    still = record(position=[1, 1, 1, 1])
+    assert still.onset() == pytest.approx(0.3)
+
+
+def test_resample_interpolates_position_and_holds_voltage():
+    made = record(voltage=[1.0, 2.0, 3.0, 4.0]).resample(0.05)
+    assert made.time == pytest.approx([0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3])
+    assert made.position == pytest.approx([0, 0.5, 1, 1.5, 2, 2.5, 3])
+    assert made.voltage.tolist() == [1, 1, 2, 2, 3, 3, 4]
+    with pytest.raises(InputError, match=r"^record: sample_time must lie in \(0, 0.3\] s, got -1$"):
+        record().resample(-1)
+
+
+def test_copy_with_other_settings():
+    assert record().with_({"controller": Controller(kp=58.7)}).controller.kp == 58.7
+    with pytest.raises(InputError, match=r"^record: no field named gain; known are command_unit, controller,"):
+        record().with_({"gain": 1})
+
+
+@given(st.integers(2, 60), st.floats(1e-5, 10.0), st.integers(1, 5))
+def test_resampling_on_its_own_grid_changes_nothing(n, h, seed):
+    rng = np.random.default_rng(seed)
+    made = record(
+        time=np.arange(n) * h, position=rng.normal(size=n), reference=rng.normal(size=n), voltage=rng.normal(size=n)
+    )
+    same = made.resample(made.sample_time)
+    kept = len(same)
+    assert kept >= n - 1
+    assert same.position == pytest.approx(made.position[:kept], abs=1e-6)
+    assert same.voltage == pytest.approx(made.voltage[:kept])
