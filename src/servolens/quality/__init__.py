@@ -1,0 +1,143 @@
+"""The health of a record: what its sampling, sensor, voltage and motion allow, told as findings.
+
+Every check is linear in the number of samples, and every threshold follows from the noise and the encoder step seen
+in the record itself, so that clean logs raise none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+from servolens.quality.loop import LoopFit, fit_loop, loop_findings
+from servolens.quality.motion import motion_findings
+from servolens.quality.sampling import Sampling, measure, sampling_findings
+
+if TYPE_CHECKING:
+    from servolens.findings import Finding
+    from servolens.record import Record
+
+__all__ = ["RecordQuality", "assess", "check"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordQuality:
+    """How good a record is.
+
+    Attributes
+    ----------
+    name : str
+        The record's.
+    samples : int
+        Number of samples.
+    sample_time, duration : float
+        [s]
+    usable : bool
+        False if a finding is an error: then nothing can be identified from the record.
+    jitter : float
+        Root mean square deviation of the sampling interval, lost samples apart [s].
+    lost_samples : int
+        Samples missing from the time grid.
+    noise : float
+        Standard deviation of the position's white noise [m or rad].
+    quantisation_step : float or None
+        Step in which the position is seen to move; None where it is finer than the noise shows.
+    travel, top_speed : float
+        Range of the position [m or rad]; largest speed over ten samples [m/s or rad/s].
+    voltage_range : tuple of float or None
+        Least and largest logged voltage [the record's command unit].
+    fitted_kp, fitted_kd, law_misfit : float or None
+        Gains that the logged voltage fits best, and what they leave of it, as a share of its root mean square; None
+        where voltage or reference is missing.
+    findings : tuple of Finding
+        The reader's remarks, then what was seen here.
+    """
+
+    name: str
+    samples: int
+    sample_time: float
+    duration: float
+    usable: bool
+    jitter: float
+    lost_samples: int
+    noise: float
+    quantisation_step: float | None
+    travel: float
+    top_speed: float
+    voltage_range: tuple[float, float] | None
+    fitted_kp: float | None
+    fitted_kd: float | None
+    law_misfit: float | None
+    findings: tuple[Finding, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Return the record's entry of the check schema; the findings stand beside the records there."""
+        return {
+            field: list(value) if isinstance(value := getattr(self, field), tuple) else value
+            for field in self.__slots__
+            if field != "findings"
+        }
+
+
+def assess(record: Record) -> RecordQuality:
+    """Measure the record's quality and say what is wrong with it.
+
+    Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``repeated_samples``, ``frozen_position``,
+    ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
+    ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
+    ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``gains_unknown``, ``no_reference``,
+    ``voltage_reconstructed``.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> quality = assess(lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1))
+    >>> quality.usable, quality.findings
+    (True, ())
+    """
+    sampling = measure(record)
+    fit = fit_loop(record, sampling)
+    seen = (
+        *sampling_findings(record, sampling),
+        *motion_findings(record, sampling),
+        *loop_findings(record, fit),
+    )
+    findings = (*record.remarks, *(replace(finding, record=record.name) for finding in seen))
+    return _quality(record, sampling, fit, findings)
+
+
+def check(record: Record) -> tuple[Finding, ...]:
+    """Return the findings of :func:`assess`.
+
+    Examples
+    --------
+    >>> from servolens.record import Controller, Record
+    >>> time = [0.001 * k for k in range(100)]
+    >>> still = Record(time=time, position=[0.0] * 100, reference=[0.1] * 100, controller=Controller(kp=60))
+    >>> [finding.code for finding in check(still) if finding.severity == "error"]
+    ['constant_position']
+    """
+    return assess(record).findings
+
+
+def _quality(record: Record, sampling: Sampling, fit: LoopFit | None, findings: tuple[Finding, ...]) -> RecordQuality:
+    voltage = record.voltage
+    return RecordQuality(
+        name=record.name,
+        samples=len(record),
+        sample_time=sampling.sample_time,
+        duration=record.duration,
+        usable=all(finding.severity != "error" for finding in findings),
+        jitter=sampling.jitter,
+        lost_samples=sampling.lost,
+        noise=sampling.noise,
+        quantisation_step=sampling.step,
+        travel=sampling.travel,
+        top_speed=sampling.top_speed,
+        voltage_range=None if voltage is None else (float(voltage.min()), float(voltage.max())),
+        fitted_kp=None if fit is None else fit.kp,
+        fitted_kd=None if fit is None else fit.kd,
+        law_misfit=None if fit is None else fit.misfit,
+        findings=findings,
+    )

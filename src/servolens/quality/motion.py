@@ -1,0 +1,201 @@
+"""What the axis does in a record: whether it moves enough, freezes, runs against its voltage, or runs away."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.control_law import controller_voltage
+from servolens.errors import InputError
+from servolens.findings import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from servolens.quality.sampling import Sampling
+    from servolens.record import Record
+
+__all__ = ["motion_findings"]
+
+MOST_SEGMENTS = 500
+"""A reference with more edges than this is a trajectory, not a series of steps."""
+
+
+def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield doubts about the motion; without motion there is nothing else to doubt."""
+    excitation = _excitation(record, seen)
+    if excitation is not None:
+        yield excitation
+    if excitation is not None and excitation.severity == "error":
+        return
+    yield from _freezing(record, seen)
+    yield from _against(record, seen)
+    yield from _growing(record, seen)
+
+
+def _excitation(record: Record, seen: Sampling) -> Finding | None:
+    """Compare travel and noise: white noise alone spans up to 12 of its standard deviations in a million samples."""
+    unit = record.length_unit
+    if seen.travel == 0:
+        message = f"the position is {record.position[0]:g} {unit} throughout; check the sensor, or log a step."
+        return Finding(code="constant_position", severity="error", message=message)
+    travel = f"the position moves by {seen.travel:.3g} {unit}"
+    if seen.travel < 12 * seen.noise + 2.5 * (seen.step or 0.0):
+        message = f"{travel}, no more than noise and encoder step make; log a larger step."
+        return Finding(code="weak_excitation", severity="error", message=message)
+    if record.voltage is not None and not record.voltage.any():
+        message = "the logged voltage is 0 throughout while the axis moves; log what the controller asks for."
+        return Finding(code="dead_voltage", severity="warning", message=message)
+    largest = max(seen.noise, seen.step or 0.0)
+    if seen.travel < 50 * largest:
+        message = f"{travel}, {seen.travel / largest:.0f} times noise or encoder step; 50 times and more tell the gain."
+        return Finding(code="weak_excitation", severity="warning", message=message)
+    return None
+
+
+def _freezing(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield samples that repeat while the axis moves, and stretches at whose end the position jumps.
+
+    The axis moves where it travels, on both sides of a sample and in one direction, by more than three encoder steps
+    a sample over four samples. There a clean log has fewer repetitions than movements by one step, whatever its noise.
+    """
+    y = record.position
+    if y.size < 20:
+        return
+    moves = np.diff(y)
+    still = moves == 0.0
+    if not still.any():
+        return
+    yield from _repeated(record, moves, still, seen)
+    yield from _frozen(record, moves, still, seen)
+
+
+def _repeated(
+    record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_], seen: Sampling
+) -> Iterator[Finding]:
+    y, w = record.position, 4
+    step = seen.step or 0.0
+    before, after = y[w:-w] - y[: -2 * w], y[2 * w :] - y[w:-w]
+    moving = (before * after > 0) & (np.minimum(np.abs(before), np.abs(after)) > 3 * w * step + 1e-4 * seen.travel)
+    inner = moves[w:-w] if moves.size > 2 * w else moves
+    moving = moving[: inner.size]
+    repeated = int(np.count_nonzero(moving & (inner == 0.0)))
+    single = int(np.count_nonzero(moving & (inner != 0.0) & (np.abs(inner) < 1.5 * step)))
+    total = int(np.count_nonzero(moving))
+    if repeated >= 10 and repeated > 0.01 * total and repeated > 3 * single:
+        message = (
+            f"{repeated} of {total} samples in motion repeat the position before them; the log is faster than its"
+            " source, log at the rate of the loop or state control_period."
+        )
+        yield Finding(code="repeated_samples", severity="warning", message=message)
+
+
+def _frozen(record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_], seen: Sampling) -> Iterator[Finding]:
+    """Yield stretches of five and more equal samples that end in a jump; an axis that breaks loose starts slowly."""
+    bounds = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
+    starts, ends = bounds[::2], bounds[1::2]
+    inside = (ends - starts >= 5) & (ends + 3 < moves.size)
+    starts, ends = starts[inside], ends[inside]
+    if starts.size == 0:
+        return
+    jump = np.abs(moves[ends])
+    later = np.max(np.abs(moves[ends[:, None] + np.arange(1, 4)]), axis=1)
+    torn = np.flatnonzero(jump > 3 * later + 4 * (seen.step or 0.0) + 8 * seen.noise)
+    if torn.size:
+        first = int(starts[torn[0]])
+        message = (
+            f"the position stands still for {int(ends[torn[0]]) - first} samples from {record.time[first]:g} s and then"
+            f" jumps by {jump[torn[0]]:.3g} {record.length_unit} ({torn.size} such places); check the sensor's link."
+        )
+        yield Finding(code="frozen_position", severity="warning", message=message)
+
+
+def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield an axis that accelerates against its voltage.
+
+    Second differences of the position over w samples are β times the voltage's, integrated twice, minus damping and a
+    constant; w grows until they stand out of the sensor's error. β must be negative and explain half of what the other
+    two leave.
+    """
+    voltage = _applied(record)
+    if voltage is None or not np.ptp(voltage) > 0:
+        return
+    y = record.position
+    integral = np.cumsum(np.cumsum(voltage - voltage.mean()))
+    w = 4
+    while 8 * w < y.size:
+        bend = y[2 * w :] - 2 * y[w:-w] + y[: -2 * w]
+        if np.std(bend) > 20 * seen.level:
+            break
+        w *= 3
+    else:
+        return
+    push = integral[2 * w :] - 2 * integral[w:-w] + integral[: -2 * w]
+    rows = slice(None, None, max(w // 2, bend.size // 100_000, 1))
+    share, sign = _partial(bend[rows], push[rows], (y[2 * w :] - y[: -2 * w])[rows])
+    if sign < 0 and share > 0.5:
+        message = "the axis accelerates against its voltage; check the signs of voltage, position and kp in the log."
+        yield Finding(code="wrong_sign", severity="warning", message=message)
+
+
+def _applied(record: Record) -> NDArray[np.float64] | None:
+    if record.voltage is not None:
+        return record.voltage
+    try:
+        return controller_voltage(record)
+    except InputError:
+        return None
+
+
+def _partial(
+    target: NDArray[np.float64], column: NDArray[np.float64], other: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Return the share of `target` that `column` explains beyond `other` and a constant, and its sign."""
+    other = other - other.mean()
+    size = float(other @ other)
+    left = []
+    for signal in (target, column):
+        centred = signal - signal.mean()
+        left.append(centred - (float(centred @ other) / size) * other if size > 0 else centred)
+    product = float(left[0] @ left[1])
+    scale = float(left[0] @ left[0]) * float(left[1] @ left[1])
+    return (product**2 / scale if scale > 0 else 0.0), float(np.sign(product))
+
+
+def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield the first constant reference about which the position swings wider and wider.
+
+    Four half swings in a row must grow, by 15 % together, and the last must stand out of noise and encoder step.
+    """
+    if record.reference is None:
+        return
+    edges = record.edges()
+    if edges.size > MOST_SEGMENTS:
+        return
+    small = max(6 * seen.noise, 3 * (seen.step or 0.0), 2e-3 * seen.travel)
+    bounds = [0, *edges.tolist(), len(record)]
+    for first, stop in pairwise(bounds):
+        if stop - first < 20:
+            continue
+        swings = _half_swings(record.position[first:stop] - record.reference[first], small)
+        last = swings[-4:]
+        if last.size == 4 and np.all(np.diff(last) > 0) and last[-1] > max(1.15 * last[0], 5 * small):
+            message = (
+                f"the oscillation after {record.time[first]:g} s grows from {last[0]:.3g} to {last[-1]:.3g}"
+                f" {record.length_unit} in four half swings; the loop is unstable, log with lower gains."
+            )
+            yield Finding(code="unstable_log", severity="warning", message=message)
+            return
+
+
+def _half_swings(error: NDArray[np.float64], small: float) -> NDArray[np.float64]:
+    """Return the largest |error| between changes of its sign; the last, which may be cut off, is left out."""
+    large = error[np.abs(error) > small]
+    if large.size == 0:
+        return np.empty(0)
+    changes = np.concatenate(([0], np.flatnonzero(np.diff(np.sign(large))) + 1))
+    return np.asarray(np.maximum.reduceat(np.abs(large), changes)[:-1])

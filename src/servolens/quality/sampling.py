@@ -1,0 +1,182 @@
+"""What the log's clock and the position sensor are like, and what of it is a doubt."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.findings import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from servolens.record import Record
+
+__all__ = ["Sampling", "measure", "sampling_findings"]
+
+FEWEST_SAMPLES = 20
+"""Five samples for each of the four unknowns of the smallest model."""
+SPEED_SPAN = 10
+MOST_DIFFERENCES = 200_000
+"""Differences that are looked at for the sensor's step."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """Clock and sensor of a record; see :class:`~servolens.quality.RecordQuality` for the units.
+
+    Attributes
+    ----------
+    sample_time, jitter, noise, travel, top_speed : float
+        Interval, its deviation, the position's noise, its range, its largest speed.
+    lost, gaps, first_gap : int
+        Samples lost, places where they are, the sample after the first of these.
+    step : float or None
+        Seen quantisation step.
+    level : float
+        Standard deviation of what the sensor adds: noise or quantisation, whichever is larger.
+    """
+
+    sample_time: float
+    jitter: float
+    lost: int
+    gaps: int
+    first_gap: int
+    noise: float
+    step: float | None
+    travel: float
+    top_speed: float
+
+    @property
+    def level(self) -> float:
+        """Standard deviation of what the sensor adds [m or rad]."""
+        return max(self.noise, (self.step or 0.0) / math.sqrt(12.0))
+
+
+def measure(record: Record) -> Sampling:
+    """Measure clock and sensor.
+
+    The noise is that of third differences (a cubic motion leaves none), by their median, so that edges do not count;
+    a gap is an interval longer than one and a half sample times.
+    """
+    intervals = np.diff(record.time)
+    h = record.sample_time
+    long = intervals > 1.5 * h
+    gaps = np.flatnonzero(long)
+    kept = intervals[~long] if gaps.size else intervals
+    y = record.position
+    span = min(SPEED_SPAN, y.size - 1)
+    return Sampling(
+        sample_time=h,
+        jitter=float(np.std(kept)) if kept.size else 0.0,
+        lost=int(np.sum(np.rint(intervals[gaps] / h) - 1)),
+        gaps=gaps.size,
+        first_gap=int(gaps[0]) + 1 if gaps.size else 0,
+        noise=_noise(y),
+        step=quantisation_step(y),
+        travel=float(np.ptp(y)),
+        top_speed=float(np.max(np.abs(y[span:] - y[:-span]) / (record.time[span:] - record.time[:-span]))),
+    )
+
+
+def quantisation_step(position: NDArray[np.float64]) -> float | None:
+    """Return the step in which the position moves, or None if its small movements share none.
+
+    The smallest movements are tried as the step: nearly all movements of up to ten steps must be whole multiples of
+    it within 0.15, where 0.3 of them would be by chance. At least twenty must be seen.
+    """
+    moves = _moves(position)
+    if moves.size < FEWEST_SAMPLES:
+        return None
+    few = np.partition(moves, FEWEST_SAMPLES - 1)[:FEWEST_SAMPLES]
+    for candidate in (float(few[-1]), float(few.min())):
+        small = moves[moves < 4.5 * candidate]
+        counts = np.rint(small / candidate)
+        if not counts.any():
+            continue
+        step = float(np.sum(counts * small) / np.sum(counts**2))
+        if _share_on_grid(moves[moves < 10.5 * step], step, 0.15) >= 0.98:
+            return step
+    return None
+
+
+def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield doubts about the clock and the sensor."""
+    if len(record) < FEWEST_SAMPLES:
+        message = f"the record has {len(record)} samples; at least {FEWEST_SAMPLES} are needed, log longer or faster."
+        yield Finding(code="too_few_samples", severity="error", message=message)
+    yield from _clock(record, seen)
+    yield from _encoder(record, seen)
+
+
+def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield gaps, and jitter where it displaces the moving axis by more than the sensor's own error."""
+    if seen.gaps:
+        where = record.time[seen.first_gap]
+        places = "one place" if seen.gaps == 1 else f"{seen.gaps} places"
+        message = (
+            f"{seen.lost} samples are lost in {places}, the first before {where:g} s; log without gaps, or cut there."
+        )
+        yield Finding(code="gaps", severity="warning", message=message)
+    moved = seen.top_speed * seen.jitter
+    felt = seen.jitter > 0.01 * seen.sample_time and moved > max(2 * seen.level, 1e-4 * seen.travel)
+    if felt or seen.jitter > 0.2 * seen.sample_time:
+        message = (
+            f"the sampling interval varies by {1e3 * seen.jitter:.3g} ms (rms) around {1e3 * seen.sample_time:.4g} ms,"
+            f" {moved:.2g} {record.length_unit} at top speed; log with the controller's clock."
+        )
+        yield Finding(code="jitter", severity="warning", message=message)
+
+
+def _encoder(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield a step that a 1 % band holds fewer than two of, and one that is not the stated encoder's."""
+    unit, stated = record.length_unit, record.encoder_resolution
+    if seen.step is not None and seen.step > 0.00501 * record.step_size > 0:
+        message = (
+            f"the position moves in steps of {seen.step:.3g} {unit}, {100 * seen.step / record.step_size:.2g} % of the"
+            " step; a 1 % band is hardly seen, use a finer encoder or larger steps."
+        )
+        yield Finding(code="coarse_quantisation", severity="warning", message=message)
+    if stated is not None and _contradicts(record.position, stated, seen.step):
+        found = "in finer steps than that" if seen.step is None else f"in steps of {seen.step:.4g} {unit}"
+        message = (
+            f"encoder_resolution is stated as {stated:g} {unit}, but the position moves {found};"
+            " correct it, or leave it out."
+        )
+        yield Finding(code="encoder_contradicts_log", severity="warning", message=message)
+
+
+def _contradicts(position: NDArray[np.float64], stated: float, seen: float | None) -> bool:
+    """Tell whether small movements are no multiples of the stated step; a log may round finer than a quarter of it."""
+    if seen is not None and seen > 1.5 * stated:
+        return True
+    moves = _moves(position)
+    small = moves[moves < 4.5 * stated]
+    rounding = 1.1 * seen / stated if seen is not None and seen < 0.25 * stated else 0.0
+    return small.size >= FEWEST_SAMPLES and _share_on_grid(small, stated, max(0.15, rounding)) < 0.9
+
+
+def _share_on_grid(moves: NDArray[np.float64], step: float, tolerance: float) -> float:
+    if moves.size < FEWEST_SAMPLES:
+        return 0.0
+    counts = moves / step
+    return float(np.mean(np.abs(counts - np.rint(counts)) <= tolerance))
+
+
+def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sizes of movements from sample to sample, those within rounding left out."""
+    moves = np.abs(np.diff(position))
+    moves = moves[moves > 16 * np.spacing(np.max(np.abs(position)))]
+    return np.asarray(moves[:: max(moves.size // MOST_DIFFERENCES, 1)])
+
+
+def _noise(position: NDArray[np.float64]) -> float:
+    if position.size < FEWEST_SAMPLES:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(np.diff(position, 3))) / np.sqrt(20.0))

@@ -1,0 +1,455 @@
+"""Quality: clean logs raise nothing, each defect raises its own finding, and real logs are judged as they are known."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.quality import assess, check
+from servolens.quality.sampling import quantisation_step
+from servolens.reading import read_record
+from servolens.record import Controller, Record
+
+DATA = Path(os.environ.get("SERVOLENS_DATA", Path(__file__).parents[2] / "shared" / "data"))
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data are not here (SERVOLENS_DATA)")
+
+
+def simulated(
+    *,
+    beta=1.9,
+    c=6.0,
+    kp=60.0,
+    kd=0.0,
+    encoder=1e-5,
+    noise=0.0,
+    h=1e-3,
+    edge=0,
+    share=1.0,
+    seed=0,
+    limit=math.inf,
+    dead=0.0,
+    delay=0,
+    force=None,
+):
+    """The digital PD loop on ÿ = βa(V) − cẏ − force, solved from sample to sample; exactly, if there is no force."""
+    rng = np.random.default_rng(seed)
+    n = round(1.5 / h)
+    reference = np.where(np.arange(n) < edge, 0.0, 0.1)
+    decay = math.exp(-c * h)
+    travelled = (1 - decay) / c
+    y, v, d, before = 0.0, 0.0, 0.0, None
+    positions, voltages = [], []
+    for k in range(n):
+        seen = y + noise * rng.normal()
+        if encoder:
+            seen = round(seen / encoder) * encoder
+        d += share * ((0.0 if before is None else (seen - before) / h) - d)
+        before = seen
+        asked = kp * (reference[k] - seen) - kd * d
+        positions.append(seen)
+        voltages.append(asked)
+        given = voltages[max(k - delay, 0)]
+        push = beta * math.copysign(max(min(abs(given), limit) - dead, 0.0), given)
+        final = (push - (force(y, v) if force else 0.0)) / c
+        y, v = y + final * h + (v - final) * travelled, final + (v - final) * decay
+    return Record(
+        time=np.arange(n) * h,
+        position=positions,
+        reference=reference,
+        voltage=voltages,
+        controller=Controller(kp=kp, kd=kd, derivative_filter=share),
+        encoder_resolution=encoder or None,
+    )
+
+
+def codes(record):
+    return [finding.code for finding in check(record)]
+
+
+def only(record):
+    """The one finding, whose message is one line."""
+    (finding,) = check(record)
+    assert finding.message.isprintable()
+    assert finding.message.endswith(".")
+    return finding
+
+
+def drawn(seed):
+    """A random healthy axis and log: encoder 1 to 100 µm or none, noise up to 30 µm, a loop that is stable."""
+    rng = np.random.default_rng(seed)
+    axis = {"beta": rng.uniform(0.5, 5), "c": rng.uniform(2, 20)}
+    kp, kd = rng.uniform(20, 150), float(rng.choice([0.0, rng.uniform(0, 10)]))
+    h = float(rng.choice([5e-4, 1e-3, 2e-3]))
+    if axis["c"] + axis["beta"] * kd < 4 * h * axis["beta"] * kp:  # the delay of sampling eats the damping
+        kp /= 10
+    encoder = 0.0 if rng.random() < 0.2 else 10 ** rng.uniform(-6, -4)
+    noise = float(rng.choice([1e-6, 1e-5, 3e-5])) if encoder == 0 else float(rng.choice([0, 1e-6, 1e-5, 3e-5]))
+    edge, share = int(rng.choice([0, 100])), float(rng.choice([1.0, 0.3]))
+    return simulated(**axis, kp=kp, kd=kd, encoder=encoder, noise=noise, h=h, edge=edge, share=share, seed=seed)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_clean_log_raises_nothing(seed):
+    assert codes(drawn(seed)) == []
+
+
+@pytest.mark.parametrize("truth", [lab.NLM1, lab.NLM2, lab.NLM3], ids=["NLm1", "NLm2", "NLm3"])
+def test_laboratory_raises_nothing(truth):
+    records = (*lab.paper_campaign(truth, seed=1), *lab.table_one(truth, seed=2))
+    assert [codes(record) for record in records] == [[]] * len(records)
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(60, 0), (60, 5)])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"dead": 0.5},
+        {"delay": 5},
+        {"limit": 4.0},
+        {"force": lambda y, v: 0.8 * math.tanh(v / 1e-3)},
+        {"force": lambda y, v: 20.0 * y},
+        {"force": lambda y, v: 1.0},
+        {"force": lambda y, v: 2.0 * math.sin(2 * math.pi * y / 0.01)},
+        {"force": lambda y, v: 20.0 * math.exp(-20 * abs(v)) * v},
+    ],
+    ids=["dead zone", "delay", "saturation", "friction", "spring", "tilt", "cogging", "varying damping"],
+)
+def test_what_the_axis_lacks_is_no_fault_of_the_log(effect, kp, kd):
+    assert codes(simulated(kp=kp, kd=kd, noise=1e-5, **effect)) == []
+
+
+def test_axis_that_sticks_is_no_fault_of_the_log():
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 4.0}})
+    for encoder in (1e-6, 1e-5, 1e-4):
+        assert codes(lab.step_record(truth, 60, noise=0.0, encoder=encoder, seed=3)) == []
+
+
+def test_measures_are_those_of_the_log():
+    quality = assess(simulated(encoder=0.0, noise=1e-5, kd=2.0))
+    assert quality.noise == pytest.approx(1e-5, rel=0.1)
+    assert quality.quantisation_step is None
+    assert (quality.samples, quality.usable, quality.lost_samples) == (1500, True, 0)
+    assert quality.sample_time == pytest.approx(1e-3)
+    assert quality.jitter < 1e-12
+    assert (quality.fitted_kp, quality.fitted_kd) == (pytest.approx(60, rel=1e-6), pytest.approx(2, rel=1e-6))
+    assert quality.law_misfit < 1e-9
+    assert quality.voltage_range[1] == pytest.approx(6.0, abs=0.1)
+    assert 0.09 < quality.travel < 0.2
+
+
+def test_assessment_is_plain_json():
+    entry = assess(simulated()).to_json()
+    assert json.loads(json.dumps(entry, allow_nan=False)) == entry
+    assert entry["usable"] is True
+    assert "findings" not in entry
+
+
+@pytest.mark.parametrize("step", [1e-6, 4.84e-5, 1e-4])
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+def test_quantisation_step_is_seen(step, noise):
+    assert quantisation_step(simulated(encoder=step, noise=noise).position) == pytest.approx(step, rel=0.01)
+
+
+def test_quantisation_step_is_seen_through_print_rounding():
+    position = np.round(simulated(encoder=4.84e-5).position, 6)
+    assert quantisation_step(position) == pytest.approx(4.84e-5, rel=0.02)
+
+
+# ---- clock
+
+
+def cut(record, keep):
+    signals = ("time", "position", "reference", "voltage")
+    return record.with_({signal: getattr(record, signal)[keep].copy() for signal in signals})
+
+
+def test_lost_samples_are_counted():
+    record = simulated(encoder=0.0, noise=1e-6)
+    finding = only(cut(record, np.delete(np.arange(1500), [700, 701, 900])))
+    assert (finding.code, finding.severity, finding.record) == ("gaps", "warning", "record")
+    assert finding.message.startswith("3 samples are lost in 2 places, the first before 0.702 s;")
+
+
+def test_jitter_counts_where_it_moves_the_axis():
+    record = simulated()
+    rng = np.random.default_rng(1)
+    shaken = record.with_({"time": record.time + 2e-4 * rng.uniform(-1, 1, size=1500)})
+    assert only(shaken).code == "jitter"
+    rounded = record.with_({"time": np.round(record.time, 9) + 1e-9 * rng.uniform(-1, 1, size=1500)})
+    assert codes(rounded) == []
+
+
+def test_too_few_samples_are_unusable():
+    quality = assess(cut(simulated(), slice(0, 1500, 100)))
+    assert "too_few_samples" in [finding.code for finding in quality.findings]
+    assert not quality.usable
+
+
+# ---- sensor
+
+
+def test_coarse_encoder_is_said():
+    finding = only(simulated(encoder=1e-3))
+    assert finding.code == "coarse_quantisation"
+    assert "0.001 m, 1 % of the step" in finding.message
+
+
+@pytest.mark.parametrize(("stated", "code"), [(1e-5, None), (2e-6, True), (7e-5, True)])
+def test_encoder_that_is_not_the_stated_one_is_said(stated, code):
+    record = simulated(encoder=1e-5, noise=1e-5).with_({"encoder_resolution": stated})
+    assert codes(record) == (["encoder_contradicts_log"] if code else [])
+
+
+def test_encoder_of_a_rounded_log_is_believed():
+    record = simulated(encoder=4.84e-5)
+    rounded = record.with_({"position": np.round(record.position, 6)})
+    assert "encoder_contradicts_log" not in codes(rounded)
+
+
+def test_repeated_samples_are_said():
+    record = simulated(encoder=1e-6)
+    held = np.repeat(np.arange(0, 1500, 3), 3)
+    slow = record.with_({"position": record.position[held].copy(), "voltage": record.voltage[held].copy()})
+    assert "repeated_samples" in codes(slow)
+
+
+def test_sensor_that_freezes_is_said():
+    record = simulated(encoder=1e-6)
+    position = record.position.copy()
+    position[100:130] = position[100]
+    (finding,) = [f for f in check(record.with_({"position": position})) if f.code == "frozen_position"]
+    assert finding.message.startswith("the position stands still for 29 samples from 0.1 s and then jumps by ")
+
+
+# ---- motion
+
+
+def test_constant_position_is_unusable():
+    quality = assess(simulated().with_({"position": np.full(1500, 0.02)}))
+    error = [finding for finding in quality.findings if finding.severity == "error"]
+    assert [finding.code for finding in error] == ["constant_position"]
+    assert error[0].message == "the position is 0.02 m throughout; check the sensor, or log a step."
+    assert not quality.usable
+
+
+def test_noise_alone_is_unusable():
+    position = 1e-5 * np.random.default_rng(0).normal(size=1500)
+    quality = assess(simulated(encoder=0.0, noise=1e-6).with_({"position": position}))
+    assert [f.code for f in quality.findings if f.severity == "error"] == ["weak_excitation"]
+
+
+def test_small_motion_is_a_warning():
+    record = simulated(encoder=1e-5)
+    small = np.round(record.position / 400 / 1e-5) * 1e-5
+    (finding,) = [f for f in check(record.with_({"position": small})) if f.code == "weak_excitation"]
+    assert finding.severity == "warning"
+
+
+def test_dead_voltage_is_said():
+    record = simulated()
+    assert codes(record.with_({"voltage": np.zeros(1500)})) == ["dead_voltage"]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_wrong_sign_is_said(seed):
+    record = drawn(seed)
+    flipped = record.with_({"voltage": -record.voltage, "controller": None})
+    assert "wrong_sign" in codes(flipped)
+    mirrored = record.with_({"voltage": -record.voltage})
+    assert "wrong_sign" in codes(mirrored)
+    assert "gains_contradict_log" in codes(mirrored)
+
+
+def test_growing_oscillation_is_said():
+    finding = only(simulated(c=0.5, kp=400.0, kd=-1.0, encoder=1e-5))
+    assert finding.code == "unstable_log"
+    assert "grows from" in finding.message
+
+
+# ---- loop
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(60, 0), (58.7, 0.5), (56, 1.0)])
+@pytest.mark.parametrize("rounding", [0.0, 1e-3])
+def test_gains_that_are_not_the_log_s_are_named(kp, kd, rounding):
+    record = simulated(kp=58.7, kd=0.02)
+    if rounding:
+        record = record.with_({"voltage": np.round(record.voltage / rounding) * rounding})
+    finding = only(record.with_({"controller": Controller(kp=kp, kd=kd)}))
+    assert finding.code == "gains_contradict_log"
+    fitted = assess(record)
+    assert (fitted.fitted_kp, fitted.fitted_kd) == (pytest.approx(58.7, rel=1e-3), pytest.approx(0.02, abs=0.01))
+    if not rounding:
+        assert finding.message == (
+            f"the logged voltage fits kp = 58.7, kd = 0.02, not kp = {kp:.4g}, kd = {kd:.4g}; correct the stated gains."
+        )
+
+
+def test_ringing_after_an_edge_is_forgiven():
+    record = simulated(edge=200)
+    voltage = record.voltage.copy()
+    lag = np.arange(10)
+    voltage[200:210] += 3.0 * np.cos(2 * lag) * np.exp(-lag / 4)
+    assert codes(record.with_({"voltage": voltage})) == []
+
+
+def test_few_outliers_do_not_move_the_gains():
+    record = simulated()
+    voltage = record.voltage.copy()
+    voltage[np.arange(50, 1500, 97)] += 5.0
+    quality = assess(record.with_({"voltage": voltage}))
+    assert quality.fitted_kp == pytest.approx(60.0, rel=1e-4)
+    assert [finding.code for finding in quality.findings] == []
+
+
+def test_clipped_log_is_said_and_its_gains_still_verified():
+    record = simulated(limit=3.0)
+    clipped = record.with_({"voltage": np.clip(record.voltage, -3, 3)})
+    finding = only(clipped)
+    assert finding.code == "clipped_voltage"
+    assert finding.message.startswith("the logged voltage sits at its limits ")
+    assert assess(clipped).fitted_kp == pytest.approx(60, rel=1e-6)
+
+
+def test_asking_beyond_the_stated_limit_is_a_note():
+    finding = only(simulated(limit=3.0).with_({"voltage_limit": 3.0}))
+    assert (finding.code, finding.severity) == ("voltage_beyond_limit", "note")
+
+
+def test_voltage_that_follows_no_pd_law_is_said():
+    record = simulated()
+    rng = np.random.default_rng(0)
+    other = np.convolve(rng.normal(size=1500), np.ones(50) / 7, mode="same")
+    assert "law_contradicts_log" in codes(record.with_({"voltage": record.voltage + other}))
+
+
+@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+def test_shifted_voltage_is_said(shift):
+    record = simulated(kd=5.0, edge=100)
+    shifted = np.roll(record.voltage, shift)
+    (finding,) = [f for f in check(record.with_({"voltage": shifted})) if f.code == "voltage_shifted"]
+    when = "after" if shift > 0 else "before"
+    assert finding.message == f"the voltage is logged {abs(shift)} sample(s) {when} its position; shift the column."
+
+
+def test_slow_loop_is_judged_at_its_own_ticks():
+    record = simulated(kp=30.0)
+    ticks = np.maximum((np.arange(1500) - 2) // 5 * 5 + 2, 0)
+    voltage = (30 * (record.reference - record.position))[ticks]
+    slow = record.with_({"voltage": voltage, "controller": Controller(kp=30, control_period=0.005)})
+    assert "gains_contradict_log" not in codes(slow)
+    assert assess(slow).fitted_kp == pytest.approx(30, rel=1e-6)
+
+
+def test_unknown_gains_are_offered():
+    finding = only(simulated(kd=2.0).with_({"controller": None}))
+    assert (finding.code, finding.severity) == ("gains_unknown", "note")
+    assert finding.message == "the gains are not stated; the logged voltage fits kp = 60, kd = 2."
+
+
+def test_missing_signals_are_notes():
+    record = simulated()
+    assert [(f.code, f.severity) for f in check(record.with_({"reference": None}))] == [("no_reference", "note")]
+    assert [(f.code, f.severity) for f in check(record.with_({"voltage": None}))] == [("voltage_reconstructed", "note")]
+
+
+def test_remarks_of_the_reader_come_first(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("# kp = 60\n# colour = red\ntime,position,reference\n0,0,1\n1,0,1\n")
+    assert codes(read_record(path))[0] == "unknown_setting"
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 9, 19, 21])
+@pytest.mark.parametrize("scale", [0.0, 1e-300, 1.0, 1e15])
+def test_short_and_odd_records_are_judged_without_complaint(n, scale):
+    rng = np.random.default_rng(n)
+    record = Record(
+        time=np.cumsum(rng.uniform(0.1, 1, size=n)),
+        position=scale * rng.normal(size=n),
+        reference=scale * rng.normal(size=n),
+        voltage=scale * rng.normal(size=n),
+        controller=Controller(kp=scale, kd=1.0, derivative_window=7, derivative_filter=0.1),
+    )
+    json.dumps(assess(record).to_json(), allow_nan=False)
+
+
+def test_a_million_samples_take_less_than_a_second():
+    n = 1_000_000
+    rng = np.random.default_rng(0)
+    position = 0.1 * np.sin(np.arange(n) * 1e-3) + 1e-5 * rng.normal(size=n)
+    reference = np.where((np.arange(n) // 2000) % 2, 0.1, -0.1)
+    record = Record(
+        time=np.arange(n) * 1e-3,
+        position=np.round(position / 1e-5) * 1e-5,
+        reference=reference,
+        voltage=60 * (reference - np.round(position / 1e-5) * 1e-5),
+        controller=Controller(kp=60),
+    )
+    begin = time.perf_counter()
+    assess(record)
+    assert time.perf_counter() - begin < 1.5  # 0.2 s on a quiet machine
+
+
+def test_voltage_that_is_nothing_but_limits_has_no_gains():
+    position = np.concatenate((np.linspace(0, 1, 15), np.linspace(1, 0, 15)))
+    voltage = np.repeat([5.0, -5.0], 15)
+    record = Record(time=np.arange(30.0), position=position, voltage=voltage, reference=np.ones(30))
+    assert assess(record).fitted_kp is None
+
+
+# ---- measured data
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("file", "kp", "kd"), [("K1_7", 7, 0), ("K1_8", 8, 0), ("K1_9", 9, 0), ("k1k3_7", 7, 0.271), ("k1k3_9", 9, 0.377)]
+)
+def test_rotary_arm_gains_are_verified_in_spite_of_ringing(file, kp, kd):
+    columns = {"time": "t_ms", "position": "theta_rad", "velocity": "thetadot_rad_s", "reference": "ref_rad"}
+    record = read_record(
+        DATA / "cu_rotary_arm" / f"bh2017_rigidarm_{file}.csv",
+        columns={**columns, "voltage": "voltage_V"},
+        units={"time": "ms", "position": "rad"},
+        settings={"kp": kp, "kd": kd, "derivative": "velocity"},
+    )
+    assert codes(record) == []
+    quality = assess(record)
+    assert quality.fitted_kp == pytest.approx(kp, rel=0.005)
+    assert quality.fitted_kd == pytest.approx(kd, abs=0.01)
+    assert quality.quantisation_step == pytest.approx(1e-3, rel=0.01)
+
+
+EMPS = {"position": "qm", "reference": "qg", "voltage": "vir"}
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"kp": 38996, "kd": 243.45, "derivative_window": 2}, []),
+        ({"kp": 37000, "kd": 243.45, "derivative_window": 2}, ["gains_contradict_log"]),
+    ],
+    ids=["stated", "wrong"],
+)
+def test_ball_screw_gains_are_verified(settings, expected):
+    record = read_record(DATA / "emps" / "DATA_EMPS.mat", columns=EMPS, settings=settings)
+    assert codes(record) == expected
+    quality = assess(record)
+    assert quality.fitted_kp == pytest.approx(38996, rel=0.002)
+    assert quality.fitted_kd == pytest.approx(243.45, rel=0.002)
+
+
+@needs_data
+def test_ball_screw_pulses_are_missed_where_they_are_not_given():
+    settings = {"kp": 38996, "kd": 243.45, "derivative_window": 2}
+    path = DATA / "emps" / "DATA_EMPS_PULSES.mat"
+    assert codes(read_record(path, columns=EMPS, settings=settings)) == ["law_contradicts_log"]
+    with_pulses = read_record(path, columns={**EMPS, "feedforward": "pulses_N"}, settings=settings)
+    assert assess(with_pulses).law_misfit < 0.01
