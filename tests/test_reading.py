@@ -259,7 +259,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        ("", "is empty; a record is a header row and numbers"),
+        ("", "is empty; check how it was written"),
         ("\n \n", "holds no header row and no numbers"),
         ("# kp = 60\n", "holds no header row and no numbers"),
         (HEADER, "the header row is not followed by numbers"),

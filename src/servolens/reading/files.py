@@ -62,7 +62,7 @@ def read_bytes(path: Path, largest: int | None = None) -> bytes:
         except OSError as error:
             raise InputError(f"cannot be read: {(error.strerror or str(error)).lower()}") from error
     if not content:
-        raise InputError("is empty; a record is a header row and numbers")
+        raise InputError("is empty; check how it was written")
     if len(content) > limit:
         raise InputError(f"is longer than {limit / 2**20:.0f} MiB, the longest file that is read")
     return content
