@@ -13,9 +13,9 @@ from servolens.findings import Finding
 from servolens.identify.damping_law import fit_law, law_from_pieces
 from servolens.identify.integral import Pieces, assemble, solve_integral
 from servolens.identify.piecewise import varying_plant
-from servolens.identify.refine import Refinement, refine, refine_closed_loop
+from servolens.identify.refine import Refinement, closed_loop_rms, refine, refine_closed_loop
 from servolens.identify.segments import motion_segments
-from servolens.identify.smoothing import smoothing_window
+from servolens.identify.smoothing import smooth, smoothing_window
 from servolens.identify.uncertainty import integral_covariance
 from servolens.identify.varying import fit_varying, piece_duration
 from servolens.model import Model, Quantity
@@ -39,6 +39,8 @@ SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
 AT_NOISE = 3.0
 """Times the noise within which the law explains the records."""
+EXTRA_DAMPING, DECAYS, MOST_GRID_STARTS = (1.0, 10.0, 100.0), (3.0, 10.0, 30.0, 100.0), 3
+"""Starts of the closed-loop fit: α₁ over γ and α₂ times the highest speed; and how many of the best are refined."""
 SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
 BEYOND_THE_LAW = (
     "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to the "
@@ -229,7 +231,7 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
     refined = refine(start, used, held=[SHAPE], priors=priors, window=window)
     noise = max(s.noise for s in used)
     if refined.rms_error > AT_NOISE * noise and _can_close(runs):
-        refined = _best_in_closed_loop((start, refined.plant), runs, priors, noise)
+        refined = _best_in_closed_loop((_constant(runs, segments, {}).plant, start, refined.plant), runs, priors, noise)
         findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
     elif _depends_on_speed(refined):
         refined = refine(refined.plant, used, priors=priors, window=window)
@@ -253,11 +255,29 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
 def _best_in_closed_loop(
     starts: tuple[Plant, ...], runs: tuple[Record, ...], priors: Mapping[str, Prior], noise: float
 ) -> Refinement:
-    """Refine from several starts, the law's shape being the hard one; the best ends."""
-    law = starts[0].effects[0]
-    moderate = replace(starts[0], effects=(type(law)(alpha1=abs(starts[0].damping) + 1.0, alpha2=law.values[1] / 4.0),))
-    found = [refine_closed_loop(plant, runs, noise=noise, priors=priors) for plant in (*starts, moderate)]
+    """Refine from several starts, for the law's shape is the hard part; the best end counts."""
+    ranked = sorted(
+        ((closed_loop_rms(plant, runs), shape, plant) for shape in DECAYS for plant in _trials(starts, shape, runs)),
+        key=lambda trial: trial[0],
+    )
+    shapes = list(dict.fromkeys(shape for _, shape, _ in ranked))[:MOST_GRID_STARTS]
+    best = [next(plant for _, shape, plant in ranked if shape == wanted) for wanted in shapes]
+    found = [refine_closed_loop(plant, runs, noise=noise, priors=priors) for plant in (starts[-1], *best)]
     return min(found, key=lambda refined: refined.rms_error)
+
+
+def _trials(starts: tuple[Plant, ...], shape: float, runs: tuple[Record, ...]) -> list[Plant]:
+    """Return laws that decay at a share of the highest speed, of several sizes, on the base of each start."""
+    fastest = max(float(np.abs(smooth(r.time, r.position, 21)[1]).max()) for r in runs)
+    return [
+        replace(
+            start,
+            damping=abs(start.damping),
+            effects=(VelocityDecayDamping(alpha1=size * abs(start.damping), alpha2=shape / fastest),),
+        )
+        for start in starts
+        for size in EXTRA_DAMPING
+    ]
 
 
 def _depends_on_speed(refined: Refinement) -> bool:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Refinement", "refine", "refine_closed_loop"]
+__all__ = ["Refinement", "closed_loop_rms", "refine", "refine_closed_loop"]
 
 STEP = 1e-4
 MOST_ITERATIONS = 40
@@ -111,6 +111,16 @@ def refine_closed_loop(
     return _minimise(_Problem(plant, runs, held, dict(priors or {}), noise))
 
 
+def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
+    """Return the root mean square closed-loop error of `plant` on the steps [m or rad]; infinite if it is unstable."""
+    steps = [step for record in records for step in record.steps()]
+    try:
+        squares = [float(np.sum((simulate(plant, step).position - step.position) ** 2)) for step in steps]
+    except NumericalError:
+        return float(np.inf)
+    return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
+
+
 class _Run(Protocol):
     """A simulation to be compared with a measurement; `start` is its initial state, of size 0 if that is known."""
 
@@ -143,7 +153,7 @@ class _ClosedRun:
         self.start = np.empty(0)
         self.shifts: tuple[float, ...] = ()
 
-    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:  # noqa: ARG002 - it is known
+    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:
         return simulate(plant, self.record).position
 
 
