@@ -15,7 +15,7 @@ from servolens.bridge import SOLVER, closed_loop, held_response, to_control
 from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.plant import Plant
-from servolens.simulate.loop import simulate_continuous, simulate_voltage
+from servolens.simulation.loop import simulate_continuous, simulate_voltage
 
 DECAY = VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068)
 LINEAR = Plant(gain=1.8545, damping=6.1520)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from servolens.design import PDSpec, tune
 from servolens.effects import CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
-from servolens.identify import Prior, identify
-from servolens.identify.integral import Pieces, assemble, solve_integral
-from servolens.identify.regressors import regressor
-from servolens.identify.segments import motion_segments
-from servolens.identify.varying import fit_varying, ordering, piece_duration
+from servolens.identification import Prior, identify
+from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.regressors import regressor
+from servolens.identification.segments import motion_segments
+from servolens.identification.varying import fit_varying, ordering, piece_duration
 from servolens.lab import LM1, LM3, NLM1, NLM2, NLM3, Truth, step_record, step_records, table_one
 from servolens.plant import Plant
 from servolens.prediction import predict
@@ -144,7 +144,7 @@ def test_factor_of_the_pieces_equals_plain_least_squares(edges: list[int]) -> No
 def test_long_records_are_cut_without_changing_the_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     segments = motion_segments([step_record(LM1, 60.0, noise=1e-5, seed=1)])
     whole = solve_integral(assemble(segments)).x
-    monkeypatch.setattr("servolens.identify.integral.LONGEST_PIECE", 97)
+    monkeypatch.setattr("servolens.identification.integral.LONGEST_PIECE", 97)
     np.testing.assert_allclose(solve_integral(assemble(segments)).x, whole, rtol=1e-9)
 
 

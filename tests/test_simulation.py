@@ -17,7 +17,7 @@ from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
-from servolens.simulate import simulate, simulate_continuous, simulate_loop, simulate_voltage
+from servolens.simulation import simulate, simulate_continuous, simulate_loop, simulate_voltage
 
 LINEAR = Plant(gain=1.8545, damping=6.152)
 NLM1 = Plant(gain=1.9165, damping=5.9986, effects=(VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068),))
@@ -213,7 +213,7 @@ PROGRAM = """
 import numpy as np
 from servolens.plant import Plant
 from servolens.effects import CoulombFriction
-from servolens.simulate import simulate_voltage
+from servolens.simulation import simulate_voltage
 run = simulate_voltage(Plant(gain=2.0, damping=3.0, effects=(CoulombFriction(level=0.5),)), np.arange(50) * 1e-3, np.ones(50))
 print(repr(float(run.position[-1])))
 """

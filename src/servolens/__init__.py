@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from servolens.design import Comparison, Design, PDSpec, compare, tune
     from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
     from servolens.errors import InputError, NumericalError, ServolensError
-    from servolens.identify import Identification, Prior, identify
+    from servolens.identification import Identification, Prior, identify
     from servolens.model import Model, Quantity, read_model
     from servolens.plant import Plant
     from servolens.prediction import Prediction, predict
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.reading import read_record, record_from_dataframe, record_from_timeresponse
     from servolens.record import Controller, Record
     from servolens.report import write_report
-    from servolens.simulate import Simulation, simulate, simulate_continuous, simulate_loop, simulate_voltage
+    from servolens.simulation import Simulation, simulate, simulate_continuous, simulate_loop, simulate_voltage
 
 __version__ = "0.1.0"
 
@@ -29,7 +29,7 @@ _HOMES = {
     "design": ("Comparison", "Design", "PDSpec", "compare", "tune"),
     "effects": ("CoulombFriction", "Saturation", "VelocityDecayDamping"),
     "errors": ("InputError", "NumericalError", "ServolensError"),
-    "identify": ("Identification", "Prior", "identify"),
+    "identification": ("Identification", "Prior", "identify"),
     "model": ("Model", "Quantity", "read_model"),
     "plant": ("Plant",),
     "prediction": ("Prediction", "predict"),
@@ -37,7 +37,7 @@ _HOMES = {
     "reading": ("read_record", "record_from_dataframe", "record_from_timeresponse"),
     "record": ("Controller", "Record"),
     "report": ("write_report",),
-    "simulate": ("Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"),
+    "simulation": ("Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.simulate import simulate
+from servolens.simulation import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -74,7 +74,7 @@ def prediction_error(plant: Plant, record: Record) -> RecordError:
     Raises
     ------
     InputError, NumericalError
-        As :func:`servolens.simulate.simulate`.
+        As :func:`servolens.simulation.simulate`.
     """
     error = simulate(plant, record).position - record.position
     spread = float(np.linalg.norm(record.position - record.position.mean()))

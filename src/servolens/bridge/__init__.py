@@ -11,7 +11,7 @@ What python-control does with such systems, and what to do about it (version 0.1
 * A sign in the equations makes the stiff solvers return nonsense as success, or never return. Dry friction is therefore
   smoothed here, ``level·tanh(velocity / friction_width)``: a push below the level makes the axis creep, at up to a few
   times that speed, instead of holding it. With 1e-3 m/s that is 0.3 to 0.5 mm on a sticky cart's step of 1.5 s, and in
-  proportion for other widths. An axis that sticks is simulated by :func:`servolens.simulate.loop.simulate_loop`.
+  proportion for other widths. An axis that sticks is simulated by :func:`servolens.simulation.loop.simulate_loop`.
 * ``interconnect`` merges the parameters of all parts by name: of two plants with a ``gain`` each, both get the last
   one's. Give each its own `prefix`.
 * A name in ``params=`` that no system has is ignored.

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from servolens.commands.options import Recordings
     from servolens.findings import Finding
-    from servolens.identify import Prior
+    from servolens.identification import Prior
     from servolens.model import Model
     from servolens.record import Record
 
@@ -91,7 +91,7 @@ def priors_from(given: Sequence[tuple[str, float, float]]) -> dict[str, Prior]:
     InputError
         If a parameter is given twice.
     """
-    from servolens.identify import Prior
+    from servolens.identification import Prior
 
     names = [name for name, _, _ in given]
     twice = next((name for name in names if names.count(name) > 1), None)

@@ -77,7 +77,7 @@ def compare(
     check_outputs({"--json": json_file}, recordings.paths)
     from servolens.design import PDSpec
     from servolens.design import compare as compare_designs
-    from servolens.identify import identify
+    from servolens.identification import identify
     from servolens.summaries import comparison_summary
 
     wanted = PDSpec(**spec.given)

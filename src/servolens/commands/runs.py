@@ -99,7 +99,7 @@ def identify(
     if model == "varying" and (out or priors):
         what = "--out writes no time-varying model: it holds for its own step alone" if out else "--prior is for others"
         raise click.UsageError(f"{what}; choose --model constant, velocity or all")
-    from servolens.identify import identify as fit
+    from servolens.identification import identify as fit
     from servolens.summaries import identification_summary
 
     with progress_bar() as progress:

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.design.settle import design_horizon
 from servolens.dynamics import dynamics
-from servolens.simulate.loop import substeps_for
+from servolens.simulation.loop import substeps_for
 from servolens.solving import NonlinearProgram, minimise
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.design.spec import Response
 from servolens.record import Controller
-from servolens.simulate import Simulation, simulate_continuous, simulate_loop
+from servolens.simulation import Simulation, simulate_continuous, simulate_loop
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -16,8 +16,8 @@ from servolens.summary import Summary, Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.identify import Identification
-    from servolens.identify.varying import VaryingDamping
+    from servolens.identification import Identification
+    from servolens.identification.varying import VaryingDamping
     from servolens.model import Model
     from servolens.prediction import Prediction, RecordError
     from servolens.record import Record

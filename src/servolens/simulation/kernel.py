@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from servolens import __version__
-from servolens.simulate.codegen import kernel_source
+from servolens.simulation.codegen import kernel_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +26,7 @@ __all__ = ["cache_folder", "kernel"]
 
 @lru_cache(maxsize=256)
 def kernel(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> Callable[..., None]:
-    """Return the compiled ``run`` of :mod:`servolens.simulate.stepping` for the effects of `structure`."""
+    """Return the compiled ``run`` of :mod:`servolens.simulation.stepping` for the effects of `structure`."""
     import numba
 
     source = kernel_source(structure, continuous=continuous)

@@ -10,14 +10,14 @@ import numpy as np
 from servolens.effects import VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
-from servolens.identify.damping_law import fit_law, law_from_pieces
-from servolens.identify.integral import Pieces, assemble, solve_integral
-from servolens.identify.piecewise import varying_plant
-from servolens.identify.refine import Refinement, closed_loop_rms, refine, refine_closed_loop
-from servolens.identify.segments import motion_segments
-from servolens.identify.smoothing import smooth, smoothing_window
-from servolens.identify.uncertainty import integral_covariance
-from servolens.identify.varying import fit_varying, piece_duration
+from servolens.identification.damping_law import fit_law, law_from_pieces
+from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.piecewise import varying_plant
+from servolens.identification.refine import Refinement, closed_loop_rms, refine, refine_closed_loop
+from servolens.identification.segments import motion_segments
+from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.identification.uncertainty import integral_covariance
+from servolens.identification.varying import fit_varying, piece_duration
 from servolens.model import Model, Quantity
 from servolens.plant import Plant
 from servolens.prediction import RecordError, prediction_error
@@ -26,9 +26,9 @@ from servolens.record import Record
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servolens.identify.integral import Prior
-    from servolens.identify.segments import Segment
-    from servolens.identify.varying import VaryingDamping
+    from servolens.identification.integral import Prior
+    from servolens.identification.segments import Segment
+    from servolens.identification.varying import VaryingDamping
 
 __all__ = ["Identification", "identify"]
 

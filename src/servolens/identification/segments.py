@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
-from servolens.identify.smoothing import smooth, smoothing_window
+from servolens.identification.smoothing import smooth, smoothing_window
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

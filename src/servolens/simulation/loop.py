@@ -206,7 +206,7 @@ def _run(
     substeps: int,
     gains: tuple[float, ...] = (),
 ) -> Simulation:
-    from servolens.simulate.kernel import kernel
+    from servolens.simulation.kernel import kernel
 
     if not (held.size == reference.size == time.size):
         raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")

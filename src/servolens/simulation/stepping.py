@@ -1,7 +1,7 @@
 """One axis, stepped through its samples: the text of the compiled kernel.
 
 This module is not imported: its text is compiled by numba together with the `taylor` and `breakaway` that
-:mod:`servolens.simulate.codegen` derives from the plant's equation of motion, and so is free of calls it could not
+:mod:`servolens.simulation.codegen` derives from the plant's equation of motion, and so is free of calls it could not
 inline.
 
 A step is a Taylor series: third order where the motion is smooth. Each velocity reversal is found as the root of the

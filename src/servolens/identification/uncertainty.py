@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.identify.factors import whiten
+from servolens.identification.factors import whiten
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identify.integral import Pieces
-    from servolens.identify.segments import Segment
+    from servolens.identification.integral import Pieces
+    from servolens.identification.segments import Segment
 
 __all__ = ["correlation_factor", "integral_covariance", "robust_covariance"]
 
@@ -36,7 +36,7 @@ def integral_covariance(
     Parameters
     ----------
     segments, pieces
-        As given to :func:`servolens.identify.integral.assemble`, without further effects.
+        As given to :func:`servolens.identification.integral.assemble`, without further effects.
     estimate : ndarray, shape (d + 1,)
         [c₁ … c_d, β].
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.identify.factors import LONGEST_PIECE, segment_factor
-from servolens.identify.smoothing import value_weights
+from servolens.identification.factors import LONGEST_PIECE, segment_factor
+from servolens.identification.smoothing import value_weights
 from servolens.solving import ConstrainedLeastSquares, constrained_least_squares
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identify.segments import Segment
+    from servolens.identification.segments import Segment
     from servolens.solving import Constraint
 
 __all__ = ["Pieces", "Prior", "assemble", "segment_factors", "solve_integral", "stacked"]

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identify.factors import triangular_solution
-from servolens.identify.integral import Pieces, segment_factors, stacked
-from servolens.identify.smoothing import smooth, smoothing_window
-from servolens.identify.uncertainty import integral_covariance
+from servolens.identification.factors import triangular_solution
+from servolens.identification.integral import Pieces, segment_factors, stacked
+from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.identification.uncertainty import integral_covariance
 from servolens.solving import Constraint, constrained_least_squares
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identify.segments import Segment
+    from servolens.identification.segments import Segment
 
 __all__ = ["PieceFit", "VaryingDamping", "fit_pieces", "fit_varying", "ordering", "piece_duration"]
 

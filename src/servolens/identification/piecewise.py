@@ -13,7 +13,7 @@ from servolens.plant import Plant
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.identify.varying import VaryingDamping
+    from servolens.identification.varying import VaryingDamping
 
 __all__ = ["CAPACITY", "piecewise_damping", "varying_plant"]
 

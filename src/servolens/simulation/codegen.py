@@ -101,7 +101,7 @@ def kernel_source(structure: tuple[type[Effect], ...], *, continuous: bool) -> s
     acceleration = push - level * d.direction
     jerk = d.total_derivative(acceleration, acceleration)
     snap = d.total_derivative(jerk, acceleration)
-    text = resources.files("servolens.simulate").joinpath("stepping.py").read_text(encoding="utf-8")
+    text = resources.files("servolens.simulation").joinpath("stepping.py").read_text(encoding="utf-8")
     stepping = text.split(MARKER, 1)[1].replace("@njit\ndef run(", f"{SIGNATURE}\ndef run(")
     physics = [
         _function("taylor", inputs, [acceleration, jerk, snap]),

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 
 from servolens.errors import NumericalError
-from servolens.identify.smoothing import smooth
-from servolens.identify.uncertainty import robust_covariance
-from servolens.simulate.loop import simulate, simulate_voltage, substeps_for
+from servolens.identification.smoothing import smooth
+from servolens.identification.uncertainty import robust_covariance
+from servolens.simulation.loop import simulate, simulate_voltage, substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identify.integral import Prior
-    from servolens.identify.segments import Segment
+    from servolens.identification.integral import Prior
+    from servolens.identification.segments import Segment
     from servolens.plant import Plant
     from servolens.record import Record
 

@@ -13,18 +13,18 @@ import numpy as np
 
 from servolens.effects import VelocityDecayDamping
 from servolens.errors import InputError
-from servolens.identify.integral import assemble, solve_integral
-from servolens.identify.regressors import regressor
-from servolens.identify.smoothing import smooth
+from servolens.identification.integral import assemble, solve_integral
+from servolens.identification.regressors import regressor
+from servolens.identification.smoothing import smooth
 from servolens.plant import Plant
 from servolens.solving import Constraint
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from servolens.identify.integral import Prior
-    from servolens.identify.segments import Segment
-    from servolens.identify.varying import VaryingDamping
+    from servolens.identification.integral import Prior
+    from servolens.identification.segments import Segment
+    from servolens.identification.varying import VaryingDamping
 
 __all__ = ["fit_law", "law_from_pieces"]
 
