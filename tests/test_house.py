@@ -16,7 +16,7 @@ from servolens.effects import CATALOGUE
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "src" / "servolens"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-KERNEL_TEXT = PACKAGE / "simulate" / "stepping.py"  # text for the compiler, never imported: offers no names
+KERNEL_TEXT = PACKAGE / "simulation" / "stepping.py"  # text for the compiler, never imported: offers no names
 SLOW_TO_IMPORT = ("casadi", "control", "matplotlib", "numba", "pandas", "pint", "scipy")
 LONGEST_MODULE = 500
 LONGEST_FUNCTION = 50

@@ -149,7 +149,7 @@ class Model:
             )
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
-        except (KeyError, TypeError, AttributeError, ValueError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
@@ -166,10 +166,14 @@ def read_model(path: Path) -> Model:
         If the file cannot be read or is none.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is a folder or a device; give a file that `servolens identify --out` wrote")
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except ValueError:
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
     schema = data.get("schema") if isinstance(data, dict) else None
     if schema != SCHEMA:

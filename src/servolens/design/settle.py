@@ -45,8 +45,8 @@ def settling_time(
 
     Examples
     --------
-    >>> settling_time(np.arange(5.0), np.array([4.0, 2.0, -1.0, 0.5, 0.2]), 1.0)
-    2.0
+    >>> round(settling_time(np.arange(5.0), np.array([4.0, 2.0, 0.5, 0.5, 0.2]), 1.0), 3)
+    1.667
     """
     size = np.abs(error)
     outside = np.flatnonzero(size > tolerance)

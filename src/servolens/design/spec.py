@@ -12,6 +12,10 @@ from servolens.errors import InputError
 __all__ = ["Comparison", "Design", "PDSpec", "Response"]
 
 
+MOST_SAMPLES = 20_000
+"""Samples within a settling time; more would take minutes and show nothing new."""
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PDSpec:
@@ -71,6 +75,11 @@ class PDSpec:
             raise InputError(f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}")
         if self.control not in ("sampled", "continuous"):
             raise InputError(f"control must be 'sampled' or 'continuous', got {self.control!r}")
+        if self.settling_time > MOST_SAMPLES * self.sample_time:
+            raise InputError(
+                f"settling_time {self.settling_time:g} s is more than {MOST_SAMPLES} samples of {self.sample_time:g} s; "
+                "choose a longer sample_time"
+            )
         if self.settling_time < 3 * self.sample_time:
             raise InputError(
                 f"settling_time {self.settling_time:g} s is less than three samples of {self.sample_time:g} s"

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.segments import Segment
 
-__all__ = ["PieceFit", "VaryingDamping", "fit_pieces", "fit_varying", "ordering", "piece_duration"]
+__all__ = ["PieceFit", "VaryingDamping", "fit_pieces", "fit_varying", "ordering", "piece_duration", "within"]
 
 FEWEST_IN_PIECE = 8
 MOST_PIECES = 24
@@ -87,6 +87,7 @@ def fit_varying(
     duration: float | None = None,
     constraints: Sequence[Constraint] = (),
     delta: float | None = None,
+    bounds: tuple[float, float] | None = None,
 ) -> VaryingDamping:
     """Fit piecewise-constant damping with continuous position and velocity.
 
@@ -100,6 +101,8 @@ def fit_varying(
         On the unknowns ``[c₁ … c_n, β]``.
     delta : float, optional
         δ of eq. 18: damping may fall by at most δ [1/s] from piece to piece.
+    bounds : tuple of float, optional
+        Least and largest damping of a piece [1/s].
 
     Raises
     ------
@@ -109,7 +112,11 @@ def fit_varying(
     length = piece_duration(segments) if duration is None else duration
     shares, edges = _pieces(segments, length)
     count = edges.size - 1
-    wanted = [*constraints, *(ordering(count, delta) if delta is not None else ())]
+    wanted = [
+        *constraints,
+        *(ordering(count, delta) if delta is not None else ()),
+        *(within(count, *bounds) if bounds is not None else ()),
+    ]
     window = smoothing_window(length, _sample_time(segments))
     fit = fit_pieces(segments, shares, wanted, window)
     covariance, _ = integral_covariance(segments, shares, np.append(fit.damping, fit.gain))
@@ -166,6 +173,14 @@ def ordering(count: int, delta: float) -> tuple[Constraint, ...]:
     return tuple(
         Constraint(name=f"c{i + 1} − c{i + 2} < {delta:g}", coefficients={i: 1.0, i + 1: -1.0}, upper=delta)
         for i in range(count - 1)
+    )
+
+
+def within(count: int, low: float, high: float) -> tuple[Constraint, ...]:
+    """Return bounds on the damping of `count` pieces."""
+    return tuple(
+        Constraint(name=f"c{i + 1} in [{low:g}, {high:g}]", coefficients={i: 1.0}, lower=low, upper=high)
+        for i in range(count)
     )
 
 

@@ -161,7 +161,7 @@ def identify(
     1.91
     """
     runs = (records,) if isinstance(records, Record) else tuple(records)
-    _check(runs, model, priors or {})
+    _check(runs, model, priors or {}, delta)
     segments = motion_segments(runs)
     result = Identification(records=runs, findings=_reconstructed(runs))
     if model in ("all", "constant"):
@@ -173,7 +173,7 @@ def identify(
     return _with_errors(result)
 
 
-def _check(runs: tuple[Record, ...], model: str, priors: Mapping[str, Prior]) -> None:
+def _check(runs: tuple[Record, ...], model: str, priors: Mapping[str, Prior], delta: float | None) -> None:
     if not runs:
         raise InputError("no record was given; identification needs at least one")
     if model not in ("all", "constant", "varying", "velocity"):
@@ -182,6 +182,8 @@ def _check(runs: tuple[Record, ...], model: str, priors: Mapping[str, Prior]) ->
         kinds = sorted({getattr(run, unit) for run in runs})
         if len(kinds) > 1:
             raise InputError(f"records in {' and '.join(kinds)} cannot be identified together; convert one of them")
+    if delta is not None and not delta >= 0:
+        raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
     known = ["gain", "damping", *(f"{VelocityDecayDamping.name}.{p.name}" for p in VelocityDecayDamping.parameters())]
     for name, prior in priors.items():
         if name not in known:
@@ -215,7 +217,7 @@ def _with_varying(
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
     try:
-        return replace(result, varying=fit_varying(segments, duration=piece, delta=delta))
+        return replace(result, varying=fit_varying(segments, duration=piece, delta=delta, bounds=(0.0, np.inf)))
     except NumericalError as error:
         if wanted:
             raise
@@ -230,13 +232,14 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
     start = fit_law(used, window, _integral_priors(priors))
     refined = refine(start, used, held=[SHAPE], priors=priors, window=window)
     noise = max(s.noise for s in used)
+    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
     if refined.rms_error > AT_NOISE * noise and _can_close(runs):
-        refined = _best_in_closed_loop((_constant(runs, segments, {}).plant, start, refined.plant), runs, priors, noise)
+        starts = (_constant(runs, segments, {}).plant, start, refined.plant)
+        refined = _best_in_closed_loop(starts, runs, priors, noise)
         findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
     elif _depends_on_speed(refined):
         refined = refine(refined.plant, used, priors=priors, window=window)
-    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
-    if not _depends_on_speed(refined):
+    else:
         reasons[SHAPE] = "damping does not depend on speed within its error, so the rate of decay is not determined"
         findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[SHAPE]}."))
     if not refined.converged:
