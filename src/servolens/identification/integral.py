@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.errors import InputError
 from servolens.identification.factors import LONGEST_PIECE, segment_factor
 from servolens.identification.smoothing import value_weights
 from servolens.solving import ConstrainedLeastSquares, constrained_least_squares
@@ -101,6 +102,8 @@ def segment_factors(
     size = dampings + columns[0].shape[0] + 4
     factors = []
     for segment, share, force in zip(segments, pieces, columns, strict=True):
+        if share.edges[-1] != segment.time.size:
+            raise InputError(f"the pieces cover {share.edges[-1]} samples, the segment has {segment.time.size}")
         factor, weights = np.empty((size, size)), value_weights(min(window, segment.time.size))
         segment_factor(
             segment.time, segment.position, segment.voltage, force, weights, share.edges, share.groups, factor
