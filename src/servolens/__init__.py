@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from servolens.design import Comparison, Design, PDSpec, compare, tune
     from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
     from servolens.errors import InputError, NumericalError, ServolensError
-    from servolens.identification import Identification, Prior, identify
+    from servolens.identification import Identification, Prior, fit_effects, identify
     from servolens.model import Model, Quantity, read_model
     from servolens.plant import Plant
     from servolens.prediction import Prediction, predict
@@ -29,7 +29,7 @@ _HOMES = {
     "design": ("Comparison", "Design", "PDSpec", "compare", "tune"),
     "effects": ("CoulombFriction", "Saturation", "VelocityDecayDamping"),
     "errors": ("InputError", "NumericalError", "ServolensError"),
-    "identification": ("Identification", "Prior", "identify"),
+    "identification": ("Identification", "Prior", "fit_effects", "identify"),
     "model": ("Model", "Quantity", "read_model"),
     "plant": ("Plant",),
     "prediction": ("Prediction", "predict"),
@@ -65,6 +65,7 @@ __all__ = [
     "check",
     "closed_loop",
     "compare",
+    "fit_effects",
     "identify",
     "predict",
     "read_model",

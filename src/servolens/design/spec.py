@@ -77,8 +77,8 @@ class PDSpec:
             raise InputError(f"control must be 'sampled' or 'continuous', got {self.control!r}")
         if self.settling_time > MOST_SAMPLES * self.sample_time:
             raise InputError(
-                f"settling_time {self.settling_time:g} s is more than {MOST_SAMPLES} samples of {self.sample_time:g} s; "
-                "choose a longer sample_time"
+                f"settling_time {self.settling_time:g} s is more than {MOST_SAMPLES} samples of "
+                f"{self.sample_time:g} s; choose a longer sample_time"
             )
         if self.settling_time < 3 * self.sample_time:
             raise InputError(

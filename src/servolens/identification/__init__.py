@@ -1,6 +1,7 @@
 """Identification by the integral method, and its refinement."""
 
-from servolens.identification.workflow import Identification, identify
+from servolens.identification.effects_fit import fit_effects
 from servolens.identification.integral import Prior
+from servolens.identification.workflow import Identification, identify
 
-__all__ = ["Identification", "Prior", "identify"]
+__all__ = ["Identification", "Prior", "fit_effects", "identify"]

@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Refinement", "closed_loop_rms", "refine", "refine_closed_loop"]
+__all__ = ["AT_NOISE", "Refinement", "closed_loop_rms", "refine", "refine_closed_loop"]
 
 STEP = 1e-4
 MOST_ITERATIONS = 40
+AT_NOISE = 3.0
+"""Times the noise up to which a residual counts as explained."""
 
 
 @final
@@ -138,7 +140,7 @@ class _VoltageRun:
         value, slope = smooth(segment.time, segment.position, window)
         self.start = np.array([value[0], slope[0]])
         travel = 1e-4 * max(float(np.ptp(segment.position)), 1e-9)
-        self.shifts = (travel, travel / max(float(segment.time[-1]), 1e-3))
+        self.shifts: tuple[float, ...] = (travel, travel / max(float(segment.time[-1]), 1e-3))
 
     def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:
         begin = (float(start[0]), float(start[1]))

@@ -13,7 +13,7 @@ from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law, law_from_pieces
 from servolens.identification.integral import Pieces, assemble, solve_integral
 from servolens.identification.piecewise import varying_plant
-from servolens.identification.refine import Refinement, closed_loop_rms, refine, refine_closed_loop
+from servolens.identification.refine import AT_NOISE, Refinement, closed_loop_rms, refine, refine_closed_loop
 from servolens.identification.segments import motion_segments
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.uncertainty import integral_covariance
@@ -37,14 +37,12 @@ MOST_SAMPLES = 200_000
 """The law and its refinement use the first stretches of motion up to this many samples; so do the errors."""
 SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
-AT_NOISE = 3.0
-"""Times the noise within which the law explains the records."""
 EXTRA_DAMPING, DECAYS, MOST_GRID_STARTS = (1.0, 10.0, 100.0), (3.0, 10.0, 30.0, 100.0), 3
 """Starts of the closed-loop fit: α₁ over γ and α₂ times the highest speed; and how many of the best are refined."""
 SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
 BEYOND_THE_LAW = (
-    "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to the "
-    "closed-loop response as a whole; its intervals are those of the best law, not of the machine."
+    "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to "
+    "the closed-loop response as a whole; its intervals are those of the best law, not of the machine."
 )
 
 
@@ -325,7 +323,7 @@ def _beginnings(runs: tuple[Record, ...]) -> tuple[list[Record], list[Finding]]:
     for run in runs:
         if len(run) > MOST_SAMPLES:
             end = float(run.time[MOST_SAMPLES - 1])
-            message = f"the errors are those of its first {end - run.time[0]:g} s, of {run.duration:g} s."
+            message = f"the errors are those of its first {end - run.time[0]:.4g} s, of {run.duration:.4g} s."
             findings.append(Finding(code="not_all_data_used", severity="note", message=message, record=run.name))
             run = run.slice(float(run.time[0]), end)
         shown.append(run)

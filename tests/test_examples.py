@@ -1,0 +1,44 @@
+"""Every example runs; those on measured data are skipped where it is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "examples"
+DATA = Path(os.environ.get("SERVOLENS_DATA", FOLDER.parents[1] / "shared" / "data"))
+SAYS = {
+    "quickstart": "nonlinear model: kd = 3.8",
+    "python_control": "phase margin",
+    "cu_rotary_arm": "average, not used (held out)",
+    "emps": "Moving mass with Coulomb friction: 95.",
+    "kawata_arm": "this arm is a linear plant",
+    "kawata_cart": "the cause is another one",
+}
+MEASURED = {
+    "cu_rotary_arm": "cu_rotary_arm",
+    "emps": "emps",
+    "kawata_arm": "kawata_cart_arm",
+    "kawata_cart": "kawata_cart_arm",
+}
+
+
+def test_every_example_is_run() -> None:
+    assert {path.stem for path in FOLDER.glob("*.py") if not path.stem.startswith("_")} == set(SAYS)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in MEASURED else ()) for name in SAYS]
+)
+def test_example_says_what_it_found(name: str) -> None:
+    if name in MEASURED and not (DATA / MEASURED[name]).is_dir():
+        pytest.skip(f"measured data are missing: {DATA / MEASURED[name]}")
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / f"{name}.py")], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert SAYS[name] in done.stdout

@@ -1,0 +1,82 @@
+"""The paper's error measures, and fits of plants with given effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servolens.effects import CoulombFriction, Saturation
+from servolens.errors import InputError
+from servolens.identification import fit_effects
+from servolens.lab import LM1, NLM1, Truth, step_record, table_one
+from servolens.plant import Plant
+from servolens.prediction import predict, prediction_error
+
+LINEAR = Plant(gain=LM1.gain, damping=LM1.damping)
+
+
+def test_percent_error_is_the_mean_error_over_the_step() -> None:
+    record = step_record(LM1, 60.0, encoder=0.0)
+    off = record.with_({"position": record.position + np.where(record.time > 0, 0.0071, 0.0)})
+    error = prediction_error(LINEAR, off)
+    assert error.mean_abs_error == pytest.approx(0.0071, rel=1e-3)
+    assert error.percent_error == pytest.approx(7.1, rel=1e-3)
+    assert error.rms_error == pytest.approx(0.0071, rel=1e-3)
+
+
+def test_fit_percent_is_the_normalised_root_mean_square_error() -> None:
+    record = step_record(LM1, 60.0, encoder=0.0)
+    assert prediction_error(LINEAR, record).fit_percent == pytest.approx(100.0, abs=1e-3)
+    wrong = Plant(gain=1.0, damping=3.0)
+    from servolens.simulation import simulate
+
+    model = simulate(wrong, record).position
+    y = record.position
+    expected = 100.0 * (1.0 - np.linalg.norm(y - model) / np.linalg.norm(y - y.mean()))
+    assert prediction_error(wrong, record).fit_percent == pytest.approx(expected)
+
+
+def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:
+    up = step_record(LM1, 60.0, encoder=0.0)
+    down = step_record(LM1, 60.0, encoder=0.0, reference=(0.1, 0.0), duration=1.5).steps()[1]
+    assert down.step_size == pytest.approx(up.step_size, rel=1e-2)
+
+
+def test_table_has_a_row_a_record_and_a_column_a_model() -> None:
+    records = table_one(NLM1, 3)
+    table = predict({"Lm1": LINEAR, "same": LINEAR}, records)
+    assert table.models == ("Lm1", "same")
+    assert [row[0].name for row in table.errors] == [record.name for record in records]
+    assert table.average_percent[0] == table.average_percent[1]
+    assert table.average_percent[0] == pytest.approx(np.mean([row[0].percent_error for row in table.errors]))
+
+
+@pytest.mark.parametrize("kd", [0.0, 2.0])
+def test_coulomb_friction_is_recovered_within_three_standard_errors(kd: float) -> None:
+    cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    records = [step_record(cart, kp, kd, noise=1e-5, seed=int(kp)) for kp in (60.0, 100.0)]
+    found = fit_effects(records, [CoulombFriction(level=1.0)])
+    for name, true in (("gain", 1.9), ("damping", 6.0), ("coulomb_friction.level", 0.4)):
+        quantity = found.quantities[name]
+        assert quantity.stderr is not None
+        assert abs(quantity.value - true) < 3 * quantity.stderr
+        assert quantity.stderr < 0.01 * true
+
+
+def test_friction_is_found_from_the_voltage_alone() -> None:
+    cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    record = step_record(cart, 60.0, noise=1e-5, seed=1).with_({"reference": None, "controller": None})
+    level = fit_effects(record, [CoulombFriction(level=1.0)]).plant.effect("coulomb_friction")
+    assert level.level == pytest.approx(0.4, rel=0.05)  # type: ignore[union-attr]  # it was asked for
+
+
+def test_saturation_is_found_where_it_binds() -> None:
+    cart = Truth(gain=1.9, damping=6.0, effects={"saturation": {"limit": 4.0}})
+    records = [step_record(cart, kp, noise=1e-5, seed=int(kp)) for kp in (60.0, 100.0)]
+    found = fit_effects(records, [Saturation(limit=6.0)]).plant.effect("saturation")
+    assert found.limit == pytest.approx(4.0, rel=1e-2)  # type: ignore[union-attr]  # it was asked for
+
+
+def test_a_fit_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="no record was given"):
+        fit_effects([], [CoulombFriction(level=1.0)])
