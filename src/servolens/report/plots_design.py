@@ -1,0 +1,163 @@
+"""Figures of a design: settling time against the gain, and the step responses of its recommendations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from servolens.report.style import GREY, INK, LOOKS, axes_of, styled
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+
+    from servolens.report.curves import Curve, Role
+
+__all__ = ["Mark", "plot_settling_times", "plot_step_responses"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """A recommended gain and the settling time it has on a model.
+
+    Parameters
+    ----------
+    label : str
+        Beside the mark.
+    kd, settling_time : float
+        Where it stands [V s/m], [s].
+    role : Role
+        Its look.
+    """
+
+    label: str
+    kd: float
+    settling_time: float
+    role: Role
+
+
+@styled
+def plot_settling_times(
+    curves: Sequence[Curve],
+    intervals: Sequence[tuple[Role, Sequence[tuple[float, float]]]],
+    marks: Sequence[Mark],
+    *,
+    limit: float,
+    kd_unit: str = "V s/m",
+    top: float | None = None,
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw settling time against Kd.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Kd and settling time, a model each.
+    intervals : sequence of (Role, intervals)
+        Feasible gains of each model, shaded.
+    marks : sequence of Mark
+        Recommendations.
+    limit : float
+        The settling time asked for [s].
+    kd_unit : str
+        Unit of Kd.
+    top : float, optional
+        Upper end of the axis [s].
+    title : str
+        Above the axes.
+    ax : Axes, optional
+        Where; a new figure when None.
+    """
+    ax = axes_of(ax, 3.8)
+    for role, spans in intervals:
+        for low, high in spans:
+            ax.axvspan(low, high, color=LOOKS[role]["color"], alpha=0.13, linewidth=0, zorder=0)
+    ax.axhline(limit, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
+    for line in curves:
+        ax.plot(line.x, line.y, label=line.label or "_nolegend_", **{**LOOKS[line.role], "linestyle": "-"})
+    for mark in marks:
+        colour = LOOKS[mark.role]["color"]
+        meets = mark.settling_time <= limit * (1 + 1e-9)
+        ax.plot(
+            mark.kd,
+            mark.settling_time,
+            marker="o" if meets else "X",
+            markersize=8 if meets else 9,
+            color=colour,
+            markeredgecolor="white",
+            linestyle="none",
+            label=mark.label,
+            zorder=7,
+        )
+    ax.set(xlabel=f"Derivative gain Kd [{kd_unit}]", ylabel="Settling time [s]", title=title)
+    ax.set_ylim(0.0, top)
+    ax.margins(x=0.0)
+    if curves:
+        ax.set_xlim(float(curves[0].x[0]), float(curves[0].x[-1]))
+    ax.annotate(
+        f"asked for: {limit:g} s",
+        (0.0, limit),
+        xycoords=("axes fraction", "data"),
+        xytext=(4, -4),
+        textcoords="offset points",
+        va="top",
+        fontsize=8.5,
+        zorder=6,
+    )
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return ax
+
+
+@styled
+def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
+    curves: Sequence[Curve],
+    *,
+    reference: float,
+    band: float,
+    settling_time: float,
+    length_unit: str = "m",
+    zoom: tuple[float, float] | None = None,
+    title: str = "",
+    legend: bool = True,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw step responses with the band they have to stay in.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Time and position.
+    reference, band : float
+        Step [m or rad] and half width of the band as a fraction of it.
+    settling_time : float
+        From when on the band holds [s].
+    length_unit : str
+        Of the axis.
+    zoom : (float, float), optional
+        Times [s] between which only the surroundings of the band are shown; everything when None.
+    title : str
+        Above the axes.
+    legend : bool
+        Whether to name the curves.
+    ax : Axes, optional
+        Where; a new figure when None.
+    """
+    ax = axes_of(ax, 3.3)
+    low, high = reference * (1 - band), reference * (1 + band)
+    ax.axhspan(low, high, color="#009E73", alpha=0.16, linewidth=0, zorder=0)
+    ax.axvline(settling_time, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
+    ax.axhline(reference, color=GREY, linewidth=0.8, zorder=1)
+    for line in curves:
+        ax.plot(line.x, line.y, label=line.label or "_nolegend_", **LOOKS[line.role])
+    ax.set(xlabel="Time since the step [s]", ylabel=f"Position [{length_unit}]", title=title)
+    ax.margins(x=0.0)
+    if zoom is not None:
+        width = 3.0 * band * abs(reference)
+        ax.set_xlim(*zoom)
+        ax.set_ylim(reference - width, reference + width)
+    if legend:
+        ax.legend(loc="lower right", handlelength=3.2)
+    return ax
