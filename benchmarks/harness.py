@@ -60,10 +60,12 @@ def alternate(functions: Iterable[Callable[[], Any]], seconds: float = 1.0, leas
 
 def table(figures: Iterable[Figure]) -> str:
     """Return the figures as text."""
-    lines = [f"{'figure':<76}{'measured':>12} {'unit':<8}{'target':>10}"]
+    figures = list(figures)
+    width = max(len(f.name) for f in figures)
+    lines = [f"{'figure':<{width}}{'measured':>12} {'unit':<8}{'target':>10}"]
     for f in figures:
         bound = "" if f.target is None else f"{'≥' if f.better == 'higher' else '≤'} {f.target:g}"
-        lines.append(f"{f.name:<76}{f.value:>12.4g} {f.unit:<8}{bound:>10}  {f.verdict}".rstrip())
+        lines.append(f"{f.name:<{width}}{f.value:>12.4g} {f.unit:<8}{bound:>10}  {f.verdict}".rstrip())
     return "\n".join(lines)
 
 
