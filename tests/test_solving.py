@@ -24,7 +24,8 @@ def test_bounds_agree_with_scipy(seed: int, low: float, width: float) -> None:
     x, y, factor = problem(seed)
     scale = np.linalg.norm(x, axis=0)
     bounds = [
-        Constraint(name=f"x{i}", coefficients={i: float(scale[i])}, lower=low, upper=low + width + 1e-3) for i in range(6)
+        Constraint(name=f"x{i}", coefficients={i: float(scale[i])}, lower=low, upper=low + width + 1e-3)
+        for i in range(6)
     ]
     ours = constrained_least_squares(factor, bounds).x * scale
     theirs = lsq_linear(x / scale, y, bounds=(low, low + width + 1e-3), tol=1e-14, method="bvls").x
