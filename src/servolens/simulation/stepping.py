@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 
 # --- kernel ---
+HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
+
+
 @njit
 def reversal_time(c0: float, c1: float, c2: float, c3: float, h: float) -> float:
     """Root in (0, h] of c0 + c1 τ + c2 τ² + c3 τ³, which changes sign there: Newton kept inside its bracket."""
@@ -68,16 +71,16 @@ def advance(y: float, v: float, t: float, h: float, u: float, p: Any) -> tuple[f
         else:
             d = -1.0
         a, j, s = taylor(y, v, t, u, d, p)
-        after = v + left * (a + left * (j / 2.0 + left * s / 6.0))
+        after = v + left * (a + left * (HALF * j + left * SIXTH * s))
         if after * d > 0.0:
-            return y + left * (v + left * (a / 2.0 + left * (j / 6.0 + left * s / 24.0))), after
+            return y + left * (v + left * (HALF * a + left * (SIXTH * j + left * TWENTYFOURTH * s))), after
         if v == 0.0:
             if a * d <= 0.0:
                 return y, 0.0
-            tau = reversal_time(a, j / 2.0, s / 6.0, 0.0, left)
+            tau = reversal_time(a, HALF * j, SIXTH * s, 0.0, left)
         else:
-            tau = reversal_time(v, a, j / 2.0, s / 6.0, left)
-        y += tau * (v + tau * (a / 2.0 + tau * (j / 6.0 + tau * s / 24.0)))
+            tau = reversal_time(v, a, HALF * j, SIXTH * s, left)
+        y += tau * (v + tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s)))
         v = 0.0
         t += tau
         left -= tau
