@@ -133,8 +133,8 @@ def _draw_match(match: Match, above: Axes, below: Axes) -> list[str]:
 
 @styled
 def record_figure(key: str, records: Sequence[Record], caption: str) -> Drawing:
-    """Draw what was logged: position with its reference, and the command below, two records abreast."""
-    columns = min(len(records), 2)
+    """Draw what was logged: position with its reference, and the command below; two or three records abreast."""
+    columns = 3 if len(records) == 3 else min(len(records), 2)
     rows = -(-len(records) // columns)
     figure = new_figure(2.9 * rows)
     axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[1.7, 1.0] * rows)

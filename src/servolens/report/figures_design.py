@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.design import evaluate, step_response
+from servolens.design import settling_time, step_response
 from servolens.errors import NumericalError
 from servolens.report.content import Drawing
 from servolens.report.curves import curve
@@ -27,9 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["settling_figure", "steps_figure"]
 
-GAINS = 241
+GAINS = 201
 JUMP = 0.06
-"""A change of settling time from one gain to the next by this share of the time asked for is drawn as a gap."""
+"""A change of settling time from one gain to the next by this share of the loop's undamped period is a gap."""
 
 
 @styled
@@ -104,9 +103,9 @@ def steps_figure(key: str, comparison: Comparison, nonlinear: Plant, caption: st
 
 def _settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
     swing = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
-    patient = replace(spec, settling_time=max(spec.settling_time, swing))
-    times = np.array([_settles(plant, patient, float(kd)) for kd in gains])
-    jumps = np.flatnonzero(np.abs(np.diff(times)) > JUMP * spec.settling_time) + 1
+    watched = max(4.0 * spec.settling_time, 2.0 * swing)
+    times = np.array([_settles(plant, spec, float(kd), watched) for kd in gains])
+    jumps = np.flatnonzero(np.abs(np.diff(times)) > JUMP * swing) + 1
     return curve(label, np.insert(gains, jumps, np.nan), np.insert(times, jumps, np.nan), role)
 
 
@@ -118,11 +117,12 @@ def _highest(curves: Sequence[Curve], limit: float) -> float:
     return 1.1 * float(np.quantile(times, 0.5))
 
 
-def _settles(plant: Plant, spec: PDSpec, kd: float) -> float:
+def _settles(plant: Plant, spec: PDSpec, kd: float, watched: float) -> float:
     try:
-        found = evaluate(plant, spec, kd).settling_time
+        run = step_response(plant, spec, kd, watched)
     except NumericalError:
         return float("nan")
+    found = settling_time(run.time, (spec.reference - run.position) / abs(spec.reference), spec.band)
     return float("nan") if found is None else found
 
 
