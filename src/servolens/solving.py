@@ -73,13 +73,6 @@ class Constraint:
     lower: float = -np.inf
     upper: float = np.inf
 
-    def row(self, size: int) -> NDArray[np.float64]:
-        """Return the dense row over `size` unknowns."""
-        row = np.zeros(size)
-        for index, factor in self.coefficients.items():
-            row[index] = factor
-        return row
-
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,34 +119,44 @@ def constrained_least_squares(
     """
     p = factor.shape[0] - 1
     r, z = factor[:p, :p], factor[:p, p]
-    diagonal = np.abs(np.diag(r))
-    if p == 0 or diagonal.min() <= 1e-14 * np.linalg.norm(r, axis=0).max():
+    if p == 0 or np.abs(r.diagonal()).min() <= 1e-14 * np.abs(r).max():
         raise NumericalError("the data do not determine all unknowns of the fit: two of its columns are proportional")
-    free = np.asarray(np.linalg.solve(r, z), dtype=np.float64)
+    inverse = np.asarray(np.linalg.inv(r), dtype=np.float64)
+    free = inverse @ z
     if not constraints:
         return ConstrainedLeastSquares(x=free, active=(), multipliers=np.empty(0))
-    rows = np.stack([c.row(p) for c in constraints])
+    rows = _rows(constraints, p)
     lower = np.array([c.lower for c in constraints])
     upper = np.array([c.upper for c in constraints])
     values = rows @ free
     if np.all((values >= lower) & (values <= upper)):
         return ConstrainedLeastSquares(x=free, active=(), multipliers=np.zeros(len(constraints)))
-    return _nearest_point(r, free, rows, lower, upper, constraints)
+    return _nearest_point(inverse, free, rows, lower, upper, constraints)
+
+
+def _rows(constraints: Sequence[Constraint], size: int) -> NDArray[np.float64]:
+    """Return the constraints' coefficients, shape (constraints, size)."""
+    rows = np.zeros((len(constraints), size))
+    for i, constraint in enumerate(constraints):
+        for index, factor in constraint.coefficients.items():
+            rows[i, index] = factor
+    return rows
 
 
 def _nearest_point(
-    r: NDArray[np.float64],
+    inverse: NDArray[np.float64],
     free: NDArray[np.float64],
     rows: NDArray[np.float64],
     lower: NDArray[np.float64],
     upper: NDArray[np.float64],
     constraints: Sequence[Constraint],
 ) -> ConstrainedLeastSquares:
-    white = np.linalg.solve(r.T, rows.T).T
-    scale = np.linalg.norm(white, axis=1)
+    white = rows @ inverse
+    scale = np.sqrt((white * white).sum(axis=1))
     white = white / scale[:, None]
-    low, high = (lower - rows @ free) / scale, (upper - rows @ free) / scale
-    reach = max(float(np.abs(np.clip(0.0, low, high)).max()), 1e-300)
+    values = rows @ free
+    low, high = (lower - values) / scale, (upper - values) / scale
+    reach = max(float(low.max()), float(-high.min()), 1e-300)
     low, high = low / reach, high / reach
     guesses = (_solver_multipliers(plugin, white, low, high) for plugin in SOLVERS)
     for guess in chain(guesses, map(_least_distance_multipliers, [white], [low], [high])):
@@ -161,9 +164,7 @@ def _nearest_point(
         if found is not None:
             w, multipliers = found[0] * reach, found[1] * reach
             active = tuple(c.name for c, m in zip(constraints, multipliers, strict=True) if m != 0.0)
-            return ConstrainedLeastSquares(
-                x=free + np.linalg.solve(r, w), active=active, multipliers=multipliers / scale
-            )
+            return ConstrainedLeastSquares(x=free + inverse @ w, active=active, multipliers=multipliers / scale)
     raise _explain(white, low, high, constraints)
 
 
@@ -211,7 +212,7 @@ def _polish(
         on = sign != 0.0
         tight, target = white[on], np.where(sign > 0, high, low)[on]
         q, r = np.linalg.qr(tight.T)
-        if on.any() and np.abs(np.diag(r)).min() <= 1e-12:
+        if on.any() and np.abs(r.diagonal()).min() <= 1e-12:
             return None
         along = np.linalg.solve(r.T, target)
         w = q @ along
