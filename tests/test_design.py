@@ -111,6 +111,15 @@ def test_more_models_never_give_a_smaller_gain() -> None:
     assert both >= one  # type: ignore[operator]  # both are feasible
 
 
+def test_designs_may_run_in_several_threads() -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    alone = tune(MODELS["Lm1"], SPEC)
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda _: tune(MODELS["Lm1"], SPEC), range(8)))
+    assert all(design.kd == alone.kd and design.candidates == alone.candidates for design in together)
+
+
 def test_overshoot_limit_binds_and_holds() -> None:
     spec = PDSpec(kp=100.0, settling_time=0.9, overshoot=0.05)
     free, held = tune(MODELS["Lm1"], PDSpec(kp=100.0, settling_time=0.9)), tune(MODELS["Lm1"], spec)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -119,7 +121,7 @@ def plain_columns(segment, edges: list[int]) -> np.ndarray:
     double = np.concatenate([[0.0], np.cumsum(h * single[:-1] + 0.5 * h**2 * v[:-1])])
     slope = np.gradient(y, t, edge_order=2)
     columns = [np.ones_like(t), t]
-    for first, stop in zip(edges[:-1], edges[1:], strict=True):
+    for first, stop in pairwise(edges):
         last = min(stop, y.size - 1)
         rate = np.zeros_like(y)
         rate[first:last] = 0.5 * h[first:last] * (y[first:last] + y[first + 1 : last + 1] - 2 * y[first])

@@ -214,7 +214,8 @@ import numpy as np
 from servolens.plant import Plant
 from servolens.effects import CoulombFriction
 from servolens.simulation import simulate_voltage
-run = simulate_voltage(Plant(gain=2.0, damping=3.0, effects=(CoulombFriction(level=0.5),)), np.arange(50) * 1e-3, np.ones(50))
+plant = Plant(gain=2.0, damping=3.0, effects=(CoulombFriction(level=0.5),))
+run = simulate_voltage(plant, np.arange(50) * 1e-3, np.ones(50))
 print(repr(float(run.position[-1])))
 """
 

@@ -5,7 +5,7 @@ Signals are ``(n,)`` float64 in SI units (seconds, metres or radians, volts) and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
@@ -117,6 +117,11 @@ class Record:
     remarks : tuple of Finding
         What the reader noticed.
 
+    Attributes
+    ----------
+    sample_time : float
+        Median sampling interval [s].
+
     Raises
     ------
     InputError
@@ -137,6 +142,7 @@ class Record:
     length_unit: LengthUnit = "m"
     command_unit: str = "V"
     remarks: tuple[Finding, ...] = ()
+    sample_time: float = field(init=False)
 
     def __post_init__(self) -> None:
         for signal in SIGNALS:
@@ -149,7 +155,9 @@ class Record:
             value = getattr(self, signal)
             if value is not None:
                 _require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
-        _check_time(self.time, self.name)
+        steps = np.diff(self.time)
+        _check_time(self.time, steps, self.name)
+        object.__setattr__(self, "sample_time", float(np.median(steps)))
         _require(
             self.reference is not None or self.voltage is not None,
             f"{self.name}: neither reference nor voltage is given; log at least one of the two",
@@ -167,11 +175,6 @@ class Record:
 
     def __len__(self) -> int:
         return self.time.size
-
-    @property
-    def sample_time(self) -> float:
-        """Median sampling interval [s]."""
-        return float(np.median(np.diff(self.time)))
 
     @property
     def duration(self) -> float:
@@ -268,7 +271,7 @@ class Record:
 
     def with_(self, changes: Mapping[str, object]) -> Record:
         """Return a copy with other settings, e.g. ``record.with_({"controller": Controller(kp=58.7)})``."""
-        known = {field.name for field in fields(self)}
+        known = {item.name for item in fields(self) if item.init}
         unknown = sorted(set(changes) - known)
         _require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names
@@ -295,14 +298,28 @@ def _signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
     if not finite.all():
         k = int(np.argmin(finite))
         raise InputError(f"{record}: {name} must be finite; sample {k} is {array[k]}")
-    if array.flags.writeable:
-        array = array.copy() if array is value else array
-        array.flags.writeable = False
+    if _is_frozen(array):
+        return array
+    own = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and not np.may_share_memory(array, value))
+    return _frozen(array if own else array.copy())
+
+
+def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
+    array.flags.writeable = False
     return array
 
 
-def _check_time(time: NDArray[np.float64], record: str) -> None:
-    steps = np.diff(time)
+def _is_frozen(array: NDArray[np.float64]) -> bool:
+    """Tell whether nobody can write to the array's memory: it and all that it is a view of are read-only."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            return False
+        base = base.base
+    return base is None
+
+
+def _check_time(time: NDArray[np.float64], steps: NDArray[np.float64], record: str) -> None:
     if steps.min() <= 0:
         k = int(np.argmax(steps <= 0)) + 1
         verb = "repeats" if time[k] == time[k - 1] else "lies before"

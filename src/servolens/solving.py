@@ -7,6 +7,7 @@ conditioning of the data, and without active constraints the answer is R⁻¹ z 
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import chain
@@ -49,6 +50,8 @@ IPOPT: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
 }
+ONE_AT_A_TIME = threading.Lock()
+"""CasADi's solvers are kept and shared, and none of them may run twice at once."""
 FEASIBLE = 1e-9
 """Largest admissible violation of a constraint whose row has unit length, relative to the size of the unknowns."""
 
@@ -173,7 +176,8 @@ def _solver_multipliers(
 ) -> NDArray[np.float64]:
     """Ask one of CasADi's solvers for the multipliers; NaN where it fails."""
     solver = _conic(white.shape[1], white.shape[0], plugin)
-    return np.asarray(solver(h=np.eye(white.shape[1]), a=white, lba=low, uba=high)["lam_a"]).ravel()
+    with ONE_AT_A_TIME:
+        return np.asarray(solver(h=np.eye(white.shape[1]), a=white, lba=low, uba=high)["lam_a"]).ravel()
 
 
 def _least_distance_multipliers(
@@ -336,13 +340,14 @@ def minimise(
     parameters : array_like
         Values of p.
     """
-    solution = program.solver(
-        x0=start, lbx=bounds[0], ubx=bounds[1], lbg=constraint_bounds[0], ubg=constraint_bounds[1], p=parameters
-    )
+    with ONE_AT_A_TIME:
+        solution = program.solver(
+            x0=start, lbx=bounds[0], ubx=bounds[1], lbg=constraint_bounds[0], ubg=constraint_bounds[1], p=parameters
+        )
+        stats = program.solver.stats()
     values = np.asarray(solution["g"]).ravel()
     low, high = np.broadcast_to(constraint_bounds[0], values.shape), np.broadcast_to(constraint_bounds[1], values.shape)
     violation = float(np.max(np.maximum(low - values, values - high), initial=0.0))
-    stats = program.solver.stats()
     return NonlinearResult(
         x=np.asarray(solution["x"]).ravel(),
         success=bool(stats["success"]) and violation <= 1e-6,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import about, check_outputs, load_records, quality_findings
+from servolens.commands.files import about, check_outputs, load_records
 from servolens.commands.options import Documented, Recordings, SpecOptions, json_option, recordings, specification
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
@@ -70,9 +70,8 @@ def report(recordings: Recordings, spec: SpecOptions, out: str, json_file: str |
         records = load_records(recordings, outputs, progress)
         with about(*recordings.paths), _writing(Path(out)):
             body = write_report(Path(out), records, spec=wanted, progress=progress)
-        findings = quality_findings(records)
     if json_file:
-        write_json(json_file, "report", body, findings)
+        write_json(json_file, "report", body, [Finding(**finding) for finding in body["findings"]])
     click.echo(f"{out}: the report", err=json_file == STANDARD_OUTPUT)
     return 0
 

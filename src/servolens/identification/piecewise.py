@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CAPACITY", "piecewise_damping", "varying_plant"]
 
-CAPACITY = 24
+CAPACITY = 60
 
 
 def varying_plant(varying: VaryingDamping) -> Plant:
@@ -36,7 +36,7 @@ def piecewise_damping(edges: Sequence[float], damping: Sequence[float]) -> Effec
     ----------
     edges : sequence of float, length n + 1
         Increasing; time of the record.
-    damping : sequence of float, length n ≤ 24
+    damping : sequence of float, length n ≤ 60
         Added to the plant's own damping.
     """
     steps = [damping[0], *(after - before for before, after in pairwise(damping))]

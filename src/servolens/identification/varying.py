@@ -10,6 +10,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces, segment_factors, stacked
+from servolens.identification.piecewise import CAPACITY
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.uncertainty import integral_covariance
 from servolens.solving import Constraint, constrained_least_squares
@@ -225,8 +226,10 @@ def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], N
     if not 0 < length <= longest:
         raise InputError(f"a piece must last between 0 and {longest:g} s (the longest step), got {length:g} s")
     count = max(round(longest / length), 1)
-    if count > 10 * MOST_PIECES:
-        raise InputError(f"pieces of {length:g} s would be {count} over {longest:g} s; choose longer ones")
+    if count > CAPACITY:
+        raise InputError(
+            f"pieces of {length:g} s would be {count} over {longest:g} s, {CAPACITY} are possible; choose longer ones"
+        )
     inner = length * np.arange(count)
     inner = inner[[i == 0 or any(_moves(s, t, t + length) for s in segments) for i, t in enumerate(inner)]]
     shares = []

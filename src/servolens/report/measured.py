@@ -104,7 +104,7 @@ def write_report(
     Returns
     -------
     dict
-        The fields of ``servolens.report/1`` without the file's header.
+        The fields of ``servolens.report/1``, its findings included.
 
     Raises
     ------
@@ -139,7 +139,7 @@ def write_report(
     write_measured(path, measured)
     tell("report written", 5, 5)
     body: dict[str, Any] = to_finite(measured.to_json())
-    return body
+    return {**body, "findings": [finding.to_json() for finding in measured.findings]}
 
 
 def _held_out(records: Sequence[Record]) -> tuple[Prediction | None, list[Finding]]:

@@ -58,7 +58,7 @@ def _lead(measured: Measured) -> tuple[str, tuple[str, ...]]:
 
 
 def _data(measured: Measured) -> Section:
-    told = check_summary(measured.qualities)
+    told = check_summary(measured.qualities, length_unit=measured.records[0].length_unit)
     whole = measured.records[:MOST_DRAWN]
     drawn = [_excerpt(record) for record in whole]
     rest = len(measured.records) - len(drawn)

@@ -28,8 +28,8 @@ def demo_summary(results: Mapping[str, Any], folder: str) -> Summary:
     return Summary(
         title="Demo on the virtual cart",
         sentences=(
-            f"Predicting {len(table['gains'])} other gain pairs, each model is off by this share of the step on"
-            f" average: {'; '.join(averages)}.",
+            f"Over the {len(table['gains'])} gain pairs of Table I, one of which each model knows, it is off by this"
+            f" share of the step on average: {'; '.join(averages)}.",
             f"The page: {folder}/report.html; its numbers: {folder}/results.json.",
         ),
         tables=(_designs(results["design"]["sampled"]),),
