@@ -53,6 +53,27 @@ def test_virtual_cart_at_kp_60_shows_the_paper_s_rising_damping() -> None:
     assert np.diff(varying.edges)[0] == pytest.approx(0.15, abs=0.003)
 
 
+@pytest.mark.parametrize("duration", [0.7, 0.9, 3.0])
+def test_gain_of_the_varying_model_does_not_hang_on_noise_or_length(duration: float) -> None:
+    records = step_records(NLM1, 60.0, repeats=6, seed=314, noise=1e-5, encoder=25e-6, duration=duration)
+    gains = [identify(record, model="varying").varying.gain for record in records]  # type: ignore[union-attr]  # asked
+    np.testing.assert_allclose(gains, 1.9165, rtol=3e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_true_law_is_never_said_to_fall_short(noise: float) -> None:
+    record = step_record(NLM1, 60.0, noise=noise, encoder=0.0, seed=24 if noise else None)
+    fit = identify(record)
+    assert "beyond_the_law" not in {finding.code for finding in fit.findings}
+    assert len(fit.varying.damping) <= 10  # type: ignore[union-attr]  # model="all"
+
+
+def test_a_short_record_without_room_for_pieces_still_gives_models() -> None:
+    record = step_record(NLM1, 60.0, encoder=1e-5, duration=1.0).resample(0.02)
+    fit = identify(record.slice(0.0, 0.3))
+    assert fit.velocity is not None
+
+
 def test_three_carts_of_the_paper_agree_on_the_gain() -> None:
     gains = [
         identify(step_record(truth, kp, encoder=25e-6), model="varying").varying.gain  # type: ignore[union-attr]  # asked for

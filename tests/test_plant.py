@@ -92,6 +92,11 @@ def test_quantity_has_a_95_percent_interval_or_a_reason() -> None:
         ('{"schema": "servolens.design/1"}', "is not a model"),
         ('{"schema": "servolens.model/1"}', "'gain' is missing"),
         ('{"schema": "servolens.model/1", "gain": 3, "damping": 4}', "wrong type"),
+        (
+            '{"schema": "servolens.model/1", "gain": {"value": 1, "unit": "km/s^2/V"}, "damping": {"value": 1}}',
+            "gain is in 'km/s",
+        ),
+        ('{"schema": "servolens.model/1", "gain": {"value": "1"}, "damping": {"value": 1}}', "must be a number"),
         ('{"schema": "servolens.model/1", "gain": {"value": NaN}, "damping": {"value": 1}}', "gain must lie in"),
     ],
 )

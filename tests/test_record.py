@@ -77,7 +77,7 @@ def test_what_does_not_fit_together_is_refused(changes, sentence):
         ({"kd": float("inf")}, "kd must be finite, got inf"),
         ({"derivative_filter": 0.0}, "derivative_filter must lie in (0, 1], got 0.0"),
         ({"derivative_filter": 1.1}, "derivative_filter must lie in (0, 1], got 1.1"),
-        ({"derivative_window": 0}, "derivative_window must be at least 1, got 0"),
+        ({"derivative_window": 0}, "derivative_window must be a whole number of samples, at least 1, got 0"),
         ({"derivative_on": "x"}, "derivative_on must be 'measurement' or 'error', got 'x'"),
         ({"derivative": "x"}, "derivative must be 'position' or 'velocity', got 'x'"),
         ({"control_period": 0.0}, "control_period must be positive, got 0.0"),

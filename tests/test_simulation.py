@@ -99,6 +99,21 @@ def test_coulomb_friction_agrees_with_an_event_driven_reference() -> None:
     assert abs(run.position[-1] - final) < 1e-9
 
 
+def test_a_kick_within_one_sample_is_followed() -> None:
+    plant = Plant(gain=1.91, damping=3.799, effects=(VelocityDecayDamping(alpha1=15.2528, alpha2=5.9934),))
+    time = grid(0.3)
+    voltage = np.where(np.arange(time.size) == 100, 500.0, 0.0)
+    run = simulate_voltage(plant, time, voltage)
+
+    def motion(_: float, x: np.ndarray, u: float) -> list[float]:
+        return [x[1], 1.91 * u - (3.799 + 15.2528 * np.exp(-5.9934 * abs(x[1]))) * x[1]]
+
+    state = np.zeros(2)
+    for start, end, u in ((0.1, 0.101, 500.0), (0.101, 0.3, 0.0)):
+        state = solve_ivp(motion, (start, end), state, args=(u,), rtol=1e-12, atol=1e-14, method="DOP853").y[:, -1]
+    assert run.position[-1] == pytest.approx(state[0], abs=1e-7)
+
+
 def test_an_axis_below_breakaway_does_not_move_one_bit() -> None:
     time = grid(1000.0)
     voltage = 0.2 * np.sin(np.arange(time.size) * 0.1)  # 0.38 < 0.4

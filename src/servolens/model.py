@@ -135,18 +135,17 @@ class Model:
         """
         try:
             effects = tuple(
-                Plant.effect_from(
-                    str(item["effect"]), {str(k): float(q["value"]) for k, q in item["parameters"].items()}
-                )
+                Plant.effect_from(str(item["effect"]), {str(k): _value(q) for k, q in item["parameters"].items()})
                 for item in data.get("effects", ())
             )
             plant = Plant(
-                gain=float(data["gain"]["value"]),
-                damping=float(data["damping"]["value"]),
+                gain=_value(data["gain"]),
+                damping=_value(data["damping"]),
                 effects=effects,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
                 command_unit=str(data.get("command_unit", "V")),
             )
+            _check_units(data, plant)
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
@@ -182,6 +181,26 @@ def read_model(path: Path) -> Model:
         return Model.from_json(data)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _value(quantity: Mapping[str, Any]) -> float:
+    value = quantity["value"]
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"a value must be a number, got {str(value)[:40]!r}")
+    return float(value)
+
+
+def _check_units(data: Mapping[str, Any], plant: Plant) -> None:
+    """Refuse units other than those that servolens writes: a value in other units would be taken for SI."""
+    if plant.length_unit not in ("m", "rad"):
+        raise InputError(f"length_unit must be 'm' or 'rad', got {plant.length_unit[:40]!r}")
+    quantities = {"gain": data["gain"], "damping": data["damping"]}
+    for item in data.get("effects", ()):
+        quantities |= {f"{item['effect']}.{name}": q for name, q in item["parameters"].items()}
+    for name, quantity in quantities.items():
+        stated, expected = quantity.get("unit"), plant.unit(name)
+        if stated is not None and stated != expected:
+            raise InputError(f"{name} is in {str(stated)[:40]!r}; models are kept in SI, here {expected!r}")
 
 
 def _length_unit(data: Mapping[str, Any]) -> str:

@@ -65,12 +65,21 @@ class Controller:
     control_period: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("kp", "kd", "derivative_filter", "derivative_window", "control_period"):
+            value = getattr(self, name)
+            is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            _require(
+                is_number or (name == "control_period" and value is None), f"{name} must be a number, got {value!r}"
+            )
         _require(np.isfinite(self.kp), f"kp must be finite, got {self.kp!r}")
         _require(np.isfinite(self.kd), f"kd must be finite, got {self.kd!r}")
         _require(
             0 < self.derivative_filter <= 1, f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}"
         )
-        _require(self.derivative_window >= 1, f"derivative_window must be at least 1, got {self.derivative_window!r}")
+        _require(
+            self.derivative_window >= 1 and self.derivative_window == int(self.derivative_window),
+            f"derivative_window must be a whole number of samples, at least 1, got {self.derivative_window!r}",
+        )
         _require(
             self.derivative_on in ("measurement", "error"),
             f"derivative_on must be 'measurement' or 'error', got {self.derivative_on!r}",

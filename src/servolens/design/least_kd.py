@@ -133,6 +133,8 @@ class _Search:
 
     def reason(self) -> str:
         """Say why nothing is feasible, with the gain that comes closest."""
+        if any(model.gain < 0 for model in self.models):
+            return "the plant's gain is negative, so a positive kp drives the axis away; invert the command"
         best = min(self.worst, key=lambda kd: self.worst[kd])
         response = evaluate(self.models[0], self.spec, best) if np.isfinite(self.worst[best]) else None
         if response is None:

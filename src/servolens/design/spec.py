@@ -62,6 +62,7 @@ class PDSpec:
     derivative_filter: float = 1.0
 
     def __post_init__(self) -> None:
+        _check_numbers(self)
         for name in ("kp", "settling_time", "kd_max", "sample_time"):
             _check(name, getattr(self, name), 0.0, np.inf)
         _check("band", self.band, 0.0, 1.0)
@@ -214,6 +215,14 @@ class Comparison:
             "linear": {**self.linear.to_json(), "on_nonlinear": None if on is None else on.to_json()},
             "nonlinear": {**self.nonlinear.to_json(), "on_nonlinear": own},
         }
+
+
+def _check_numbers(spec: PDSpec) -> None:
+    for field in fields(spec):
+        value = getattr(spec, field.name)
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if field.name != "control" and not (is_number or (value is None and field.default is None)):
+            raise InputError(f"{field.name} must be a number, got {value!r}")
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:

@@ -88,7 +88,8 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
     fastest = max(float(np.abs(v).max()) for v in velocities)
     alpha2 = _search(lambda a: solve(a)[0], fastest)
     gamma, gain, alpha1 = solve(alpha2)[1]
-    return Plant(gain=gain, damping=gamma, effects=(VelocityDecayDamping(alpha1=alpha1, alpha2=alpha2),))
+    law_found = VelocityDecayDamping(alpha1=max(alpha1, 0.0), alpha2=alpha2)  # 0 is met to rounding
+    return Plant(gain=gain, damping=gamma, effects=(law_found,))
 
 
 def _search(cost: Callable[[float], float], fastest: float) -> float:

@@ -32,6 +32,8 @@ __all__ = ["AT_NOISE", "Refinement", "closed_loop_rms", "refine", "refine_closed
 
 STEP = 1e-4
 MOST_ITERATIONS = 40
+NEGLIGIBLE = 1e-8
+"""Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
 AT_NOISE = 3.0
 """Times the noise up to which a residual counts as explained."""
 
@@ -196,7 +198,7 @@ def _minimise(problem: _Problem) -> Refinement:
             return problem.finish(point, converged=True)
         gained = 1.0 - trial.cost / point.cost
         point, damping = trial, max(damping / 10.0, 1e-12)
-        if gained < 1e-10:
+        if gained < NEGLIGIBLE:
             return problem.finish(point, converged=True)
     return problem.finish(point, converged=False)
 
@@ -282,8 +284,11 @@ class _Problem:
     ) -> _Point:
         """Return the trial that the damped normal equations propose, at most half of each parameter away."""
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        normal = information / np.outer(scale, scale) + damping * np.eye(scale.size)
-        change = -np.linalg.lstsq(normal, gradient / scale, rcond=None)[0] / scale
+        held = ((point.values <= self.low) & (gradient > 0)) | ((point.values >= self.high) & (gradient < 0))
+        free = ~held
+        normal = (information / np.outer(scale, scale) + damping * np.eye(scale.size))[np.ix_(free, free)]
+        change = np.zeros(scale.size)
+        change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
         reach = 0.5 * np.maximum(np.abs(point.values), self.scale)
         values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
         moved = values - point.values

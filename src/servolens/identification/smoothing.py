@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["smooth", "smoothing_window", "value_weights"]
+__all__ = ["slope_noise", "smooth", "smoothing_window", "value_weights"]
 
 
 def smooth(
@@ -52,6 +52,11 @@ def smoothing_window(duration: float, sample_time: float) -> int:
 def value_weights(window: int) -> NDArray[np.float64]:
     """Return the weights that give the fitted cubic's value at each place of the window, shape (window, window)."""
     return _weights(window)[0]
+
+
+def slope_noise(window: int) -> float:
+    """Return the standard deviation of the derivative at the window's middle, per sample, for unit white noise."""
+    return float(np.linalg.norm(_weights(window if window % 2 else window - 1)[1][window // 2]))
 
 
 @lru_cache(maxsize=64)

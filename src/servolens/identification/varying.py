@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces, segment_factors, stacked
 from servolens.identification.piecewise import CAPACITY
-from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.identification.smoothing import slope_noise, smooth, smoothing_window
 from servolens.identification.uncertainty import integral_covariance
 from servolens.solving import Constraint, constrained_least_squares
 
@@ -26,6 +26,9 @@ __all__ = ["PieceFit", "VaryingDamping", "fit_pieces", "fit_varying", "ordering"
 
 FEWEST_IN_PIECE = 8
 MOST_PIECES = 24
+NODE_POSITIONS = tuple(0.25 + k / 8 for k in range(8))
+"""Length of the first piece, of the others' length."""
+SETTLED_GAIN = "β independent of the nodes"
 UNEXPLAINED = 1e-14
 """Least share of a column that the others must leave unexplained."""
 
@@ -38,7 +41,7 @@ class VaryingDamping:
     Attributes
     ----------
     gain : float
-        β.
+        β, the median over positions of the nodes.
     edges : ndarray, shape (n + 1,)
         Times [s] between which damping is constant.
     damping : ndarray, shape (n,)
@@ -113,12 +116,13 @@ def fit_varying(
     length = piece_duration(segments) if duration is None else duration
     shares, edges = _pieces(segments, length)
     count = edges.size - 1
+    window = smoothing_window(length, _sample_time(segments))
     wanted = [
         *constraints,
+        *_settled_gain(segments, 0.5 * length, count, window),
         *(ordering(count, delta) if delta is not None else ()),
         *(within(count, *bounds) if bounds is not None else ()),
     ]
-    window = smoothing_window(length, _sample_time(segments))
     fit = fit_pieces(segments, shares, wanted, window)
     covariance, _ = integral_covariance(segments, shares, np.append(fit.damping, fit.gain))
     return VaryingDamping(
@@ -127,8 +131,28 @@ def fit_varying(
         damping=fit.damping,
         speed=_mean_speed(segments, shares, count, window),
         covariance=covariance,
-        active=fit.active,
+        active=tuple(name for name in fit.active if name != SETTLED_GAIN),
     )
+
+
+def _settled_gain(segments: Sequence[Segment], length: float, count: int, window: int) -> tuple[Constraint, ...]:
+    """Hold β at its median over eight positions of the nodes, with pieces of half the length.
+
+    Damping that changes within a piece moves β by a percent or more, one way or the other with where the nodes fall;
+    the median over their positions does not hang on that choice. No constraint where fewer than five positions can be
+    fitted.
+    """
+    gains = []
+    for position in NODE_POSITIONS:
+        try:
+            shares, _ = _pieces(segments, length, first=position * length)
+            gains.append(fit_pieces(segments, shares, (), window).gain)
+        except ServolensError:
+            continue
+    if len(gains) < 5:
+        return ()
+    gain = float(np.median(gains))
+    return (Constraint(name=SETTLED_GAIN, coefficients={count: 1.0}, lower=gain, upper=gain),)
 
 
 def fit_pieces(
@@ -195,7 +219,7 @@ def piece_duration(segments: Sequence[Segment]) -> float:
     intervals = [float(np.min(np.diff(zeros))) for s in segments if (zeros := _velocity_zeros(s)).size >= 2]
     longest = max(float(s.time[-1]) for s in segments)
     chosen = 0.5 * min(intervals) if intervals else longest / 6.0
-    return max(chosen, longest / MOST_PIECES)
+    return max(chosen, longest / MOST_PIECES, 1.01 * FEWEST_IN_PIECE * _sample_time(segments))
 
 
 def _velocity_zeros(segment: Segment) -> NDArray[np.float64]:
@@ -203,8 +227,9 @@ def _velocity_zeros(segment: Segment) -> NDArray[np.float64]:
     time, y = segment.time, segment.position
     window = smoothing_window(float(time[-1]) / 6.0, float(np.median(np.diff(time))))
     velocity = smooth(time, y, window)[1]
-    spread = segment.noise / float(np.median(np.diff(time))) * np.sqrt(12.0 / window**3)
-    fast = np.flatnonzero(np.abs(velocity) > max(0.03 * np.abs(velocity).max(), 4.0 * spread))
+    spread = segment.noise / float(np.median(np.diff(time))) * slope_noise(min(window, time.size))
+    inner = slice(window // 4, max(time.size - window // 2, window // 4 + 1))  # at the ends the slope is uncertain
+    fast = np.flatnonzero(np.abs(velocity[inner]) > max(0.03 * np.abs(velocity).max(), 4.0 * spread)) + inner.start
     if fast.size == 0:
         return np.empty(0)
     flips = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
@@ -221,7 +246,9 @@ def _zero(time: NDArray[np.float64], velocity: NDArray[np.float64], first: int, 
     return float(time[k - 1] + share * (time[k] - time[k - 1]))
 
 
-def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], NDArray[np.float64]]:
+def _pieces(
+    segments: Sequence[Segment], length: float, first: float | None = None
+) -> tuple[list[Pieces], NDArray[np.float64]]:
     longest = max(float(s.time[-1]) for s in segments)
     if not 0 < length <= longest:
         raise InputError(f"a piece must last between 0 and {longest:g} s (the longest step), got {length:g} s")
@@ -230,7 +257,8 @@ def _pieces(segments: Sequence[Segment], length: float) -> tuple[list[Pieces], N
         raise InputError(
             f"pieces of {length:g} s would be {count} over {longest:g} s, {CAPACITY} are possible; choose longer ones"
         )
-    inner = length * np.arange(count)
+    inner = np.append(0.0, (length if first is None else first) + length * np.arange(count))
+    inner = inner[inner <= longest - 0.5 * length] if longest > 0.5 * length else inner[:1]
     inner = inner[[i == 0 or any(_moves(s, t, t + length) for s in segments) for i, t in enumerate(inner)]]
     shares = []
     for segment in segments:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, final
 import numpy as np
 
 from servolens.effects import VelocityDecayDamping
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law, law_from_pieces
 from servolens.identification.integral import Pieces, assemble, solve_integral
@@ -37,6 +37,8 @@ MOST_SAMPLES = 200_000
 """The law and its refinement use the first stretches of motion up to this many samples; so do the errors."""
 SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
+NEGLIGIBLE = 2e-5
+"""Share of the travel below which a residual is no matter."""
 EXTRA_DAMPING, DECAYS, MOST_GRID_STARTS = (1.0, 10.0, 100.0), (3.0, 10.0, 30.0, 100.0), 3
 """Starts of the closed-loop fit: α₁ over γ and α₂ times the highest speed; and how many of the best are refined."""
 SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
@@ -216,8 +218,8 @@ def _with_varying(
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
     try:
         return replace(result, varying=fit_varying(segments, duration=piece, delta=delta, bounds=(0.0, np.inf)))
-    except NumericalError as error:
-        if wanted:
+    except ServolensError as error:
+        if wanted or piece is not None or delta is not None:
             raise
         finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
         return replace(result, findings=(*result.findings, finding))
@@ -229,17 +231,23 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
     window = smoothing_window(piece_duration(used), min(run.sample_time for run in runs))
     start = fit_law(used, window, _integral_priors(priors))
     refined = refine(start, used, held=[SHAPE], priors=priors, window=window)
-    noise = max(s.noise for s in used)
     reasons = dict.fromkeys(start.parameters, "the data do not determine it")
-    if refined.rms_error > AT_NOISE * noise and _can_close(runs):
-        starts = (_constant(runs, segments, {}).plant, start, refined.plant)
-        refined = _best_in_closed_loop(starts, runs, priors, noise)
-        findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
-    elif _depends_on_speed(refined):
+    if _depends_on_speed(refined):
         refined = refine(refined.plant, used, priors=priors, window=window)
     else:
         reasons[SHAPE] = "damping does not depend on speed within its error, so the rate of decay is not determined"
-        findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[SHAPE]}."))
+    if _is_explained(refined, used) or not _can_close(runs):
+        if not _depends_on_speed(refined):
+            findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[SHAPE]}."))
+    else:
+        noise = max(s.noise for s in used)
+        starts = (_constant(runs, segments, {}).plant, start, refined.plant)
+        refined = _best_in_closed_loop(starts, runs, priors, noise)
+        again = refine(refined.plant, used, priors=priors, window=window)
+        if _is_explained(again, used):
+            refined = again
+        else:
+            findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
     if not refined.converged:
         findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
     velocity = Model(
@@ -251,6 +259,13 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
     return replace(
         result, velocity=velocity, law_from_pieces=_paper_route(result, used), findings=(*result.findings, *findings)
     )
+
+
+def _is_explained(refined: Refinement, segments: Sequence[Segment]) -> bool:
+    """Tell whether the residual is at the noise, or too small to matter to anyone."""
+    noise = max(s.noise for s in segments)
+    step = max(float(np.ptp(s.position)) for s in segments)
+    return refined.rms_error <= max(AT_NOISE * noise, NEGLIGIBLE * step)
 
 
 def _best_in_closed_loop(

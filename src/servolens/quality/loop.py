@@ -103,6 +103,12 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
 
 def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     """Yield doubts about voltage and controller."""
+    if record.controller is not None and record.reference is not None:
+        try:
+            law_columns(record)
+        except InputError as error:
+            message = f"the controller cannot have run like this: {str(error).removeprefix(f'{record.name}: ')}."
+            yield Finding(code="impossible_controller", severity="error", message=message)
     if record.reference is None:
         message = "no reference is logged; the loop cannot be simulated, only the axis driven by its voltage."
         yield Finding(code="no_reference", severity="note", message=message)
@@ -174,11 +180,13 @@ def _clipped(record: Record, seen: Sampling) -> NDArray[np.bool_]:
     marked = np.zeros(len(record), dtype=bool)
     voltage, y = record.voltage, record.position
     near = 1e-9 * float(np.ptp(voltage))
+    period = None if record.controller is None else record.controller.control_period
+    held = 1 if period is None else max(round(period / record.sample_time), 1)
     visible = 5 * seen.level + 2 * (seen.step or 0.0)
     for at in (voltage >= voltage.max() - near, voltage <= voltage.min() + near):
         bounds = np.flatnonzero(np.diff(np.concatenate(([False], at, [False])).astype(np.int8)))
         starts, ends = bounds[::2], bounds[1::2] - 1
-        flat = (ends - starts >= 2) & (np.abs(y[ends] - y[starts]) > visible)
+        flat = (ends - starts + 1 >= 3 * held) & (np.abs(y[ends] - y[starts]) > visible)
         for first, last in zip(starts[flat].tolist(), ends[flat].tolist(), strict=True):
             marked[first : last + 1] = True
     return marked

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from servolens.design import PDSpec, evaluate
-from servolens.errors import NumericalError
+from servolens.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
     from servolens.identification import Identification
@@ -39,7 +39,7 @@ def suggested_spec(fit: Identification) -> PDSpec | None:
         return None
     natural = math.sqrt(plant.gain * kp)
     sample_time = record.controller.control_period or record.sample_time
-    spec = PDSpec(
+    spec = _possible(
         kp=kp,
         settling_time=max(12.0 / natural, 4 * sample_time),
         band=band,
@@ -48,8 +48,18 @@ def suggested_spec(fit: Identification) -> PDSpec | None:
         sample_time=sample_time,
         derivative_filter=record.controller.derivative_filter,
     )
-    shortest = _shortest(plant, spec)
-    return None if shortest is None else _with_time(spec, max(_round_up(SLACK * shortest), 4 * sample_time))
+    shortest = None if spec is None else _shortest(plant, spec)
+    if spec is None or shortest is None:
+        return None
+    return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SLACK * shortest), 4 * sample_time)})
+
+
+def _possible(**fields: Any) -> PDSpec | None:
+    """Return the spec, or None where the axis is so slow or fast that it would be none."""
+    try:
+        return PDSpec(**fields)
+    except InputError:
+        return None
 
 
 def _shortest(plant: Plant, spec: PDSpec) -> float | None:
@@ -63,10 +73,6 @@ def _shortest(plant: Plant, spec: PDSpec) -> float | None:
         if found is not None and found > 0:
             times.append(found)
     return min(times, default=None)
-
-
-def _with_time(spec: PDSpec, settling_time: float) -> PDSpec:
-    return PDSpec(**{**spec.to_json(), "settling_time": settling_time})
 
 
 def _round_up(value: float) -> float:

@@ -4,13 +4,14 @@ This module is not imported: its text is compiled by numba together with the `ta
 :mod:`servolens.simulation.codegen` derives from the plant's equation of motion, and so is free of calls it could not
 inline.
 
-A step is a Taylor series: third order where the motion is smooth. Each velocity reversal is found as the root of the
-series and the step is split there, so that the order holds across it (second order at least), and |v| is smooth
-within a piece. At rest dry friction is set-valued: the axis leaves only if the push exceeds the level, and until then
-its position does not change by one bit.
+A step is a Taylor series: third order where the motion is smooth; it is halved while its last term is more than a
+ten-thousandth of the travel (a kick of the voltage may change the damping within a sample). Each velocity reversal is
+found as the root of the series and the step is split there, so that the order holds across it (second order at
+least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves only if the push exceeds
+the level, and until then its position does not change by one bit.
 """
 
-# ruff: noqa: PLR0913 - one compiled loop; calls are split where numba inlines them
+# ruff: noqa: C901, PLR0913 - one compiled loop; calls are split where numba inlines them
 from __future__ import annotations
 
 import math
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 # --- kernel ---
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
+SMOOTH, SHORTEST, MOST_PIECES = 1.2e-3, 1e-3, 4096
 
 
 @njit
@@ -57,7 +59,7 @@ def reversal_time(c0: float, c1: float, c2: float, c3: float, h: float) -> float
 def advance(y: float, v: float, t: float, h: float, u: float, p: Any) -> tuple[float, float]:
     """Carry position and velocity over `h` seconds under the held input `u`."""
     left = h
-    for _ in range(8):
+    for _ in range(MOST_PIECES):
         if v == 0.0:
             push, level = breakaway(y, 0.0, t, u, 1.0, p)
             d = 1.0
@@ -71,15 +73,24 @@ def advance(y: float, v: float, t: float, h: float, u: float, p: Any) -> tuple[f
         else:
             d = -1.0
         a, j, s = taylor(y, v, t, u, d, p)
-        after = v + left * (a + left * (HALF * j + left * SIXTH * s))
+        part = left
+        while abs(s) * part * part > SMOOTH * (abs(a) + 2.0 * abs(v) / part) and part > SHORTEST * h:
+            part *= 0.5
+        after = v + part * (a + part * (HALF * j + part * SIXTH * s))
         if after * d > 0.0:
-            return y + left * (v + left * (HALF * a + left * (SIXTH * j + left * TWENTYFOURTH * s))), after
+            y += part * (v + part * (HALF * a + part * (SIXTH * j + part * TWENTYFOURTH * s)))
+            v = after
+            if part == left:
+                return y, v
+            t += part
+            left -= part
+            continue
         if v == 0.0:
             if a * d <= 0.0:
                 return y, 0.0
-            tau = reversal_time(a, HALF * j, SIXTH * s, 0.0, left)
+            tau = reversal_time(a, HALF * j, SIXTH * s, 0.0, part)
         else:
-            tau = reversal_time(v, a, HALF * j, SIXTH * s, left)
+            tau = reversal_time(v, a, HALF * j, SIXTH * s, part)
         y += tau * (v + tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s)))
         v = 0.0
         t += tau
