@@ -9,18 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from servolens import solving
 from servolens.design import PDSpec, tune
 from servolens.effects import CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.identification import Prior, identify
 from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.refine import refine_closed_loop
 from servolens.identification.regressors import regressor
 from servolens.identification.segments import motion_segments
-from servolens.identification.varying import fit_varying, ordering, piece_duration
+from servolens.identification.varying import fit_varying, piece_duration
 from servolens.lab import LM1, LM3, NLM1, NLM2, NLM3, Truth, step_record, step_records, table_one
 from servolens.plant import Plant
 from servolens.prediction import predict
-from servolens.solving import constrained_least_squares
 
 
 def plant_of(truth: Truth) -> Plant:
@@ -189,11 +190,61 @@ def test_ordering_holds_for_any_data_and_delta(delta: float, duration: float) ->
     assert np.min(np.diff(held.damping), initial=np.inf) >= -delta - 1e-7 * np.abs(held.damping).max()
 
 
-def test_unconstrained_program_equals_plain_least_squares() -> None:
+@pytest.mark.parametrize("plugin", ["daqp", "qrqp", "highs"])
+def test_program_with_loose_constraints_equals_plain_least_squares(plugin: str) -> None:
     segments = motion_segments([step_record(NLM1, 60.0, encoder=25e-6)])
-    factor = assemble(segments)
-    loose = constrained_least_squares(factor, ordering(1, 1.0))
-    np.testing.assert_allclose(loose.x, solve_integral(factor).x, rtol=1e-8)
+    factor = assemble(segments, [Pieces(edges=np.array([0, 300, segments[0].time.size]), groups=np.arange(2))])
+    size = factor.shape[0] - 1
+    rows, loose = np.eye(size), np.full(size, 1e6)
+    free = np.linalg.solve(factor[:size, :size], factor[:size, size])
+    white = rows @ np.linalg.inv(factor[:size, :size])
+    solver = solving._conic(size, size, plugin)
+    found = solver(h=np.eye(size), a=white, lba=-loose - free, uba=loose - free)
+    moved = np.linalg.solve(factor[:size, :size], np.asarray(found["x"]).ravel())
+    np.testing.assert_allclose(free + moved, solve_integral(factor).x, rtol=1e-8)
+
+
+@pytest.mark.parametrize("dwell", [0.2, 0.3])
+def test_steps_that_do_not_settle_are_not_taken_for_rests(dwell: float) -> None:
+    record = step_record(LM1, 60.0, noise=1e-5, seed=1, reference=(0.1, 0.0, 0.1, 0.0), duration=dwell)
+    start = Plant(gain=1.8, damping=6.0)
+    found = refine_closed_loop(start, [record], noise=1e-5).plant
+    assert found.gain == pytest.approx(LM1.gain, rel=1e-3)
+    assert found.damping == pytest.approx(LM1.damping, rel=1e-3)
+
+
+def test_varying_damping_needs_no_reference_and_survives_lost_samples() -> None:
+    record = step_record(NLM1, 60.0, noise=1e-5, seed=2, encoder=25e-6)
+    whole = identify(record, model="varying").varying
+    silent = identify(record.with_({"reference": None, "controller": None}), model="varying").varying
+    assert whole is not None
+    assert silent is not None
+    assert silent.gain == pytest.approx(whole.gain, rel=3e-3)
+    keep = np.ones(len(record), dtype=bool)
+    keep[300:330] = False
+    signals = {name: getattr(record, name)[keep] for name in ("time", "position", "reference", "voltage")}
+    gapped = identify(record.with_(signals), model="varying").varying
+    assert gapped is not None
+    assert gapped.gain == pytest.approx(whole.gain, rel=2e-2)
+
+
+def test_friction_and_an_unknown_limit_leave_a_passive_law() -> None:
+    truth = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}, "saturation": {"limit": 4.0}})
+    for dwell in (0.25, 1.5):
+        record = step_record(truth, 60.0, noise=1e-5, seed=1, reference=(0.1, 0.0, 0.1), duration=dwell)
+        plant = identify(record, model="velocity").model.plant
+        assert plant.gain > 0
+        assert plant.damping >= 0
+
+
+def test_a_prior_on_the_velocity_model_adds_its_information_once() -> None:
+    record = step_record(NLM1, 60.0, noise=1e-4, encoder=0.0, seed=4)
+    free = identify(record, model="velocity").model.quantities["gain"].stderr
+    assert free is not None
+    for ratio in (0.5, 0.1):
+        held = identify(record, model="velocity", priors={"gain": Prior(value=1.9165, deviation=ratio * free)})
+        expected = (1 / free**2 + 1 / (ratio * free) ** 2) ** -0.5
+        assert held.model.quantities["gain"].stderr == pytest.approx(expected, rel=0.1)
 
 
 def test_effects_that_are_linear_in_their_size_need_no_formula_of_their_own() -> None:
@@ -262,7 +313,7 @@ def test_node_rule_is_half_the_interval_between_velocity_zeros() -> None:
     [
         ({"model": "cubic"}, "model must be 'all'"),
         ({"priors": {"mass": Prior(value=1.0, deviation=1.0)}}, "a prior on 'mass' is not possible"),
-        ({"priors": {"gain": Prior(value=1.0, deviation=0.0)}}, "positive standard deviation"),
+        ({"delta": -1.0}, "delta must not be negative"),
         ({"piece": 9.0}, "a piece must last between"),
         ({"piece": 0.001}, "would be"),
     ],
@@ -270,6 +321,11 @@ def test_node_rule_is_half_the_interval_between_velocity_zeros() -> None:
 def test_wrong_use_is_one_sentence(arguments: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         identify(step_record(LM1, 60.0), **arguments)
+
+
+def test_a_prior_without_width_is_refused() -> None:
+    with pytest.raises(InputError, match="positive standard deviation"):
+        Prior(value=1.0, deviation=0.0)
 
 
 def test_no_record_and_no_motion_are_refused() -> None:

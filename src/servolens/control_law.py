@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Controller, Record
 
-__all__ = ["controller_voltage", "law_columns"]
+__all__ = ["controller_voltage", "law_columns", "samples_a_period"]
 
 
 def controller_voltage(record: Record) -> NDArray[np.float64]:
@@ -83,17 +83,33 @@ def _ticks(record: Record, controller: Controller) -> NDArray[np.intp] | None:
     """Return the samples at which a slow loop runs, the first included; None for a loop that runs at every sample."""
     if controller.control_period is None:
         return None
-    step = record.sample_time
-    ratio = controller.control_period / step
+    try:
+        count = samples_a_period(controller, record.sample_time)
+    except InputError as error:
+        raise InputError(f"{record.name}: {error}") from None
+    if count == 1:
+        return None
+    period = np.rint((record.time - record.time[0]) / record.sample_time).astype(np.int64) // count
+    return np.concatenate(([0], np.flatnonzero(np.diff(period)) + 1))
+
+
+def samples_a_period(controller: Controller, sample_time: float) -> int:
+    """Return how many samples of `sample_time` [s] the controller's period holds.
+
+    Raises
+    ------
+    InputError
+        If it is no whole number of them.
+    """
+    if controller.control_period is None:
+        return 1
+    ratio = controller.control_period / sample_time
     if round(ratio) < 1 or abs(ratio - round(ratio)) > min(0.01 * ratio, 0.2):
         raise InputError(
-            f"{record.name}: control_period is {controller.control_period:g} s and the sample time {step:g} s;"
+            f"control_period is {controller.control_period:g} s and the sample time {sample_time:g} s;"
             " the period must be a whole multiple of the sample time"
         )
-    if round(ratio) == 1:
-        return None
-    period = np.rint((record.time - record.time[0]) / step).astype(np.int64) // round(ratio)
-    return np.concatenate(([0], np.flatnonzero(np.diff(period)) + 1))
+    return round(ratio)
 
 
 def _on_grid(

@@ -64,6 +64,8 @@ class Plant:
     def __post_init__(self) -> None:
         for spec in BASE_PARAMETERS:
             object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name), "plant"))
+        if self.length_unit not in ("m", "rad"):
+            raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
         if self.gain == 0:
             raise InputError("plant: gain must not be 0, the command would move nothing")
         object.__setattr__(self, "effects", tuple(self.effects))

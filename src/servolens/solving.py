@@ -244,15 +244,10 @@ def _explain(
     relaxed = np.hstack([white, np.eye(m), -np.eye(m)])
     hessian = np.diag(np.concatenate([np.full(p, 1e-8), np.zeros(2 * m)]))
     bounds = np.concatenate([np.full(p, -np.inf), np.zeros(2 * m)])
-    solution = _conic(p + 2 * m, m, "highs")(
-        h=hessian,
-        g=np.concatenate([np.zeros(p), np.ones(2 * m)]),
-        a=relaxed,
-        lba=low,
-        uba=high,
-        lbx=bounds,
-        ubx=np.full(p + 2 * m, np.inf),
-    )
+    solver = _conic(p + 2 * m, m, "highs")
+    cost, above = np.concatenate([np.zeros(p), np.ones(2 * m)]), np.full(p + 2 * m, np.inf)
+    with ONE_AT_A_TIME:
+        solution = solver(h=hessian, g=cost, a=relaxed, lba=low, uba=high, lbx=bounds, ubx=above)
     slack = np.abs(np.asarray(solution["x"]).ravel()[p:]).reshape(2, m).sum(axis=0)
     guilty = [c.name for c, s in zip(constraints, slack, strict=True) if s > 1e-6]
     if guilty:

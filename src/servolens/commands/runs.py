@@ -18,7 +18,7 @@ from servolens.commands.files import (
 )
 from servolens.commands.options import Documented, Recordings, finite, json_option, prior, recordings
 from servolens.commands.terminal import progress_bar, show
-from servolens.errors import InputError
+from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 
@@ -135,15 +135,22 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     with progress_bar() as progress:
         records = load_records(recordings, {"--json": json_file}, progress)
         _check_units(model.plant, records, model_file)
-        errors = []
+        errors, failed = [], {}
         for done, record in enumerate(records):
             progress("Simulating", done, len(records))
             with about(record.source or record.name):
-                errors.append(prediction_error(model.plant, record))
+                try:
+                    errors.append(prediction_error(model.plant, record))
+                except NumericalError as error:
+                    failed[record.name] = f"{error}"
+    if not errors:
+        raise NumericalError(next(iter(failed.values())))
     driven = [record.name for record in records if record.reference is None or record.controller is None]
-    findings = together(quality_findings(records), _voltage_driven(driven))
+    lost = [Finding(code="not_simulated", severity="error", message=f"{m}.", record=n) for n, m in failed.items()]
+    findings = together(quality_findings(records), _voltage_driven(driven), lost)
     if json_file:
         rows = [{**e.to_json(), "held_out": e.name not in model.identified_from} for e in errors]
+        rows += [{**dict.fromkeys(rows[0]), "name": name, "reason": reason} for name, reason in failed.items()]
         write_json(json_file, "prediction", {"model": model_file, "records": rows}, findings)
     prediction = Prediction(models=("the model",), errors=tuple((error,) for error in errors))
     summary = prediction_summary(

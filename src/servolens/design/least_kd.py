@@ -33,6 +33,7 @@ NARROWEST = 2.0**-14
 """Share of the range below which a cell is not divided further: the certificate's gap."""
 CURVATURE = 1.5
 """How much further than its ends tell the constraints may have moved inside a cell."""
+LATE = "the gains that meet the spec at first leave the band again later"
 EDGE = 1e-6
 """Share of the range within which an interval's end is located."""
 
@@ -78,15 +79,18 @@ def tune(
     gap = spec.kd_max * NARROWEST
     if not intervals:
         return Design(spec=spec, kd=None, intervals=(), gap=gap, reason=search.reason())
-    candidates = tuple(_candidate(models, spec, interval) for interval in intervals)
-    kd = intervals[0][0]
+    checked = [(interval, tuple(evaluate(model, spec, interval[0]) for model in models)) for interval in intervals]
+    kept = [(interval, seen) for interval, seen in checked if all(response.meets for response in seen)]
+    if not kept:
+        return Design(spec=spec, kd=None, intervals=(), gap=gap, reason=LATE)
+    intervals = tuple(interval for interval, _ in kept)
     return Design(
         spec=spec,
-        kd=kd,
+        kd=intervals[0][0],
         intervals=intervals,
         gap=gap,
-        candidates=tuple(c for c in candidates if c is not None),
-        verified=tuple(evaluate(model, spec, kd) for model in models),
+        candidates=tuple(_candidate(models, spec, interval) for interval in intervals),
+        verified=kept[0][1],
     )
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["local_optimum"]
 
-STRIDE = 4
-"""Every fourth sample carries the band; the exact loop, sample by sample, then has the last word."""
+MOST_INSTANTS = 500
+"""At so many instants the band is asked for; the exact loop, sample by sample, then has the last word."""
 FRICTION_WIDTH = 1e-3
 """Speed over which dry friction changes sign in the program [m/s or rad/s]; the exact loop then decides."""
 
@@ -29,16 +29,22 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     """Return the least Kd that CasADi and IPOPT find from inside `interval`, or None if they find none."""
     samples = int(np.ceil(design_horizon(plant, spec) / spec.sample_time))
     first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
+    stride = max((samples - first) // MOST_INSTANTS, 1)
     substeps = min(substeps_for(plant, spec.sample_time), 16)
     program = _program(
-        plant.structure, spec.control == "continuous", samples, first, substeps, spec.overshoot is not None
+        plant.structure,
+        spec.control == "continuous",
+        (samples, first, stride, substeps),
+        (spec.overshoot is not None, spec.voltage_limit is not None),
     )
     width = interval[1] - interval[0]
     parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter]
-    late = (samples - first) // STRIDE + 1
+    late = (samples - first) // stride + 1
     lower, upper = [-spec.band] * late, [spec.band] * late
     if spec.overshoot is not None:
         lower, upper = lower + [-np.inf] * samples, upper + [spec.overshoot] * samples
+    if spec.voltage_limit is not None:
+        lower, upper = lower + [-spec.voltage_limit] * samples, upper + [spec.voltage_limit] * samples
     result = minimise(
         program,
         np.array([interval[0] + 0.2 * width]),
@@ -51,9 +57,15 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
 
 @lru_cache(maxsize=32)
 def _program(
-    structure: tuple[type[Effect], ...], continuous: bool, samples: int, first: int, substeps: int, overshoot: bool
+    structure: tuple[type[Effect], ...],
+    continuous: bool,
+    grid: tuple[int, int, int, int],
+    limits: tuple[bool, bool],
 ) -> NonlinearProgram:
     import casadi as ca
+
+    samples, first, stride, substeps = grid
+    overshoot, voltage = limits
 
     step = _sample(structure, continuous, substeps)
     kd = ca.MX.sym("kd")
@@ -62,9 +74,12 @@ def _program(
     states = step.mapaccum(samples)(ca.DM.zeros(4), ca.repmat(settings, 1, samples))
     reference = given[-3]
     error = (reference - states[0, :].T) / ca.fabs(reference)
-    constraints = [error[first - 1 :: STRIDE]]
+    constraints = [error[first - 1 :: stride]]
     if overshoot:
         constraints.append(-error * ca.sign(reference))
+    if voltage:
+        seen, slope = (states[0, :], states[1, :]) if continuous else (states[2, :], states[3, :])
+        constraints.append(given[-4] * (reference - seen.T) - kd * slope.T)
     return NonlinearProgram(x=kd, f=kd, g=ca.vertcat(*constraints), p=given)
 
 

@@ -79,7 +79,7 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
     overshoot = max(0.0, float(np.max(-error * np.sign(spec.reference))))
     settled = settling_time(run.time, error, spec.band + FEASIBLE)
     peak = float(np.abs(run.voltage).max())
-    meets = settled is not None and settled <= spec.settling_time * (1 + 1e-12)
+    meets = settled is not None and settled <= spec.settling_time * (1 + 1e-9)
     meets = meets and (spec.overshoot is None or overshoot <= spec.overshoot + FEASIBLE)
     meets = meets and (spec.voltage_limit is None or peak <= spec.voltage_limit * (1 + FEASIBLE))
     return Response(
@@ -95,12 +95,14 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
 def constraint_signals(plant: Plant, spec: PDSpec, kd: float) -> NDArray[np.float64]:
     """Return every constraint at every instant it holds, as fractions; the spec is met where all are at most 0.
 
-    |e|/step − band from the settling time on; overshoot and |V| relative to their limits at all times.
+    |e|/step − band at the settling time (between samples the error is taken as linear) and after it; overshoot and |V|
+    relative to their limits at all times.
     """
     run = step_response(plant, spec, kd, design_horizon(plant, spec))
     step = abs(spec.reference)
     error = (spec.reference - run.position) / step
-    parts = [np.abs(error[run.time >= spec.settling_time * (1 - 1e-9)]) - spec.band]
+    late = np.append(np.interp(spec.settling_time, run.time, error), error[run.time > spec.settling_time])
+    parts = [np.abs(late) - spec.band]
     if spec.overshoot is not None:
         parts.append(-error * np.sign(spec.reference) - spec.overshoot)
     if spec.voltage_limit is not None:

@@ -143,8 +143,9 @@ class Design:
     gap : float
         Width within which each end of an interval is known, and of the narrowest interval that is not overlooked
         while the margin changes no faster than its measured sensitivity.
-    candidates : tuple of float
-        The local optimum of CasADi's nonlinear program in each interval.
+    candidates : tuple of float or None
+        The local optimum of CasADi's nonlinear program in each interval, None where it found none. The program smooths
+        dry friction; the ends of `intervals` are the exact loop's.
     verified : tuple of Response
         Exact simulation at `kd`, a model each.
     reason : str or None
@@ -155,7 +156,7 @@ class Design:
     kd: float | None
     intervals: tuple[tuple[float, float], ...]
     gap: float
-    candidates: tuple[float, ...] = ()
+    candidates: tuple[float | None, ...] = ()
     verified: tuple[Response, ...] = ()
     reason: str | None = None
 

@@ -31,8 +31,11 @@ __all__ = ["fit_law", "law_from_pieces"]
 SLOWEST_DECAY, FASTEST_DECAY = 0.3, 300.0
 """Range of α₂ times the highest speed: below, the law is a straight line; above, it acts at standstill only."""
 GRID = 24
-NOT_NEGATIVE = Constraint(name="α₁ ≥ 0", coefficients={2: 1.0}, lower=0.0)
-"""Damping falls with speed, or does not depend on it."""
+NOT_NEGATIVE = (
+    Constraint(name="γ ≥ 0", coefficients={0: 1.0}, lower=0.0),
+    Constraint(name="α₁ ≥ 0", coefficients={2: 1.0}, lower=0.0),
+)
+"""Damping is not negative at any speed, and falls with it or does not depend on it."""
 
 
 def law_from_pieces(varying: VaryingDamping) -> Plant:
@@ -81,7 +84,7 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
         forces = [law.columns(s.time, s.position, v, alpha2) for s, v in zip(segments, velocities, strict=True)]
         factor = assemble(segments, forces=forces)
         noise = abs(float(factor[-1, -1])) / np.sqrt(sum(s.time.size for s in segments))
-        solution = solve_integral(factor, priors, noise, (NOT_NEGATIVE,))
+        solution = solve_integral(factor, priors, noise, NOT_NEGATIVE)
         misfit = np.linalg.norm(factor[:-1, :-1] @ solution.x - factor[:-1, -1]) ** 2 + factor[-1, -1] ** 2
         return float(misfit), [float(v) for v in solution.x]
 
@@ -89,7 +92,7 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
     alpha2 = _search(lambda a: solve(a)[0], fastest)
     gamma, gain, alpha1 = solve(alpha2)[1]
     law_found = VelocityDecayDamping(alpha1=max(alpha1, 0.0), alpha2=alpha2)  # 0 is met to rounding
-    return Plant(gain=gain, damping=gamma, effects=(law_found,))
+    return Plant(gain=gain, damping=max(gamma, 0.0), effects=(law_found,))
 
 
 def _search(cost: Callable[[float], float], fastest: float) -> float:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.effects import Actuator
-from servolens.errors import InputError
+from servolens.identification.door import check_priors, together
 from servolens.identification.integral import assemble, solve_integral
 from servolens.identification.refine import AT_NOISE, Refinement, refine, refine_closed_loop
 from servolens.identification.regressors import regressor
@@ -17,7 +17,6 @@ from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.model import Model
 from servolens.plant import Plant
-from servolens.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.identification.integral import Prior
     from servolens.identification.segments import Segment
+    from servolens.record import Record
 
 __all__ = ["fit_effects"]
 
@@ -64,9 +64,8 @@ def fit_effects(
     >>> round(model.plant.effect("coulomb_friction").level, 2)
     0.3
     """
-    runs = (records,) if isinstance(records, Record) else tuple(records)
-    if not runs:
-        raise InputError("no record was given; a fit needs at least one")
+    runs = together(records)
+    check_priors(priors or {}, Plant(gain=1.0, damping=0.0, effects=tuple(effects)).parameters)
     segments = motion_segments(runs)
     starts = [
         replace(start, length_unit=runs[0].length_unit, command_unit=runs[0].command_unit)

@@ -33,6 +33,12 @@ class Prior:
     value: float
     deviation: float
 
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.value) and np.isfinite(self.deviation) and self.deviation > 0):
+            raise InputError(
+                f"a prior needs a finite value and a positive standard deviation, got {self.value} and {self.deviation}"
+            )
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
 
-from servolens.errors import NumericalError
+from servolens.errors import InputError, NumericalError
+from servolens.identification.segments import settled_steps
 from servolens.identification.smoothing import smooth
 from servolens.identification.uncertainty import robust_covariance
 from servolens.simulation.loop import simulate, simulate_voltage, substeps_for
@@ -111,13 +112,13 @@ def refine_closed_loop(
     noise : float
         Standard deviation of the position's noise, against which the priors are weighed.
     """
-    runs = [_ClosedRun(step) for record in records for step in record.steps()]
+    runs = [_ClosedRun(step) for record in records for step in settled_steps(record)]
     return _minimise(_Problem(plant, runs, held, dict(priors or {}), noise))
 
 
 def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
     """Return the root mean square closed-loop error of `plant` on the steps [m or rad]; infinite if it is unstable."""
-    steps = [step for record in records for step in record.steps()]
+    steps = [step for record in records for step in settled_steps(record)]
     try:
         squares = [float(np.sum((simulate(plant, step).position - step.position) ** 2)) for step in steps]
     except NumericalError:
@@ -213,7 +214,8 @@ class _Problem:
         names, specs = list(plant.parameters), list(plant.parameters.values())
         self.plant, self.runs = plant, runs
         self.free = np.flatnonzero([name not in held for name in names])
-        self.low = np.array([specs[i].low for i in self.free])
+        lowest = {"damping": min(0.0, plant.damping)}  # a passive axis; only a start below stays there
+        self.low = np.array([lowest.get(names[i], specs[i].low) for i in self.free])
         self.high = np.array([specs[i].high for i in self.free])
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
@@ -233,7 +235,7 @@ class _Problem:
     def cost(self, point: _Point) -> float:
         try:
             parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
-        except NumericalError:
+        except (InputError, NumericalError):
             return float(np.inf)
         return float(sum(r @ r for r in parts)) + self._prior_cost(point.values)
 
@@ -289,7 +291,7 @@ class _Problem:
         normal = (information / np.outer(scale, scale) + damping * np.eye(scale.size))[np.ix_(free, free)]
         change = np.zeros(scale.size)
         change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
-        reach = 0.5 * np.maximum(np.abs(point.values), self.scale)
+        reach = 0.5 * np.maximum(np.abs(point.values), np.where(self.free == 0, 0.0, self.scale))  # β keeps its sign
         values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
         moved = values - point.values
         starts = [
@@ -311,7 +313,10 @@ class _Problem:
             unknowns = point.values.size + sum(start.size for start in point.starts)
             degrees = self.samples / max(self.samples - unknowns, 1)
             index = self.free[inside]
-            inner = robust_covariance(scores, information[np.ix_(inside, inside)])
+            known = np.zeros(inside.size)
+            for k, prior in self.priors:
+                known[k] = (self.noise / prior.deviation * self.noise) ** 2
+            inner = robust_covariance(scores, information[np.ix_(inside, inside)], np.diag(known[inside]))
             covariance[np.ix_(index, index)] = degrees * inner
         rms = float(np.sqrt(max(point.cost - self._prior_cost(point.values), 0.0) / self.samples))
         return Refinement(

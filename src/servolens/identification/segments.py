@@ -19,9 +19,11 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Segment", "applied_voltage", "motion_segments", "noise_level"]
+__all__ = ["Segment", "applied_voltage", "motion_segments", "noise_level", "settled_steps"]
 
 FEWEST_SAMPLES = 12
+FEWEST_STROKES = 12
+"""Reversals from which on a record without steps is a trajectory."""
 SETTLED = 1e-2
 """Share of the step within which a stretch counts as settled."""
 
@@ -41,6 +43,8 @@ class Segment:
         Time since the segment's first sample [s], position, voltage that reached the amplifier's output.
     noise : float
         Standard deviation of the position's noise.
+    since_step : float
+        Time from the step's onset to the first sample [s]; not 0 where samples were lost on the way.
     """
 
     record: Record
@@ -50,6 +54,7 @@ class Segment:
     position: NDArray[np.float64]
     voltage: NDArray[np.float64]
     noise: float
+    since_step: float = 0.0
 
 
 def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
@@ -73,10 +78,12 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
         noise = noise_level(record)
         step, sample_time = record.step_size, _sample_time(record)
         floor = max(4.0 * noise, 1.5 * (record.encoder_resolution or 0.0))
-        for first, stop in _stretches(record, sample_time):
-            window = _motion(record.position[first:stop], step, floor, sample_time)
+        origin = float(record.time[0])
+        for first, stop, goes_on in _stretches(record, sample_time):
+            window = _motion(record.position[first:stop], step, floor, sample_time, goes_on=goes_on)
             if window is not None:
                 a, b = first + window[0], first + window[1]
+                origin = origin if goes_on else float(record.time[a])
                 found.append(
                     Segment(
                         record=record,
@@ -86,6 +93,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
                         position=record.position[a:b],
                         voltage=voltage[a:b],
                         noise=noise,
+                        since_step=float(record.time[a]) - origin,
                     )
                 )
     if not found:
@@ -94,6 +102,18 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
             "log a step that moves it by many encoder steps"
         )
     return tuple(found)
+
+
+def settled_steps(record: Record) -> tuple[Record, ...]:
+    """Return the record's steps if the axis rests at each edge, so that a simulation may begin there; else all of it.
+
+    At rest: over the last twenty samples before the edge the position stays within six standard deviations of its
+    noise, two encoder steps, or 0.2 % of the step.
+    """
+    steps = record.steps()
+    floor = max(6.0 * noise_level(record), 2.0 * (record.encoder_resolution or 0.0), 2e-3 * record.step_size)
+    rests = all(float(np.ptp(step.position[-20:])) <= floor for step in steps[:-1])
+    return steps if rests else (record,)
 
 
 def applied_voltage(record: Record) -> NDArray[np.float64]:
@@ -119,12 +139,13 @@ def _sample_time(record: Record) -> float:
     return float(np.median(np.diff(record.time[:100_001])))
 
 
-def _stretches(record: Record, sample_time: float) -> list[tuple[int, int]]:
+def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]]:
+    """Return first sample, the one after the last, and whether the stretch goes on with a motion begun before."""
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
-    cuts = edges.tolist() if is_steps else _reversals(record, sample_time)
-    cuts += (np.flatnonzero(np.diff(record.time) > 1.5 * sample_time) + 1).tolist()
-    return list(pairwise(sorted({0, *cuts, len(record)})))
+    cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
+    gaps = (np.flatnonzero(np.diff(record.time) > 1.5 * sample_time) + 1).tolist()
+    return [(first, stop, first not in cuts) for first, stop in pairwise(sorted({*cuts, *gaps, len(record)}))]
 
 
 def _reversals(record: Record, sample_time: float) -> list[int]:
@@ -137,10 +158,14 @@ def _reversals(record: Record, sample_time: float) -> list[int]:
     velocity = smooth(record.time, record.position, window)[1]
     fast = np.flatnonzero(np.abs(velocity) > 0.05 * np.abs(velocity).max())
     turns = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
+    if record.reference is None and turns.size < FEWEST_STROKES:  # a step that rings, not a trajectory
+        return []
     return [int(fast[k - 1] + fast[k]) // 2 for k in turns]
 
 
-def _motion(y: NDArray[np.float64], step: float, floor: float, sample_time: float) -> tuple[int, int] | None:
+def _motion(
+    y: NDArray[np.float64], step: float, floor: float, sample_time: float, *, goes_on: bool
+) -> tuple[int, int] | None:
     """Return the first sample of the motion and the one after its last, of a stretch's position."""
     if y.size < FEWEST_SAMPLES:
         return None
@@ -151,6 +176,6 @@ def _motion(y: NDArray[np.float64], step: float, floor: float, sample_time: floa
     last = y.size - 1 - int(np.argmax(outside[::-1]))
     if begin == 0 or not outside[last] or y.max() - y.min() < max(2.0 * floor, 5e-3 * step):
         return None
-    begin = 0 if begin < 0.05 / sample_time else max(begin - 3, 0)
+    begin = 0 if goes_on or begin < 0.05 / sample_time else max(begin - 3, 0)
     end = min(last + max((last - begin) // 10, 5), y.size)
     return (begin, end) if end - begin >= FEWEST_SAMPLES else None

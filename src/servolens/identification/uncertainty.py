@@ -87,7 +87,9 @@ def correlation_factor(residual: NDArray[np.float64]) -> float:
     return float(min((1.0 + rho) / max(1.0 - rho, 1e-12), n / 4.0))
 
 
-def robust_covariance(scores: Sequence[NDArray[np.float64]], information: NDArray[np.float64]) -> NDArray[np.float64]:
+def robust_covariance(
+    scores: Sequence[NDArray[np.float64]], information: NDArray[np.float64], prior: NDArray[np.float64]
+) -> NDArray[np.float64]:
     """Return the sandwich covariance of a least-squares fit with coloured residuals.
 
     Parameters
@@ -95,15 +97,16 @@ def robust_covariance(scores: Sequence[NDArray[np.float64]], information: NDArra
     scores : sequence of ndarray, shape (n, p)
         Jacobian rows times residual, one array a segment.
     information : ndarray, shape (p, p)
-        JᵀJ.
+        JᵀJ, priors included.
+    prior : ndarray, shape (p, p)
+        The priors' own part of the scores' covariance.
 
     Notes
     -----
     Bartlett weights over lags (Newey and West 1987, doi:10.2307/1913610); bandwidth by Andrews' rule for a first-order
     process (1991, doi:10.2307/2938229), from the scores' own correlation.
     """
-    p = information.shape[0]
-    meat = np.zeros((p, p))
+    meat = prior.copy()
     for score in scores:
         meat += score.T @ score
         for lag in range(1, _bandwidth(score) + 1):

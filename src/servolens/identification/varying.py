@@ -204,9 +204,15 @@ def ordering(count: int, delta: float) -> tuple[Constraint, ...]:
 def within(count: int, low: float, high: float) -> tuple[Constraint, ...]:
     """Return bounds on the damping of `count` pieces."""
     return tuple(
-        Constraint(name=f"c{i + 1} in [{low:g}, {high:g}]", coefficients={i: 1.0}, lower=low, upper=high)
+        Constraint(name=_bound_name(i + 1, low, high), coefficients={i: 1.0}, lower=low, upper=high)
         for i in range(count)
     )
+
+
+def _bound_name(piece: int, low: float, high: float) -> str:
+    if np.isinf(high):
+        return f"c{piece} ≥ {low:g}"
+    return f"c{piece} ≤ {high:g}" if np.isinf(low) else f"{low:g} ≤ c{piece} ≤ {high:g}"
 
 
 def piece_duration(segments: Sequence[Segment]) -> float:
@@ -217,7 +223,7 @@ def piece_duration(segments: Sequence[Segment]) -> float:
     reversal: a sixth of the longest segment. At most 24 pieces to the longest segment.
     """
     intervals = [float(np.min(np.diff(zeros))) for s in segments if (zeros := _velocity_zeros(s)).size >= 2]
-    longest = max(float(s.time[-1]) for s in segments)
+    longest = max(s.since_step + float(s.time[-1]) for s in segments)
     chosen = 0.5 * min(intervals) if intervals else longest / 6.0
     return max(chosen, longest / MOST_PIECES, 1.01 * FEWEST_IN_PIECE * _sample_time(segments))
 
@@ -235,8 +241,8 @@ def _velocity_zeros(segment: Segment) -> NDArray[np.float64]:
     flips = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
     reversals = [_zero(time, velocity, int(fast[k - 1]), int(fast[k])) for k in flips]
     floor = max(4.0 * segment.noise, 1.5 * (segment.record.encoder_resolution or 0.0))
-    onset = time[max(int(np.argmax(np.abs(y - y[0]) > floor)), 0)]
-    return np.array([float(onset), *reversals])
+    onset = [] if segment.since_step else [float(time[int(np.argmax(np.abs(y - y[0]) > floor))])]
+    return np.array([*onset, *reversals])
 
 
 def _zero(time: NDArray[np.float64], velocity: NDArray[np.float64], first: int, last: int) -> float:
@@ -249,7 +255,7 @@ def _zero(time: NDArray[np.float64], velocity: NDArray[np.float64], first: int, 
 def _pieces(
     segments: Sequence[Segment], length: float, first: float | None = None
 ) -> tuple[list[Pieces], NDArray[np.float64]]:
-    longest = max(float(s.time[-1]) for s in segments)
+    longest = max(s.since_step + float(s.time[-1]) for s in segments)
     if not 0 < length <= longest:
         raise InputError(f"a piece must last between 0 and {longest:g} s (the longest step), got {length:g} s")
     count = max(round(longest / length), 1)
@@ -262,21 +268,23 @@ def _pieces(
     inner = inner[[i == 0 or any(_moves(s, t, t + length) for s in segments) for i, t in enumerate(inner)]]
     shares = []
     for segment in segments:
-        starts = np.unique(np.searchsorted(segment.time, inner - 1e-9))
-        starts = starts[starts <= segment.time.size - FEWEST_IN_PIECE]
-        if np.any(np.diff(starts) < FEWEST_IN_PIECE):
+        earlier = int(np.searchsorted(inner, segment.since_step + 1e-9, side="right")) - 1
+        starts = np.searchsorted(segment.time + segment.since_step, inner[earlier + 1 :] - 1e-9)
+        starts = np.append(0, starts[starts <= segment.time.size - FEWEST_IN_PIECE])
+        if np.any(np.diff(starts[1:]) < FEWEST_IN_PIECE):
             raise InputError(
                 f"{segment.record.name}: pieces of {length:g} s hold fewer than {FEWEST_IN_PIECE} samples; "
                 "choose longer ones"
             )
-        shares.append(Pieces(edges=np.append(starts, segment.time.size), groups=np.arange(starts.size, dtype=np.intp)))
-    count = max(share.groups.size for share in shares)
+        groups = earlier + np.arange(starts.size, dtype=np.intp)
+        shares.append(Pieces(edges=np.append(starts, segment.time.size), groups=groups))
+    count = 1 + max(int(share.groups.max()) for share in shares)
     return shares, np.append(inner[:count], longest)
 
 
 def _moves(segment: Segment, start: float, end: float) -> bool:
     """Tell whether the axis moves between two times; at rest a piece says nothing about damping and joins the last."""
-    first, stop = np.searchsorted(segment.time, [start, end])
+    first, stop = np.searchsorted(segment.time + segment.since_step, [start, end])
     floor = max(6.0 * segment.noise, 2.0 * (segment.record.encoder_resolution or 0.0))
     return bool(stop > first and np.ptp(segment.position[first:stop]) > floor)
 

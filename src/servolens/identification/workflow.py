@@ -11,17 +11,17 @@ from servolens.effects import VelocityDecayDamping
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law, law_from_pieces
+from servolens.identification.door import check_priors, together
 from servolens.identification.integral import Pieces, assemble, solve_integral
 from servolens.identification.piecewise import varying_plant
 from servolens.identification.refine import AT_NOISE, Refinement, closed_loop_rms, refine, refine_closed_loop
-from servolens.identification.segments import motion_segments
+from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.uncertainty import integral_covariance
 from servolens.identification.varying import fit_varying, piece_duration
 from servolens.model import Model, Quantity
 from servolens.plant import Plant
 from servolens.prediction import RecordError, prediction_error
-from servolens.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from servolens.identification.integral import Prior
     from servolens.identification.segments import Segment
     from servolens.identification.varying import VaryingDamping
+    from servolens.record import Record
 
 __all__ = ["Identification", "identify"]
 
@@ -110,7 +111,11 @@ class Identification:
     def _fit(self, name: str) -> dict[str, Any]:
         errors = self.errors.get(name, ())
         if not errors:
-            return {"mean_abs_error": None, "percent_error": None, "reason": "its simulation leaves all bounds"}
+            return {
+                "mean_abs_error": None,
+                "percent_error": None,
+                "reason": "it could not be simulated; see the findings",
+            }
         return {
             "mean_abs_error": float(np.mean([e.mean_abs_error for e in errors])),
             "percent_error": float(np.mean([e.percent_error for e in errors])),
@@ -160,8 +165,9 @@ def identify(
     >>> round(fit.velocity.plant.gain, 2)
     1.91
     """
-    runs = (records,) if isinstance(records, Record) else tuple(records)
-    _check(runs, model, priors or {}, delta)
+    runs = together(records)
+    _check(model, delta)
+    check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
     segments = motion_segments(runs)
     result = Identification(records=runs, findings=_reconstructed(runs))
     if model in ("all", "constant"):
@@ -173,23 +179,11 @@ def identify(
     return _with_errors(result)
 
 
-def _check(runs: tuple[Record, ...], model: str, priors: Mapping[str, Prior], delta: float | None) -> None:
-    if not runs:
-        raise InputError("no record was given; identification needs at least one")
+def _check(model: str, delta: float | None) -> None:
     if model not in ("all", "constant", "varying", "velocity"):
         raise InputError(f"model must be 'all', 'constant', 'varying' or 'velocity', got {model!r}")
-    for unit in ("length_unit", "command_unit"):
-        kinds = sorted({getattr(run, unit) for run in runs})
-        if len(kinds) > 1:
-            raise InputError(f"records in {' and '.join(kinds)} cannot be identified together; convert one of them")
     if delta is not None and not delta >= 0:
         raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
-    known = ["gain", "damping", *(f"{VelocityDecayDamping.name}.{p.name}" for p in VelocityDecayDamping.parameters())]
-    for name, prior in priors.items():
-        if name not in known:
-            raise InputError(f"a prior on {name[:40]!r} is not possible; known are {', '.join(known)}")
-        if not (np.isfinite(prior.value) and np.isfinite(prior.deviation) and prior.deviation > 0):
-            raise InputError(f"the prior on {name} needs a finite value and a positive standard deviation")
 
 
 def _constant(runs: tuple[Record, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Model:
@@ -217,12 +211,19 @@ def _with_varying(
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
     try:
-        return replace(result, varying=fit_varying(segments, duration=piece, delta=delta, bounds=(0.0, np.inf)))
+        varying = fit_varying(segments, duration=piece, delta=delta, bounds=(0.0, np.inf))
     except ServolensError as error:
         if wanted or piece is not None or delta is not None:
             raise
         finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
         return replace(result, findings=(*result.findings, finding))
+    errors = np.sqrt(np.diag(varying.covariance)[:-1])
+    vague = [f"{i + 1}" for i in np.flatnonzero(~(errors < np.maximum(varying.damping, 1.0)))]
+    if not vague:
+        return replace(result, varying=varying)
+    message = f"time-varying damping: the data hardly determine piece {', '.join(vague)} of {errors.size}."
+    finding = Finding(code="pieces_not_determined", severity="note", message=message)
+    return replace(result, varying=varying, findings=(*result.findings, finding))
 
 
 def _with_velocity(result: Identification, segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Identification:
@@ -328,7 +329,7 @@ def _with_errors(result: Identification) -> Identification:
         try:
             errors[name] = tuple(_own_error(name, plant, record) for record in shown)
         except NumericalError as error:
-            findings.append(Finding(code="unstable_model", severity="warning", message=f"{name} model: {error}."))
+            findings.append(Finding(code="not_simulated", severity="warning", message=f"{name} model: {error}."))
     return replace(result, errors=errors, findings=(*result.findings, *findings))
 
 
@@ -349,16 +350,19 @@ def _own_error(name: str, plant: Plant, record: Record) -> RecordError:
     """Error on a record; time-varying damping counts from each step's beginning."""
     if name != "varying":
         return prediction_error(plant, record)
-    steps = [step.with_({"time": step.time - step.time[0]}) for step in record.steps()]
-    parts = [prediction_error(plant, step) for step in steps]
+    parts = settled_steps(record)
+    if len(parts) == 1 and record.edges().size > 1:
+        raise NumericalError("the axis never rests between its steps, so none of them can be simulated by itself")
+    steps = [step.with_({"time": step.time - step.time[0]}) for step in parts]
+    found = [prediction_error(plant, step) for step in steps]
     weights = np.array([len(step) for step in steps], dtype=np.float64) / sum(len(step) for step in steps)
-    mean = float(weights @ [p.mean_abs_error for p in parts])
+    mean = float(weights @ [p.mean_abs_error for p in found])
     return RecordError(
         name=record.name,
         mean_abs_error=mean,
-        rms_error=float(np.sqrt(weights @ [p.rms_error**2 for p in parts])),
+        rms_error=float(np.sqrt(weights @ [p.rms_error**2 for p in found])),
         percent_error=100.0 * mean / record.step_size,
-        fit_percent=float(weights @ [p.fit_percent for p in parts]),
+        fit_percent=float(weights @ [p.fit_percent for p in found]),
     )
 
 
@@ -406,7 +410,7 @@ def _varying_json(varying: VaryingDamping, record: Record) -> dict[str, Any]:
         "gain": Quantity(value=varying.gain, stderr=float(errors[-1]), unit=unit).to_json(),
         "edges": varying.edges.tolist(),
         "damping": varying.damping.tolist(),
-        "damping_stderr": [q.stderr for q in pieces],
+        "pieces": [q.to_json() for q in pieces],
         "speed": varying.speed.tolist(),
         "active": list(varying.active),
     }

@@ -139,7 +139,7 @@ def _limits(record: Record, fit: LoopFit) -> Iterator[Finding]:
 
 def _law(record: Record, fit: LoopFit) -> Iterator[Finding]:
     stated = record.controller
-    fits = f"kp = {fit.kp:.4g}, kd = {fit.kd:.4g}"
+    fits = f"kp = {fit.kp:.4g}, kd = {0.0 if abs(fit.kd) < 1e-9 * abs(fit.kp) else fit.kd:.4g}"
     if fit.shift:
         when = "after" if fit.shift > 0 else "before"
         message = f"the voltage is logged {abs(fit.shift)} sample(s) {when} its position; shift the column."

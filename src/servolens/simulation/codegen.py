@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 
 from servolens.dynamics import dynamics
+from servolens.errors import InputError
 
 if TYPE_CHECKING:
     from servolens.effects import Effect
@@ -129,7 +130,11 @@ def _function(name: str, inputs: list[Any], outputs: list[Any]) -> str:
         elif operation == ca.OP_CONST:
             value = repr(float(program.instruction_constant(k)))
         else:
-            template = UNARY.get(operation) or BINARY[operation]
+            template = UNARY.get(operation) or BINARY.get(operation)
+            if template is None:
+                raise InputError(
+                    "an effect's physics uses a CasADi operation that the kernel does not know; rewrite it"
+                )
             value = template.format(*(f"w{i}" for i in source))
         lines.append(f"    w{target[0]} = {value}")
     lines.append(f"    return {', '.join(results)}")

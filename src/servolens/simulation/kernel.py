@@ -7,6 +7,7 @@ import importlib.util
 import os
 import sys
 import tempfile
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,14 @@ def kernel(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> 
     source = kernel_source(structure, continuous=continuous)
     key = "\n".join([__version__, numba.__version__, sys.version, source])
     name = f"servolens_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
-    path = _write_once(name, source)
+    try:
+        return _load(name, _write_once(name, source))
+    except Exception:
+        _forget(name)
+        return _load(name, _write_once(name, source))
+
+
+def _load(name: str, path: Path) -> Callable[..., None]:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None  # noqa: PT018, S101 - a .py path always has a loader
     module = importlib.util.module_from_spec(spec)
@@ -40,6 +48,15 @@ def kernel(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> 
     spec.loader.exec_module(module)
     run: Callable[..., None] = module.run
     return run
+
+
+def _forget(name: str) -> None:
+    """Remove a kernel's files, so that it is compiled anew."""
+    sys.modules.pop(name, None)
+    for folder in (cache_folder(), _session_folder()):
+        for path in (*folder.glob(f"{name}*"), *(folder / "__pycache__").glob(f"{name}*")):
+            with suppress(OSError):
+                path.unlink()
 
 
 def cache_folder() -> Path:

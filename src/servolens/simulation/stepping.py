@@ -5,10 +5,10 @@ This module is not imported: its text is compiled by numba together with the `ta
 inline.
 
 A step is a Taylor series: third order where the motion is smooth; it is halved while its last term is more than a
-ten-thousandth of the travel (a kick of the voltage may change the damping within a sample). Each velocity reversal is
-found as the root of the series and the step is split there, so that the order holds across it (second order at
-least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves only if the push exceeds
-the level, and until then its position does not change by one bit.
+hundred-thousandth of the travel (a kick of the voltage may change the damping within a sample). Each velocity
+reversal is found as the root of the series and the step is split there, so that the order holds across it (second
+order at least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves only if the push
+exceeds the level, and until then its position does not change by one bit.
 """
 
 # ruff: noqa: C901, PLR0913 - one compiled loop; calls are split where numba inlines them
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # --- kernel ---
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
-SMOOTH, SHORTEST, MOST_PIECES = 1.2e-3, 1e-3, 4096
+SMOOTH, SHORTEST, MOST_PIECES = 1.2e-4, 1e-3, 4096
 
 
 @njit
