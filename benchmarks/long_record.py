@@ -36,7 +36,7 @@ def figures() -> list[Figure]:
     seconds = median(run["seconds"] for run in long)
     ratio = seconds / LONG / (median(run["seconds"] for run in short) / SHORT)
     memory = median(run["memory"] for run in long)
-    name = "identify 10⁷ samples"
+    name = "identify 10⁷ samples, constant model"
     return [
         Figure(name=f"{name}: time", value=seconds, unit="s", target=2, better="lower"),
         Figure(name=f"{name}: time a sample relative to 10⁶", value=ratio, unit="times", target=1.3, better="lower"),
