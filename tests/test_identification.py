@@ -354,3 +354,11 @@ def test_intervals_of_95_percent_cover_in_93_to_97_percent(truth: Truth, kp: flo
         inside += np.abs(np.array(found.plant.values) - true) <= 1.959964 * np.sqrt(np.diag(found.covariance))
     assert np.all(inside / len(records) >= 0.93)
     assert np.all(inside / len(records) <= 0.97)
+
+
+def test_a_prior_far_from_the_data_is_named() -> None:
+    record = step_record(NLM1, 60.0, noise=1e-5, seed=4)
+    wrong = identify(record, priors={"gain": Prior(value=2.5, deviation=1e-4)})
+    assert "prior_contradicts_data" in {finding.code for finding in wrong.findings}
+    right = identify(record, priors={"gain": Prior(value=1.9, deviation=0.05)})
+    assert "prior_contradicts_data" not in {finding.code for finding in right.findings}

@@ -10,7 +10,7 @@ import casadi as ca
 
 from servolens.effects import Actuator, Axis, DryFriction, Effect, Force
 
-__all__ = ["Dynamics", "dynamics"]
+__all__ = ["Dynamics", "dynamics", "ideal_pd"]
 
 
 @final
@@ -56,6 +56,11 @@ class Dynamics:
             + ca.gradient(expression, self.velocity) * acceleration
             + ca.gradient(expression, self.time)
         )
+
+
+def ideal_pd(kp: Any, kd: Any, reference: Any, position: Any, velocity: Any) -> Any:
+    """Return what the ideal continuous PD asks for (paper eq. 15), of numbers, arrays or symbols."""
+    return kp * (reference - position) - kd * velocity
 
 
 @lru_cache(maxsize=256)

@@ -246,7 +246,7 @@ class Record:
     def onset(self) -> float:
         """Time [s] at which the motion begins.
 
-        The last sample before the position first leaves its initial value by more than three times the noise of the
+        The last sample before the position first leaves its initial value by more than four times the noise of the
         first samples (at least 1.5 encoder steps); the first sample if it moves at once, the last if it never does.
         """
         lead = self._lead()

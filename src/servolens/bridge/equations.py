@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import casadi as ca
 import numpy as np
 
-from servolens.dynamics import dynamics
+from servolens.dynamics import dynamics, ideal_pd
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -93,7 +93,7 @@ def _functions(structure: tuple[type[Effect], ...], width: float, closed: bool) 
     d = dynamics(structure)
     state, given = ca.vertcat(d.position, d.velocity), ca.SX.sym("input")
     gains = ca.SX.sym("gains", 2 if closed else 0)
-    asked = gains[0] * (given - d.position) - gains[1] * d.velocity if closed else given
+    asked = ideal_pd(gains[0], gains[1], given, d.position, d.velocity) if closed else given
     push, level = ca.substitute([d.push, d.level], [d.command, d.direction], [asked, ca.sign(d.velocity)])
     rates = ca.vertcat(d.velocity, push - level * ca.tanh(d.velocity / width))
     outputs = ca.vertcat(state, asked) if closed else state

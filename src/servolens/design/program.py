@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servolens.design.settle import design_horizon
-from servolens.dynamics import dynamics
+from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.loop import substeps_for
 from servolens.solving import NonlinearProgram, minimise
 
@@ -98,7 +98,7 @@ def _sample(structure: tuple[type[Effect], ...], continuous: bool, substeps: int
 
     def rate(position: Any, velocity: Any, time: Any) -> Any:
         direction = ca.tanh(velocity / FRICTION_WIDTH)
-        asked = kp * (reference - position) - kd * velocity if continuous else held
+        asked = ideal_pd(kp, kd, reference, position, velocity) if continuous else held
         return acceleration(position, velocity, time, asked, direction, settings[:count])
 
     k = h / substeps

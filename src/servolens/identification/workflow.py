@@ -129,6 +129,7 @@ def identify(
     model: ModelName = "all",
     delta: float | None = None,
     piece: float | None = None,
+    bounds: tuple[float, float] = (0.0, np.inf),
     priors: Mapping[str, Prior] | None = None,
 ) -> Identification:
     """Identify the axis from measured steps by the integral method.
@@ -143,6 +144,8 @@ def identify(
         δ of eq. 18 [1/s] for the time-varying damping; unconstrained when None.
     piece : float, optional
         Length of its pieces [s]; half the smallest interval between velocity zeros when None.
+    bounds : tuple of float
+        Least and largest damping of a piece [1/s].
     priors : mapping of str to Prior, optional
         Data-sheet knowledge by parameter name, e.g. ``{"gain": Prior(value=45.0, deviation=2.0)}``; for the constant
         and the velocity model.
@@ -169,11 +172,12 @@ def identify(
     _check(model, delta)
     check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
     segments = motion_segments(runs)
-    result = Identification(records=runs, findings=_reconstructed(runs))
+    doubts = (*_reconstructed(runs), *_contradicted(runs, segments, priors or {}))
+    result = Identification(records=runs, findings=doubts)
     if model in ("all", "constant"):
         result = replace(result, constant=_constant(runs, segments, priors or {}))
     if model in ("all", "varying"):
-        result = _with_varying(result, segments, piece, delta, wanted=model == "varying")
+        result = _with_varying(result, segments, (piece, delta, bounds), wanted=model == "varying")
     if model in ("all", "velocity"):
         result = _with_velocity(result, segments, priors or {})
     return _with_errors(result)
@@ -207,11 +211,16 @@ def _constant(runs: tuple[Record, ...], segments: Sequence[Segment], priors: Map
 
 
 def _with_varying(
-    result: Identification, segments: Sequence[Segment], piece: float | None, delta: float | None, *, wanted: bool
+    result: Identification,
+    segments: Sequence[Segment],
+    options: tuple[float | None, float | None, tuple[float, float]],
+    *,
+    wanted: bool,
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
+    piece, delta, bounds = options
     try:
-        varying = fit_varying(segments, duration=piece, delta=delta, bounds=(0.0, np.inf))
+        varying = fit_varying(segments, duration=piece, delta=delta, bounds=bounds)
     except ServolensError as error:
         if wanted or piece is not None or delta is not None:
             raise
@@ -385,6 +394,26 @@ def _integral_priors(priors: Mapping[str, Prior]) -> dict[int, Prior]:
 
 def _plant(runs: tuple[Record, ...], plant: Plant) -> Plant:
     return replace(plant, length_unit=runs[0].length_unit, command_unit=runs[0].command_unit)
+
+
+def _contradicted(
+    runs: tuple[Record, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]
+) -> tuple[Finding, ...]:
+    """Name the priors that a fit without them is far from."""
+    known = {name: priors[name] for name in ("gain", "damping") if name in priors}
+    if not known:
+        return ()
+    free = _constant(runs, segments, {}).quantities
+    found = []
+    for name, prior in known.items():
+        value, spread = free[name].value, free[name].stderr or 0.0
+        if abs(value - prior.value) > SIGNIFICANT * np.hypot(spread, prior.deviation):
+            message = (
+                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
+                f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
+            )
+            found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
+    return tuple(found)
 
 
 def _reconstructed(runs: tuple[Record, ...]) -> tuple[Finding, ...]:

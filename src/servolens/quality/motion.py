@@ -70,13 +70,11 @@ def _freezing(record: Record, seen: Sampling) -> Iterator[Finding]:
     still = moves == 0.0
     if not still.any():
         return
-    yield from _repeated(record, moves, still, seen)
+    yield from _repeated(record, moves, seen)
     yield from _frozen(record, moves, still, seen)
 
 
-def _repeated(
-    record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_], seen: Sampling
-) -> Iterator[Finding]:
+def _repeated(record: Record, moves: NDArray[np.float64], seen: Sampling) -> Iterator[Finding]:
     y, w = record.position, 4
     step = seen.step or 0.0
     before, after = y[w:-w] - y[: -2 * w], y[2 * w :] - y[w:-w]

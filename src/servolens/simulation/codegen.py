@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
-from servolens.dynamics import dynamics
+from servolens.dynamics import dynamics, ideal_pd
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def kernel_source(structure: tuple[type[Effect], ...], *, continuous: bool) -> s
     push, level, parameters = d.push, d.level, d.parameters
     if continuous:
         gains = ca.SX.sym("gains", 2)
-        asked = gains[0] * (d.command - d.position) - gains[1] * d.velocity
+        asked = ideal_pd(gains[0], gains[1], d.command, d.position, d.velocity)
         push = ca.substitute(push, d.command, asked)
         level = ca.substitute(level, d.command, asked)
         parameters = ca.vertcat(parameters, gains)

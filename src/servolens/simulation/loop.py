@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.control_law import samples_a_period
+from servolens.dynamics import dynamics, ideal_pd
 from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
 
@@ -193,7 +194,7 @@ def simulate_continuous(
     count = substeps or substeps_for(plant, step, extra=float(loop))
     settings = [0.0] * 7 + [1.0, 0.0, 1.0]
     result = _run(plant, grid, held, held, settings, start, count, gains=(kp, kd))
-    voltage = kp * (held - result.position) - kd * result.velocity
+    voltage = ideal_pd(kp, kd, held, result.position, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured
     )
@@ -237,8 +238,6 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
 def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], float]:
     """Return a function of the parameters: the fastest rate [1/s] of the axis at a few speeds."""
     import casadi as ca
-
-    from servolens.dynamics import dynamics
 
     d = dynamics(structure)
     slopes = ca.Function(

@@ -46,7 +46,8 @@ def identification_summary(identification: Identification) -> Summary:
     ]
     if identification.varying is not None:
         tables.insert(
-            1 if identification.constant else 0, _varying_table(identification.varying, _gain_unit(records[0]))
+            1 if identification.constant else 0,
+            _varying_table(identification.varying, _gain_unit(records[0]), records[0].length_unit),
         )
     if identification.errors:
         tables.append(_errors_table(identification))
@@ -157,7 +158,7 @@ def _bound(plant: Plant, name: str, value: float) -> str:
     return "" if at is None else f"{number(at)} {unit(plant.unit(name))}"
 
 
-def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
+def _varying_table(varying: VaryingDamping, gain_unit: str, length_unit: str) -> Table:
     errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
     rows = [
         (
@@ -173,7 +174,7 @@ def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
     active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
     return Table(
         title="Damping that varies in time (varying)",
-        columns=("Time since the step [s]", "Damping ± standard error [1/s]", "Mean |speed|"),
+        columns=("Time since the step [s]", "Damping ± standard error [1/s]", f"Mean |speed| [{length_unit}/s]"),
         rows=tuple(rows),
         note=f"Gain {gain} {unit(gain_unit)}.{active}",
     )
