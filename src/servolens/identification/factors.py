@@ -15,10 +15,13 @@ its end correction −h²/12 (f′ₖ₊₁ − f′ₖ), fourth order on smooth
 # ruff: noqa: PLR0913 - compiled loops, which have no objects to pass
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import float64, int64, njit, types, void
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 __all__ = ["LONGEST_PIECE", "segment_factor", "triangular_solution", "whiten"]
 
@@ -29,6 +32,18 @@ STACKED = 64
 _SIGNAL = types.Array(float64, 1, "C", readonly=True)
 _TABLE = types.Array(float64, 2, "C", readonly=True)
 _COUNTS = types.Array(int64, 1, "C", readonly=True)
+
+
+def _kept(signature: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Compile for `signature` and keep the result on disk; only in memory where no folder can be written or read."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        try:
+            return njit(signature, cache=True, error_model="numpy")(function)
+        except Exception:
+            return njit(signature, error_model="numpy")(function)
+
+    return decorate
 
 
 @njit(error_model="numpy")
@@ -168,9 +183,7 @@ def _carry(value: Any, slope: Any, ends: Any, group: int, moved: float, m: int) 
         slope[p - m + j] -= ends[4 + m + j]
 
 
-@njit(
-    void(_SIGNAL, _SIGNAL, _SIGNAL, _TABLE, _TABLE, _COUNTS, _COUNTS, float64[:, ::1]), cache=True, error_model="numpy"
-)
+@_kept(void(_SIGNAL, _SIGNAL, _SIGNAL, _TABLE, _TABLE, _COUNTS, _COUNTS, float64[:, ::1]))
 def segment_factor(
     time: Any, position: Any, voltage: Any, forces: Any, weights: Any, edges: Any, groups: Any, out: Any
 ) -> None:
@@ -226,7 +239,7 @@ def segment_factor(
     _orthogonalise(stack, filled, out)
 
 
-@njit(float64(_TABLE, float64[::1]), cache=True, error_model="numpy")
+@_kept(float64(_TABLE, float64[::1]))
 def triangular_solution(factor: Any, out: Any) -> float:
     """Solve ``R x = z`` of the factor ``[[R, z], [0, ρ]]`` and return how near R is to singular.
 
@@ -256,7 +269,7 @@ def triangular_solution(factor: Any, out: Any) -> float:
     return smallest
 
 
-@njit(float64[::1](_SIGNAL, _SIGNAL, _SIGNAL), cache=True, error_model="numpy")
+@_kept(float64[::1](_SIGNAL, _SIGNAL, _SIGNAL))
 def whiten(residual: Any, damping: Any, time: Any) -> Any:
     """Undo what the integral equation does to measurement noise: solve n + ∫c n dt = residual for n.
 
