@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["AT_NOISE", "Refinement", "closed_loop_rms", "refine", "refine_closed_loop"]
 
 STEP = 1e-4
-MOST_ITERATIONS = 40
+MOST_ITERATIONS = 60
 NEGLIGIBLE = 1e-8
 """Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
 AT_NOISE = 3.0

@@ -13,10 +13,11 @@ from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law, law_from_pieces
 from servolens.identification.door import check_priors, together
 from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.law_in_loop import MOST_CLOSED, best_in_closed_loop, excerpt_of
 from servolens.identification.piecewise import varying_plant
-from servolens.identification.refine import AT_NOISE, Refinement, closed_loop_rms, refine, refine_closed_loop
+from servolens.identification.refine import AT_NOISE, Refinement, refine
 from servolens.identification.segments import motion_segments, settled_steps
-from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.identification.smoothing import smoothing_window
 from servolens.identification.uncertainty import integral_covariance
 from servolens.identification.varying import fit_varying, piece_duration
 from servolens.model import Model, Quantity
@@ -40,8 +41,6 @@ SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
 NEGLIGIBLE = 2e-5
 """Share of the travel below which a residual is no matter."""
-EXTRA_DAMPING, DECAYS, MOST_GRID_STARTS = (1.0, 10.0, 100.0), (3.0, 10.0, 30.0, 100.0), 3
-"""Starts of the closed-loop fit: α₁ over γ and α₂ times the highest speed; and how many of the best are refined."""
 SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
 BEYOND_THE_LAW = (
     "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to "
@@ -252,12 +251,16 @@ def _with_velocity(result: Identification, segments: Sequence[Segment], priors: 
     else:
         noise = max(s.noise for s in used)
         starts = (_constant(runs, segments, {}).plant, start, refined.plant)
-        refined = _best_in_closed_loop(starts, runs, priors, noise)
+        excerpt = excerpt_of(runs)
+        refined = best_in_closed_loop(starts, excerpt, priors, noise)
         again = refine(refined.plant, used, priors=priors, window=window)
         if _is_explained(again, used):
             refined = again
         else:
             findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
+            if sum(map(len, excerpt)) >= MOST_CLOSED:
+                message = f"the closed-loop fit uses the first {sum(map(len, excerpt))} samples of the steps."
+                findings.append(Finding(code="not_all_data_used", severity="note", message=message))
     if not refined.converged:
         findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
     velocity = Model(
@@ -276,34 +279,6 @@ def _is_explained(refined: Refinement, segments: Sequence[Segment]) -> bool:
     noise = max(s.noise for s in segments)
     step = max(float(np.ptp(s.position)) for s in segments)
     return refined.rms_error <= max(AT_NOISE * noise, NEGLIGIBLE * step)
-
-
-def _best_in_closed_loop(
-    starts: tuple[Plant, ...], runs: tuple[Record, ...], priors: Mapping[str, Prior], noise: float
-) -> Refinement:
-    """Refine from several starts, for the law's shape is the hard part; the best end counts."""
-    ranked = sorted(
-        ((closed_loop_rms(plant, runs), shape, plant) for shape in DECAYS for plant in _trials(starts, shape, runs)),
-        key=lambda trial: trial[0],
-    )
-    shapes = list(dict.fromkeys(shape for _, shape, _ in ranked))[:MOST_GRID_STARTS]
-    best = [next(plant for _, shape, plant in ranked if shape == wanted) for wanted in shapes]
-    found = [refine_closed_loop(plant, runs, noise=noise, priors=priors) for plant in (starts[-1], *best)]
-    return min(found, key=lambda refined: refined.rms_error)
-
-
-def _trials(starts: tuple[Plant, ...], shape: float, runs: tuple[Record, ...]) -> list[Plant]:
-    """Return laws that decay at a share of the highest speed, of several sizes, on the base of each start."""
-    fastest = max(float(np.abs(smooth(r.time, r.position, 21)[1]).max()) for r in runs)
-    return [
-        replace(
-            start,
-            damping=abs(start.damping),
-            effects=(VelocityDecayDamping(alpha1=size * abs(start.damping), alpha2=shape / fastest),),
-        )
-        for start in starts
-        for size in EXTRA_DAMPING
-    ]
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
