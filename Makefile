@@ -12,7 +12,7 @@ DEMO_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs pictures bench examples clean help
+.PHONY: demo test check static format format-check lint types layers docs coverage pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -44,6 +44,9 @@ layers: $(DEV_STAMP) ## imports go down only
 docs: $(DEV_STAMP) ## the documentation, into site/
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "docs: site/index.html"
+
+coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth (a minute)
+	@$(BIN)/python benchmarks/coverage.py
 
 pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
 	@$(BIN)/python docs/pictures.py
