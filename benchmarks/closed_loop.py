@@ -5,8 +5,8 @@ reverses and sticks. The reference is the laboratory of servolens, which shares 
 Runge–Kutta steps of 20 µs.
 
 python-control cannot run a sampled controller on a continuous plant, so its loop is the continuous one with smoothed
-friction, simulated with its defaults, which put it a hundredth of the step off, and with the bridge's settings. Its most
-faithful form holds the voltage by hand, one call of ``input_output_response`` a sample; that is measured once.
+friction, simulated with its defaults, which put it a hundredth of the step off, and with the bridge's settings. Its
+most faithful form holds the voltage by hand, one call of ``input_output_response`` a sample; that is measured once.
 
 The C loop runs the same algorithm, its derivatives written by hand for this cart; compiled by ``gcc -O2``. Both kernels
 fill arrays that exist already.
