@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
-from servolens.effects import Effect, Parameter, effect_class
+from servolens.effects import Drive, Effect, Parameter, TimeShift, Transmission, effect_class
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,11 +39,11 @@ class Plant:
     Parameters
     ----------
     gain : float
-        β [m/s²/V]: acceleration per volt from rest, not zero.
+        β [m/s²/V]: acceleration per volt from rest, not zero. A drive with a loop of its own sets it.
     damping : float
         c [1/s]: viscous damping per unit of moving mass.
     effects : tuple of Effect
-        What else the axis does, at most one of each kind by name.
+        What else the axis does: each name once, at most one transmission, one drive and one delay.
     length_unit : {"m", "rad"}
         Unit of position.
     command_unit : str
@@ -52,7 +52,7 @@ class Plant:
     Raises
     ------
     InputError
-        If a value is outside its range or an effect appears twice.
+        If a value is outside its range or effects cannot be there together.
     """
 
     gain: float
@@ -66,13 +66,13 @@ class Plant:
             object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name), "plant"))
         if self.length_unit not in ("m", "rad"):
             raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
+        object.__setattr__(self, "effects", tuple(self.effects))
+        _check_together(self.effects)
+        for effect in self.effects:
+            if isinstance(effect, Drive):
+                object.__setattr__(self, "gain", effect.gain)
         if self.gain == 0:
             raise InputError("plant: gain must not be 0, the command would move nothing")
-        object.__setattr__(self, "effects", tuple(self.effects))
-        names = [effect.name for effect in self.effects]
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
-            raise InputError(f"plant: {twice[0]} appears twice; an effect can be there once")
 
     @property
     def structure(self) -> tuple[type[Effect], ...]:
@@ -91,6 +91,11 @@ class Plant:
         for effect in self.effects:
             named |= {f"{effect.name}.{spec.name}": spec for spec in effect.parameters()}
         return named
+
+    @property
+    def delay(self) -> float:
+        """By how much the command comes late [s]."""
+        return float(sum(effect.physics(effect) for effect in self.effects if isinstance(effect, TimeShift)))
 
     def unit(self, name: str) -> str:
         """Return the unit of the parameter with the qualified `name`."""
@@ -129,3 +134,19 @@ class Plant:
         if sorted(parameters) != sorted(wanted):
             raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {', '.join(parameters) or 'none'}")
         return cls(**parameters)
+
+
+def _check_together(effects: tuple[Effect, ...]) -> None:
+    """Refuse effects that no axis can have together."""
+    names = [effect.name for effect in effects]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"plant: {twice[0]} appears twice; an effect can be there once")
+    for kind, why in (
+        (Transmission, "each splits the axis into motor and load"),
+        (Drive, "each takes the place of the motor's own force"),
+        (TimeShift, "their times only add up"),
+    ):
+        alike = [effect.name for effect in effects if isinstance(effect, kind)]
+        if len(alike) > 1:
+            raise InputError(f"plant: {' and '.join(alike)} cannot be there together: {why}; keep one")

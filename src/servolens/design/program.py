@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from servolens.design.settle import design_horizon
 from servolens.dynamics import dynamics, ideal_pd
-from servolens.simulation.loop import substeps_for
+from servolens.simulation.rates import substeps_for
 from servolens.solving import NonlinearProgram, minimise
 
 if TYPE_CHECKING:
@@ -30,15 +31,18 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     samples = int(np.ceil(design_horizon(plant, spec) / spec.sample_time))
     first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
     stride = max((samples - first) // MOST_INSTANTS, 1)
+    plant = replace(plant, effects=tuple(effect for effect in plant.effects if not effect.absent))
     substeps = min(substeps_for(plant, spec.sample_time), 16)
+    late, due = divmod(plant.delay / spec.sample_time, 1.0)
     program = _program(
         plant.structure,
         spec.control == "continuous",
-        (samples, first, stride, substeps),
+        (samples, first, stride, substeps, int(late)),
+        due > 0.0,
         (spec.overshoot is not None, spec.voltage_limit is not None),
     )
     width = interval[1] - interval[0]
-    parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter]
+    parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
     late = (samples - first) // stride + 1
     lower, upper = [-spec.band] * late, [spec.band] * late
     if spec.overshoot is not None:
@@ -59,54 +63,98 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
 def _program(
     structure: tuple[type[Effect], ...],
     continuous: bool,
-    grid: tuple[int, int, int, int],
+    grid: tuple[int, int, int, int, int],
+    split: bool,
     limits: tuple[bool, bool],
 ) -> NonlinearProgram:
     import casadi as ca
 
-    samples, first, stride, substeps = grid
+    samples, first, stride, substeps, late = grid
     overshoot, voltage = limits
 
-    step = _sample(structure, continuous, substeps)
+    loop = _Loop(structure, continuous, substeps, (late, split))
     kd = ca.MX.sym("kd")
-    given = ca.MX.sym("given", step.size1_in(1) - 1)
+    given = ca.MX.sym("given", loop.settings - 1)
     settings = ca.vertcat(given, kd)
-    states = step.mapaccum(samples)(ca.DM.zeros(4), ca.repmat(settings, 1, samples))
-    reference = given[-3]
+    states = loop.step.mapaccum(samples)(loop.beginning(settings), ca.repmat(settings, 1, samples))
+    reference = given[-4]
     error = (reference - states[0, :].T) / ca.fabs(reference)
     constraints = [error[first - 1 :: stride]]
     if overshoot:
         constraints.append(-error * ca.sign(reference))
     if voltage:
-        seen, slope = (states[0, :], states[1, :]) if continuous else (states[2, :], states[3, :])
-        constraints.append(given[-4] * (reference - seen.T) - kd * slope.T)
+        constraints.append(states[1, :].T)
     return NonlinearProgram(x=kd, f=kd, g=ca.vertcat(*constraints), p=given)
 
 
-def _sample(structure: tuple[type[Effect], ...], continuous: bool, substeps: int) -> Any:
-    """Return one sample of the loop: (y, v, last y, derivative) and [plant, kp, r, h, filter, kd] to the next state."""
-    import casadi as ca
+@final
+class _Loop:
+    """One sample of the loop as CasADi functions.
 
-    d = dynamics(structure)
-    acceleration = ca.Function("acceleration", d.inputs, [d.acceleration])
-    state, count = ca.SX.sym("state", 4), d.parameters.numel()
-    settings = ca.SX.sym("settings", count + 5)
-    kp, reference, h, share, kd = (settings[count + i] for i in range(5))
-    y, v, last, derivative = ca.vertsplit(state)
-    slope = derivative + share * ((y - last) / h - derivative)
-    held = kp * (reference - y) - kd * slope
+    The state is [output, asked, last shown, derivative, time, axis, asked before, …]; the settings are the plant's
+    parameters and [kp, r, h, filter, due, kd], of which `due` is the share of a sample that the command is late
+    beyond `late` samples.
+    """
 
-    def rate(position: Any, velocity: Any, time: Any) -> Any:
-        direction = ca.tanh(velocity / FRICTION_WIDTH)
-        asked = ideal_pd(kp, kd, reference, position, velocity) if continuous else held
-        return acceleration(position, velocity, time, asked, direction, settings[:count])
+    def __init__(
+        self, structure: tuple[type[Effect], ...], continuous: bool, substeps: int, delay: tuple[int, bool]
+    ) -> None:
+        import casadi as ca
 
-    k = h / substeps
-    p, q = y, v
-    for _ in range(substeps):
-        a1 = rate(p, q, 0)
-        a2 = rate(p + k / 2 * q, q + k / 2 * a1, 0)
-        a3 = rate(p + k / 2 * q + k * k / 4 * a1, q + k / 2 * a2, 0)
-        a4 = rate(p + k * q + k * k / 2 * a2, q + k * a3, 0)
-        p, q = p + k * q + k * k / 6 * (a1 + a2 + a3), q + k / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return ca.Function("sample", [state, settings], [ca.vertcat(p, q, y, slope)])
+        d = dynamics(structure)
+        self.axis = ca.vertcat(d.position, d.velocity, d.states)
+        self._continuous, self._substeps = continuous, substeps
+        self._late, self._split = delay
+        width = ca.tanh(d.velocity / FRICTION_WIDTH)
+        flow = ca.substitute(ca.vertcat(d.velocity, d.acceleration, d.rates), d.direction, width)
+        inputs = [self.axis, d.time, d.command, d.parameters]
+        self._flow = ca.Function("flow", inputs, [flow])
+        self._seen = ca.Function("seen", [self.axis, d.parameters], [d.shown, d.output_velocity, d.output])
+        resting = ca.vertcat(0.0, 0.0, ca.substitute(d.beginning, d.position, 0.0))
+        self._resting = ca.Function("resting", [d.time, d.command, d.parameters], [resting])
+        self.parameters = d.parameters.numel()
+        self.settings = self.parameters + 6
+        self.step = self._sample()
+
+    def beginning(self, settings: Any) -> Any:
+        """Return the state of the loop at rest at 0, its first command applied for long."""
+        import casadi as ca
+
+        asked = settings[self.parameters] * settings[self.parameters + 1]
+        axis = self._resting(0.0, asked, settings[: self.parameters])
+        return ca.vertcat(0.0, asked, 0.0, 0.0, 0.0, axis, ca.repmat(asked, self._late + 1, 1))
+
+    def _sample(self) -> Any:
+        import casadi as ca
+
+        size = self.axis.numel()
+        state, settings = ca.SX.sym("state", 5 + size + self._late + 1), ca.SX.sym("settings", self.settings)
+        kp, reference, h, share, due, kd = ca.vertsplit(settings[self.parameters :])
+        p, axis, before = settings[: self.parameters], state[5 : 5 + size], state[5 + size :]
+        shown, velocity, _ = self._seen(axis, p)
+        slope = state[3] + share * ((shown - state[2]) / h - state[3])
+        asked = kp * (reference - shown) - kd * slope
+        if self._continuous:
+            asked = ideal_pd(kp, kd, reference, shown, velocity)
+        row, time = ca.vertcat(asked, before), state[4]
+        parts = [(due, row[self._late + 1]), (1 - due, row[self._late])] if self._split else [(1, row[self._late])]
+        for part, held in parts:
+            step = part * h / self._substeps
+            for _ in range(self._substeps):
+                axis = self._runge_kutta(axis, time, step, held, (kp, kd, reference), p)
+                time += step
+        output = self._seen(axis, p)[2]
+        after = ca.vertcat(output, asked, shown, slope, time, axis, row[: self._late + 1])
+        return ca.Function("sample", [state, settings], [after])
+
+    def _runge_kutta(self, axis: Any, time: Any, step: Any, held: Any, gains: tuple[Any, Any, Any], p: Any) -> Any:
+        def rate(x: Any, t: Any) -> Any:
+            shown, velocity, _ = self._seen(x, p)
+            command = ideal_pd(*gains, shown, velocity) if self._continuous else held
+            return self._flow(x, t, command, p)
+
+        k1 = rate(axis, time)
+        k2 = rate(axis + step / 2 * k1, time + step / 2)
+        k3 = rate(axis + step / 2 * k2, time + step / 2)
+        k4 = rate(axis + step * k3, time + step)
+        return axis + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

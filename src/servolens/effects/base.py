@@ -1,21 +1,24 @@
 """What an effect is: a sentence, parameters with units and bounds, and its physics, written once.
 
 The physics is a CasADi expression. Kernel, regressor columns, optimisation problems, the python-control bridge and the
-report derive from it; nothing restates it.
+report derive from it; nothing restates it. The kinds of effects are in :mod:`servolens.effects.kinds`.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from dataclasses import dataclass, field, fields
 from types import SimpleNamespace
-from typing import Any, ClassVar, NamedTuple, final
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
 from servolens.errors import InputError
 
-__all__ = ["Actuator", "Axis", "DryFriction", "Effect", "Force", "Parameter", "parameter"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["Axis", "Effect", "Parameter", "Seen", "State", "parameter"]
 
 SX = Any  # casadi.SX; importing servolens must not load CasADi
 
@@ -23,8 +26,9 @@ SX = Any  # casadi.SX; importing servolens must not load CasADi
 class Axis(NamedTuple):
     """The axis as an effect sees it: CasADi expressions of one instant.
 
-    ``speed`` is |velocity| and ``direction`` its sign; each consumer realises the sign in its own way (exact in the
-    kernel, smoothed with a stated width in optimisation).
+    Position and velocity are those of the motor, which differ from the load's behind a transmission. ``speed`` is
+    |velocity| and ``direction`` its sign; each consumer realises the sign in its own way (exact in the kernel, smoothed
+    with a stated width in optimisation). ``state`` holds the effect's own states by name.
     """
 
     position: SX
@@ -32,6 +36,24 @@ class Axis(NamedTuple):
     speed: SX
     direction: SX
     time: SX
+    state: Any = None
+
+
+class State(NamedTuple):
+    """A quantity that an effect remembers.
+
+    Attributes
+    ----------
+    name, unit : str
+        ``unit`` with ``{x}`` and ``{u}`` as for parameters.
+    relaxes : bool
+        Whether it only runs after a target, as a filter does: its rate is linear in itself with a slope that is not
+        positive. The kernel then carries it exactly, however fast; at the beginning it is at its target.
+    """
+
+    name: str
+    unit: str
+    relaxes: bool = False
 
 
 @final
@@ -76,17 +98,71 @@ def parameter(symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: f
     return field(metadata={"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high})
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """What the records show, for effects to guess where a fit may start.
+
+    Attributes
+    ----------
+    low, high : float
+        Range of the position [m or rad].
+    speed, command : float
+        Largest |velocity| and |command|.
+    gain, damping : float
+        Of the model without the effect.
+    sample_time, duration : float
+        [s]; duration of the longest record.
+    noise : float
+        Standard deviation of the position's noise [m or rad].
+    """
+
+    low: float
+    high: float
+    speed: float
+    command: float
+    gain: float
+    damping: float
+    sample_time: float
+    duration: float
+    noise: float
+
+    @property
+    def travel(self) -> float:
+        """Range of the position [m or rad], positive."""
+        return max(self.high - self.low, 1e-9)
+
+    @property
+    def push(self) -> float:
+        """Largest acceleration that the command gives [m/s² or rad/s²], positive."""
+        return max(abs(self.gain) * self.command, 1e-9)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect(ABC):
-    """Base of all effects; use one of the kinds below.
+    """Base of all effects; use one of the kinds.
 
     A kind says where in the axis the effect acts, a final class says how. Values live in the instance, physics in
     static methods of symbols.
+
+    Attributes
+    ----------
+    name, sentence, latex : str
+        For code and JSON, for people, for the equation.
+    absent_at : dict of str to float
+        Parameter values at which the effect changes nothing; empty if it always changes something.
+    looks_like, remedy, for_the_gain : str
+        In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
 
     name: ClassVar[str]
     sentence: ClassVar[str]
     latex: ClassVar[str]
+    absent_at: ClassVar[dict[str, float]] = {}
+    states: ClassVar[tuple[State, ...]] = ()
+    looks_like: ClassVar[str] = ""
+    remedy: ClassVar[str] = ""
+    for_the_gain: ClassVar[str] = ""
 
     def __post_init__(self) -> None:
         for spec in self.parameters():
@@ -97,47 +173,26 @@ class Effect(ABC):
         """Return the parameters in the order of declaration."""
         return tuple(Parameter(name=f.name, **f.metadata) for f in fields(cls))
 
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[Self]:
+        """Yield values from which a fit is worth starting, the likeliest first.
+
+        Parameters in which a force is linear are solved for in any case; their values here only need the right order.
+        """
+        middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
+        yield cls(**middle)
+
     @property
     def values(self) -> tuple[float, ...]:
         """The parameters' values, SI, in the order of declaration."""
         return tuple(getattr(self, f.name) for f in fields(self))
 
+    @property
+    def absent(self) -> bool:
+        """Whether the effect changes nothing with these values."""
+        return bool(self.absent_at) and all(getattr(self, name) == value for name, value in self.absent_at.items())
+
     @classmethod
     def symbols(cls, values: Any) -> SimpleNamespace:
         """Give `values` (symbols or numbers, in the order of declaration) their parameters' names."""
         return SimpleNamespace(**{f.name: values[i] for i, f in enumerate(fields(cls))})
-
-
-class Force(Effect):
-    """A force per unit of moving mass that is smooth while the direction of motion stays the same."""
-
-    __slots__ = ()
-
-    @staticmethod
-    @abstractmethod
-    def physics(axis: Axis, p: Any) -> SX:
-        """Return the acceleration that is *subtracted* [x/s²]."""
-
-
-class DryFriction(Effect):
-    """Set-valued friction: opposes motion with its level, holds the axis at rest up to it."""
-
-    __slots__ = ()
-
-    @staticmethod
-    @abstractmethod
-    def physics(axis: Axis, p: Any) -> SX:
-        """Return the level, not negative [x/s²]; at rest `axis.direction` is that of the push."""
-
-
-class Actuator(Effect):
-    """What becomes of the command before it pushes the axis."""
-
-    __slots__ = ()
-    stage: ClassVar[int]
-    """Order in the chain; smaller acts first."""
-
-    @staticmethod
-    @abstractmethod
-    def physics(command: SX, axis: Axis, p: Any) -> SX:
-        """Return the effective command, in the command's unit."""

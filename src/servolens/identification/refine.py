@@ -17,7 +17,8 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.segments import settled_steps
 from servolens.identification.smoothing import smooth
 from servolens.identification.uncertainty import robust_covariance
-from servolens.simulation.loop import simulate, simulate_voltage, substeps_for
+from servolens.simulation.loop import simulate, simulate_voltage
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from servolens.dynamics import dynamics
+from servolens.effects import DryFriction, Force
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,7 +67,7 @@ def _evaluate(chunked: Any, signals: list[NDArray[np.float64]], rows: int) -> ND
 
 @lru_cache(maxsize=64)
 def regressor(effect: type[Effect]) -> Regressor:
-    """Return the regressor of a force or dry-friction `effect`.
+    """Return the regressor of an `effect`: of a force or of dry friction; without columns of any other.
 
     Which parameters are sizes is found from the expression itself: those in which it is jointly linear.
     """
@@ -75,6 +76,8 @@ def regressor(effect: type[Effect]) -> Regressor:
     base = ca.substitute(command_free, d.parameters[:2], ca.SX.zeros(2))
     force = -base
     names = [spec.name for spec in effect.parameters()]
+    if not issubclass(effect, Force | DryFriction) or effect.states:
+        return Regressor(sizes=(), shapes=tuple(names), _columns=None)
     symbols = [d.parameters[2 + i] for i in range(len(names))]
     sizes: list[int] = []
     for i in range(len(names)):

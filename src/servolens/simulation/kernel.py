@@ -1,4 +1,4 @@
-"""Compiled kernels, one a structure, kept in memory and on disk."""
+"""The compiled stepping rule, one for all plants, kept in memory and on disk."""
 
 from __future__ import annotations
 
@@ -9,28 +9,26 @@ import sys
 import tempfile
 from contextlib import suppress
 from functools import lru_cache
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
 from servolens import __version__
-from servolens.simulation.codegen import kernel_source
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servolens.effects import Effect
-
 __all__ = ["cache_folder", "kernel"]
 
 
-@lru_cache(maxsize=256)
-def kernel(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> Callable[..., None]:
-    """Return the compiled ``run`` of :mod:`servolens.simulation.stepping` for the effects of `structure`."""
+@lru_cache(maxsize=1)
+def kernel() -> Callable[..., int]:
+    """Return the compiled ``run`` of :mod:`servolens.simulation.stepping`."""
     import numba
 
-    source = kernel_source(structure, continuous=continuous)
+    source = resources.files("servolens.simulation").joinpath("stepping.py").read_text(encoding="utf-8")
     key = "\n".join([__version__, numba.__version__, sys.version, source])
     name = f"servolens_kernel_{hashlib.sha256(key.encode()).hexdigest()[:24]}"
     try:
@@ -40,13 +38,13 @@ def kernel(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> 
         return _load(name, _write_once(name, source))
 
 
-def _load(name: str, path: Path) -> Callable[..., None]:
+def _load(name: str, path: Path) -> Callable[..., int]:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None  # noqa: PT018, S101 - a .py path always has a loader
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba looks it up when it loads the compiled form
     spec.loader.exec_module(module)
-    run: Callable[..., None] = module.run
+    run: Callable[..., int] = module.run
     return run
 
 

@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.control_law import samples_a_period
-from servolens.dynamics import dynamics, ideal_pd
+from servolens.dynamics import ideal_pd
 from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.effects import Effect
     from servolens.plant import Plant
     from servolens.record import Controller, Record
 
-__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "substeps_for"]
-
-STEP_TIMES_RATE = 0.02
-"""Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
-FINE_SUBSTEPS = 8
-STIFF_STEP_TIMES_RATE = 0.25
-"""The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
-MOST_SUBSTEPS = 400
-FARTHEST = 1e6
-"""Position [m or rad] beyond which a simulation counts as unstable."""
+__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"]
 
 
 @final
@@ -186,10 +174,18 @@ def simulate_continuous(
     start: tuple[float, float] = (0.0, 0.0),
     substeps: int | None = None,
 ) -> Simulation:
-    """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples."""
+    """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples.
+
+    Raises
+    ------
+    InputError
+        If the plant has a delay.
+    """
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(reference)
+    if plant.delay > 0.0:
+        raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
     settings = [0.0] * 7 + [1.0, 0.0, 1.0]
@@ -211,50 +207,22 @@ def _run(
     gains: tuple[float, ...] = (),
 ) -> Simulation:
     from servolens.simulation.kernel import kernel
+    from servolens.simulation.native import native
 
     if not (held.size == reference.size == time.size):
         raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
-    run = kernel(plant.structure, continuous=bool(gains))
+    code = native(plant.structure, continuous=bool(gains))
     outputs = [np.empty(time.size) for _ in range(4)]
+    signals = (time, held, reference, np.array(settings), np.array(start, dtype=np.float64))
     parameters = np.array([*plant.values, *gains])
-    run(time, held, reference, np.array(settings), np.array(start, dtype=np.float64), parameters, substeps, *outputs)
-    if not np.abs(outputs[0]).max() < FARTHEST:
+    done = kernel()(code.addresses, *code.sizes, *signals, parameters, plant.delay, substeps, *outputs)
+    if done < time.size:
         raise NumericalError(
             f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "
             "the loop is unstable with these gains"
         )
     position, velocity, voltage, measured = outputs
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
-
-
-def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
-    """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
-    rate = _fastest_rate(plant.structure)(plant.values) + extra
-    fine, coarse = np.ceil(step * rate / STEP_TIMES_RATE), np.ceil(step * rate / STIFF_STEP_TIMES_RATE)
-    return int(np.clip(max(min(fine, FINE_SUBSTEPS), coarse), 1, MOST_SUBSTEPS))
-
-
-@lru_cache(maxsize=256)
-def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], float]:
-    """Return a function of the parameters: the fastest rate [1/s] of the axis at a few speeds."""
-    import casadi as ca
-
-    d = dynamics(structure)
-    slopes = ca.Function(
-        "slopes", d.inputs, [ca.gradient(d.acceleration, d.velocity), ca.gradient(d.acceleration, d.position)]
-    )
-
-    @lru_cache(maxsize=1024)
-    def rate(values: tuple[float, ...]) -> float:
-        found = [_rate_at(slopes, speed, values) for speed in (0.0, 0.01, 0.1, 1.0)]
-        return float(np.nanmax([0.0, *found]))
-
-    return rate
-
-
-def _rate_at(slopes: Any, speed: float, values: tuple[float, ...]) -> float:
-    by_velocity, by_position = slopes(0.0, speed, 0.0, 0.0, 1.0, values)
-    return abs(float(by_velocity)) + float(np.sqrt(abs(float(by_position))))
 
 
 def _without_gaps(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:

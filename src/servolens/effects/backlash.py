@@ -1,0 +1,83 @@
+"""Backlash: lost motion between motor and load."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, final
+
+from servolens.effects._grids import within
+from servolens.effects.base import State, parameter
+from servolens.effects.kinds import Transmission
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.effects.base import Axis, Seen
+
+__all__ = ["CONTACT_RATE", "LOAD_DRAG", "Backlash"]
+
+CONTACT_RATE = 2000.0  # [rad/s] free-free frequency of motor and load in contact: far above any loop, and not rigid
+LOAD_DRAG = 2.0  # [1/s] per unit of the load's mass, so that a load between the flanks does not float for ever
+
+
+class _LoadShare(Transmission):
+    """Keeps :meth:`load_share` reachable on the class, where the parameter of that name would hide it."""
+
+    @staticmethod
+    def load_share(p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Transmission.load_share`."""
+        return p.load_share
+
+
+@final
+@dataclass(frozen=True, kw_only=True)  # no slots: they would stand before the method of the same name
+class Backlash(_LoadShare):
+    """Between motor and measured load there is play; they touch only at its ends."""
+
+    name = "backlash"
+    sentence = "Between motor and measured load there is play; they touch only at its ends."
+    latex = r"\max(0,\ k\delta + d\dot\delta)\,\operatorname{sgn}(x - y),\ \delta = |x - y| - g/2"
+    states = (State("position", "{x}"), State("velocity", "{x}/s"))
+    looks_like = (
+        "After each reversal the load waits while the motor crosses the gap, then is hit; "
+        "at the target it may hunt in a small steady swing about as wide as the gap."
+    )
+    remedy = (
+        "Preload or replace the gear, belt or coupling. In the controller approach targets from one side, "
+        "or add the gap to the reference at each reversal."
+    )
+    for_the_gain = (
+        "High kp with the load measured makes the loop hunt in the gap: lower kp or add kd until it stops. "
+        "No gain makes the position better than the gap."
+    )
+
+    gap: float = parameter("g", "{x}", "all of the lost motion")
+    load_share: float = parameter(  # type: ignore[assignment]  # see _LoadShare
+        r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6
+    )
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Transmission.physics`."""
+        from casadi import fmax, if_else
+
+        reduced = p.load_share * (1 - p.load_share)
+        stiffness, damper = CONTACT_RATE * CONTACT_RATE * reduced, 2 * CONTACT_RATE * reduced  # critically damped
+        ahead, speed = axis.position - axis.state.position, axis.velocity - axis.state.velocity
+        above, below = ahead - p.gap / 2, -ahead - p.gap / 2
+        pushing = if_else(above > 0, fmax(0, stiffness * above + damper * speed), 0)
+        pulling = if_else(below > 0, fmax(0, stiffness * below - damper * speed), 0)
+        return pushing - pulling
+
+    @staticmethod
+    def rates(axis: Axis, p: Any) -> tuple[Any, ...]:
+        """See :meth:`servolens.effects.kinds.Transmission.rates`."""
+        velocity = axis.state.velocity
+        return velocity, Backlash.physics(axis, p) / p.load_share - LOAD_DRAG * velocity
+
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[Backlash]:
+        """See :meth:`servolens.effects.base.Effect.starts`."""
+        for gap in (1e-3, 1e-2):
+            for load in (0.3, 0.6):
+                yield within(cls, gap=gap * seen.travel, load_share=load)

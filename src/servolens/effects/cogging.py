@@ -1,0 +1,59 @@
+"""Cogging: a force that repeats along the travel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from servolens.effects._grids import pitches, within
+from servolens.effects.base import parameter
+from servolens.effects.kinds import Force
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.effects.base import Axis, Seen
+
+__all__ = ["Cogging"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cogging(Force):
+    """A force repeats along the travel, as of a motor's magnets or a screw's pitch."""
+
+    name = "cogging"
+    sentence = "A force repeats along the travel, as of a motor's magnets or a screw's pitch."
+    latex = r"A\,\sin(2\pi\,y/p + \phi)"
+    absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
+    looks_like = (
+        "The speed ripples in step with the position, at slow moves most; "
+        "targets a fraction of a pitch apart end with errors of different size and sign."
+    )
+    remedy = (
+        "Use a motor with skewed or no slots, check a bent screw or an eccentric pulley; "
+        "or feed forward the ripple from a table over the position."
+    )
+    for_the_gain = (
+        "Each cog is a spring of stiffness 2 pi amplitude / pitch: gain kp must be well above it "
+        "or the axis settles in the nearest detent. More kd does not move it out."
+    )
+
+    amplitude: float = parameter("A", "{x}/s^2", "largest pull, per unit of moving mass")
+    pitch: float = parameter("p", "{x}", "distance after which it repeats", low=1e-9)
+    phase: float = parameter(r"\phi", "rad", "where in the period position 0 lies", low=-1e3, high=1e3)
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Force.physics`."""
+        from casadi import sin
+
+        return p.amplitude * sin(2 * pi * axis.position / p.pitch + p.phase)
+
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[Cogging]:
+        """See :meth:`servolens.effects.base.Effect.starts`."""
+        for pitch in pitches(seen):
+            for phase in (0.0, pi / 2):
+                yield within(cls, amplitude=0.05 * seen.push, pitch=pitch, phase=phase)

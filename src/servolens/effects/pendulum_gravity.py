@@ -1,0 +1,53 @@
+"""Pendulum gravity: an arm whose weight turns with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from servolens.effects._grids import within
+from servolens.effects.base import parameter
+from servolens.effects.kinds import Force
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.effects.base import Axis, Seen
+
+__all__ = ["PendulumGravity"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PendulumGravity(Force):
+    """The weight of an unbalanced arm pulls with the sine of its angle."""
+
+    name = "pendulum_gravity"
+    sentence = "The weight of an unbalanced arm pulls with the sine of its angle."
+    latex = r"A\,\sin(y + \phi)"
+    absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
+    looks_like = (
+        "The error at rest depends on the angle: none where the arm hangs or stands, largest where it is level."
+    )
+    remedy = "Balance the arm with a counterweight or spring, or feed forward its weight at the reference's angle."
+    for_the_gain = (
+        "Near upright the weight pushes away from the target, so gain kp must exceed the amplitude by a margin; "
+        "near hanging it helps. Choose kp and kd for the upright side."
+    )
+
+    amplitude: float = parameter("A", "{x}/s^2", "the weight's pull with the arm level, per unit of moving inertia")
+    phase: float = parameter(r"\phi", "rad", "angle from the arm hanging down to position 0", low=-1e3, high=1e3)
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Force.physics`."""
+        from casadi import sin
+
+        return p.amplitude * sin(axis.position + p.phase)
+
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:
+        """See :meth:`servolens.effects.base.Effect.starts`."""
+        for phase in (0.0, pi / 2):
+            yield within(cls, amplitude=0.2 * seen.push, phase=phase)

@@ -1,0 +1,76 @@
+"""How fast a plant is, and so how many substeps a sample needs."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+
+__all__ = ["substeps_for"]
+
+STEP_TIMES_RATE = 0.02
+"""Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
+FINE_SUBSTEPS = 8
+STIFF_STEP_TIMES_RATE = 0.25
+"""The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
+MOST_SUBSTEPS = 400
+SLOPES = 5
+PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
+"""Positions, speeds and values of the states at which the rates are looked at, SI."""
+
+
+def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
+    """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
+    rate = _fastest_rate(plant.structure)(plant.values) + extra
+    fine, coarse = np.ceil(step * rate / STEP_TIMES_RATE), np.ceil(step * rate / STIFF_STEP_TIMES_RATE)
+    return int(np.clip(max(min(fine, FINE_SUBSTEPS), coarse), 1, MOST_SUBSTEPS))
+
+
+@lru_cache(maxsize=256)
+def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], float]:
+    """Return a function of the parameters: the fastest rate [1/s] of the axis in a few conditions."""
+    from servolens.simulation.native import native
+
+    code = native(structure)
+    smooth, relaxing = code.sizes
+    pointer = ctypes.POINTER(ctypes.c_double)
+    slopes = ctypes.CFUNCTYPE(None, pointer, pointer, pointer)(int(code.addresses[SLOPES]))
+    n = 2 + smooth + relaxing
+    exact = np.array([2 + i for i, place in enumerate(code.order) if place >= smooth], dtype=np.intp)
+
+    def jacobian(x: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
+        out = np.empty(n * n)
+        slopes(*(array.ctypes.data_as(pointer) for array in (x, p, out)))
+        return out.reshape(n, n).T
+
+    @lru_cache(maxsize=1024)
+    def rate(values: tuple[float, ...]) -> float:
+        p = np.array(values)
+        return max(_rate(jacobian(_probe(n + relaxing, *probe), p), exact) for probe in PROBES)
+
+    return rate
+
+
+def _probe(size: int, position: float, velocity: float, state: float) -> NDArray[np.float64]:
+    """Return the kernel's [y, v, t, u, d, moving, states, ramps]."""
+    return np.array([position, velocity, 0.0, 0.0, 1.0, 1.0, *([state] * (size - 2))])
+
+
+def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp]) -> float:
+    """Return the fastest rate of the Jacobian `slopes`; how fast relaxing states forget is no matter."""
+    if not np.isfinite(slopes).all():
+        return 0.0
+    if slopes.shape[0] == 2:
+        return float(abs(slopes[1, 1]) + np.sqrt(abs(slopes[1, 0])))
+    slopes[exact, exact] = 0.0
+    return float(np.abs(np.linalg.eigvals(slopes)).max())
