@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Segment", "applied_voltage", "motion_segments", "noise_level", "settled_steps"]
+__all__ = ["Segment", "applied_voltage", "motion_segments", "noise_level", "rests_between", "settled_steps"]
 
 FEWEST_SAMPLES = 12
 FEWEST_STROKES = 12
@@ -105,15 +105,18 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
 
 
 def settled_steps(record: Record) -> tuple[Record, ...]:
-    """Return the record's steps if the axis rests at each edge, so that a simulation may begin there; else all of it.
+    """Return the record's steps if the axis rests at each edge, so that a simulation may begin there; else all of it."""
+    return record.steps() if rests_between(record) else (record,)
+
+
+def rests_between(record: Record) -> bool:
+    """Tell whether the axis rests at each edge of the reference.
 
     At rest: over the last twenty samples before the edge the position stays within six standard deviations of its
     noise, two encoder steps, or 0.2 % of the step.
     """
-    steps = record.steps()
     floor = max(6.0 * noise_level(record), 2.0 * (record.encoder_resolution or 0.0), 2e-3 * record.step_size)
-    rests = all(float(np.ptp(step.position[-20:])) <= floor for step in steps[:-1])
-    return steps if rests else (record,)
+    return all(float(np.ptp(step.position[-20:])) <= floor for step in record.steps()[:-1])
 
 
 def applied_voltage(record: Record) -> NDArray[np.float64]:

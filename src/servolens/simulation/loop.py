@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Controller, Record
 
-__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"]
+__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "without_gaps"]
 
 
 @final
@@ -86,7 +86,7 @@ def simulate(
         return simulate_voltage(plant, record.time, _given(record.voltage), start=start, substeps=substeps)
     controller = record.controller
     assert controller is not None  # noqa: S101 - can_close
-    grid, index = _without_gaps(record.time)
+    grid, index = without_gaps(record.time)
     held = np.searchsorted(record.time, grid + 0.5 * record.sample_time, side="right") - 1
     result = simulate_loop(
         plant,
@@ -225,7 +225,7 @@ def _run(
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 
-def _without_gaps(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
+def without_gaps(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
     """Return a grid on which the loop ran, lost samples put back, and where the record's samples stand in it."""
     steps = np.diff(time)
     nominal = float(np.median(steps))
