@@ -352,8 +352,6 @@ def test_starts_are_admissible(cls, seen):
 @pytest.mark.parametrize(
     ("name", "parameter", "low", "high", "count"),
     [
-        ("cogging", "pitch", 0.4 / 60, 0.4 / 1.5, 24),
-        ("periodic_disturbance", "frequency", 0.05, 100.0, 24),
         ("position_friction", "centre", 0.04, 0.36, 9),
         ("stribeck_friction", "stribeck_speed", 0.006, 0.12, 3),
         ("velocity_decay_damping", "alpha2", 5.0, 50.0, 3),
@@ -370,9 +368,19 @@ def test_starts_span_what_the_record_can_show(name, parameter, low, high, count)
     np.testing.assert_allclose([found[0], found[-1]], [low, high])
 
 
+def test_pitches_and_frequencies_are_close_enough_to_lock_on():
+    counts = [TYPICAL.travel / effect.pitch for effect in CATALOGUE["cogging"].starts(TYPICAL)]
+    assert np.diff(counts).max() < 0.5
+    assert min(counts) <= 0.5
+    assert max(counts) > 50
+    rates = [effect.frequency for effect in CATALOGUE["periodic_disturbance"].starts(TYPICAL)]
+    assert np.diff(rates[:100]).max() * TYPICAL.duration < 0.5
+    assert rates[-1] == pytest.approx(0.1 / TYPICAL.sample_time)
+
+
 def test_no_pitch_is_sought_in_the_noise():
     noisy = replace(TYPICAL, noise=0.01)
-    assert min(effect.pitch for effect in CATALOGUE["cogging"].starts(noisy)) == pytest.approx(0.06)
+    assert min(effect.pitch for effect in CATALOGUE["cogging"].starts(noisy)) >= 0.06
 
 
 @every_effect
@@ -409,14 +417,6 @@ def test_friction_never_gives_energy(friction, position, velocity, sharpness):
     assert np.isfinite(level)
     assert level >= 0
     assert level * m.direction * velocity >= 0
-
-
-@given(level=st.floats(0, 1e3), excess=st.floats(-1e4, 1e4), velocity=st.floats(-10, 10), direction=st.floats(-1, 1))
-def test_stribeck_level_is_not_negative_where_no_instance_is_admitted(level, excess, velocity, direction):
-    """A fit passes by such values, and a step that crosses rest by a velocity against the direction."""
-    m = Instant(x=0.0, v=velocity, t=0.0, u=0.0, gain=1.0, damping=0.0, direction=direction)
-    [found] = evaluated((StribeckFriction,), m, (level, excess, 1e-3))["level"]
-    assert 0 <= found <= level + max(excess, 0)
 
 
 @given(

@@ -36,7 +36,16 @@ if TYPE_CHECKING:
         VelocityDecayDamping,
     )
     from servolens.errors import InputError, NumericalError, ServolensError
-    from servolens.identification import Identification, Prior, fit_effects, identify
+    from servolens.identification import (
+        EffectsFit,
+        FitOptions,
+        Identification,
+        Prior,
+        bootstrap,
+        fit_effects,
+        identify,
+        profile,
+    )
     from servolens.model import Model, Quantity, read_model
     from servolens.plant import Plant
     from servolens.prediction import Prediction, predict
@@ -79,7 +88,16 @@ _HOMES = {
         "VelocityDecayDamping",
     ),
     "errors": ("InputError", "NumericalError", "ServolensError"),
-    "identification": ("Identification", "Prior", "fit_effects", "identify"),
+    "identification": (
+        "EffectsFit",
+        "FitOptions",
+        "Identification",
+        "Prior",
+        "bootstrap",
+        "fit_effects",
+        "identify",
+        "profile",
+    ),
     "model": ("Model", "Quantity", "read_model"),
     "plant": ("Plant",),
     "prediction": ("Prediction", "predict"),
@@ -104,6 +122,8 @@ __all__ = [
     "DeadZone",
     "Delay",
     "Design",
+    "EffectsFit",
+    "FitOptions",
     "FlexibleCoupling",
     "ForceLimit",
     "GainDrift",
@@ -133,12 +153,14 @@ __all__ = [
     "VelocityDecayDamping",
     "__version__",
     "assess",
+    "bootstrap",
     "check",
     "closed_loop",
     "compare",
     "fit_effects",
     "identify",
     "predict",
+    "profile",
     "read_model",
     "read_record",
     "read_records",

@@ -105,7 +105,7 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
         level += own.value(cls)
     output, output_velocity, share = position, velocity, ca.SX(0)
     for cls in own.of(Transmission):
-        share = cls.load_share(own.parameters[cls])  # type: ignore[attr-defined]  # by its kind
+        share = cls.share(own.parameters[cls])  # type: ignore[attr-defined]  # by its kind
         motor -= own.value(cls)
         own.remember(cls)
         own.beginning[cls] = (position, velocity)

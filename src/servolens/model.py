@@ -12,10 +12,12 @@ from servolens.errors import InputError
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from servolens.effects import Effect
 
 __all__ = ["Model", "Quantity", "read_model"]
 
@@ -125,8 +127,8 @@ class Model:
         }
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Model:
-        """Build the model from what :meth:`to_json` returned.
+    def from_json(cls, data: Mapping[str, Any], effects: Sequence[type[Effect]] = ()) -> Model:
+        """Build the model from what :meth:`to_json` returned; `effects` are classes beside those of the catalogue.
 
         Raises
         ------
@@ -134,14 +136,17 @@ class Model:
             If fields are missing or no numbers.
         """
         try:
-            effects = tuple(
-                Plant.effect_from(str(item["effect"]), {str(k): _value(q) for k, q in item["parameters"].items()})
+            known = {cls.name: cls for cls in effects}
+            found = tuple(
+                Plant.effect_from(
+                    str(item["effect"]), {str(k): _value(q) for k, q in item["parameters"].items()}, known
+                )
                 for item in data.get("effects", ())
             )
             plant = Plant(
                 gain=_value(data["gain"]),
                 damping=_value(data["damping"]),
-                effects=effects,
+                effects=found,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
                 command_unit=str(data.get("command_unit", "V")),
             )
@@ -156,8 +161,15 @@ class Model:
         return cls(plant=plant, covariance=covariance, identified_from=names)
 
 
-def read_model(path: Path) -> Model:
+def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
     """Read a ``servolens.model/1`` file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    effects : sequence of type
+        Classes of effects beside those of the catalogue and of installed packages.
 
     Raises
     ------
@@ -178,7 +190,7 @@ def read_model(path: Path) -> Model:
     if schema != SCHEMA:
         raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
     try:
-        return Model.from_json(data)
+        return Model.from_json(data, effects)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 

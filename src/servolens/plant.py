@@ -93,6 +93,11 @@ class Plant:
         return named
 
     @property
+    def derived(self) -> tuple[str, ...]:
+        """Names of the parameters that follow from others: the gain, where a drive sets it."""
+        return ("gain",) if any(isinstance(effect, Drive) for effect in self.effects) else ()
+
+    @property
     def delay(self) -> float:
         """By how much the command comes late [s]."""
         return float(sum(effect.physics(effect) for effect in self.effects if isinstance(effect, TimeShift)))
@@ -121,15 +126,17 @@ class Plant:
         return next((e for e in self.effects if e.name == name), None)
 
     @staticmethod
-    def effect_from(name: str, parameters: Mapping[str, Any]) -> Effect:
-        """Build an effect of the catalogue from its name and numbers.
+    def effect_from(
+        name: str, parameters: Mapping[str, Any], known: Mapping[str, type[Effect]] | None = None
+    ) -> Effect:
+        """Build an effect from its name and numbers: one of `known`, of the catalogue, or of an installed package.
 
         Raises
         ------
         InputError
             If the name or the set of parameters is not that of an effect.
         """
-        cls = effect_class(name)
+        cls = (known or {}).get(name) or effect_class(name)
         wanted = [spec.name for spec in cls.parameters()]
         if sorted(parameters) != sorted(wanted):
             raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {', '.join(parameters) or 'none'}")

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 __all__ = ["frequencies", "pitches", "within"]
 
 E = TypeVar("E", bound="Effect")
-COUNT = 24
+COUNT, DENSE = 60, 200
 
 
 def within(cls: type[E], **values: float) -> E:
@@ -21,17 +21,15 @@ def within(cls: type[E], **values: float) -> E:
 
 
 def pitches(seen: Seen) -> list[float]:
-    """Return lengths that repeat along the travel, from two thirds of it down to what the noise lets one see."""
-    return _geometric(seen.travel / 1.5, max(seen.travel / 60, 6 * seen.noise))
+    """Return lengths that repeat along the travel, so dense that none lies more than a fifth of a period off."""
+    most = min(seen.travel / max(6 * seen.noise, 1e-12), 80.0)
+    periods = np.arange(0.5, max(most, 0.6), 0.4)
+    return [float(seen.travel / count) for count in periods]
 
 
 def frequencies(seen: Seen) -> list[float]:
-    """Return frequencies [Hz] from half a period in the longest record up to ten samples a period."""
-    return _geometric(0.5 / max(seen.duration, 1e-9), 0.1 / max(seen.sample_time, 1e-9), rising=True)
-
-
-def _geometric(first: float, last: float, *, rising: bool = False) -> list[float]:
-    """Return `COUNT` values from `first` to `last`, or `first` alone where nothing lies between."""
-    if (last > first) != rising:
-        return [first]
-    return [float(value) for value in np.geomspace(first, last, COUNT)]
+    """Return frequencies [Hz] up to ten samples a period, the lower ones as dense as the longest record resolves."""
+    resolved, highest = 0.4 / max(seen.duration, 1e-9), 0.1 / max(seen.sample_time, 1e-9)
+    dense = resolved * np.arange(1, DENSE + 1)
+    sparse = np.geomspace(dense[-1], max(highest, dense[-1]), COUNT)[1:]
+    return [float(value) for value in np.unique([*dense[dense <= highest], *sparse[sparse <= highest]])] or [highest]

@@ -20,18 +20,9 @@ CONTACT_RATE = 2000.0  # [rad/s] free-free frequency of motor and load in contac
 LOAD_DRAG = 2.0  # [1/s] per unit of the load's mass, so that a load between the flanks does not float for ever
 
 
-class _LoadShare(Transmission):
-    """Keeps :meth:`load_share` reachable on the class, where the parameter of that name would hide it."""
-
-    @staticmethod
-    def load_share(p: Any) -> Any:
-        """See :meth:`servolens.effects.kinds.Transmission.load_share`."""
-        return p.load_share
-
-
 @final
-@dataclass(frozen=True, kw_only=True)  # no slots: they would stand before the method of the same name
-class Backlash(_LoadShare):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Backlash(Transmission):
     """Between motor and measured load there is play; they touch only at its ends."""
 
     name = "backlash"
@@ -52,9 +43,7 @@ class Backlash(_LoadShare):
     )
 
     gap: float = parameter("g", "{x}", "all of the lost motion")
-    load_share: float = parameter(  # type: ignore[assignment]  # see _LoadShare
-        r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6
-    )
+    load_share: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:
@@ -74,6 +63,11 @@ class Backlash(_LoadShare):
         """See :meth:`servolens.effects.kinds.Transmission.rates`."""
         velocity = axis.state.velocity
         return velocity, Backlash.physics(axis, p) / p.load_share - LOAD_DRAG * velocity
+
+    @staticmethod
+    def share(p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Transmission.share`."""
+        return p.load_share
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Backlash]:

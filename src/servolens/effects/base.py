@@ -151,6 +151,8 @@ class Effect(ABC):
         For code and JSON, for people, for the equation.
     absent_at : dict of str to float
         Parameter values at which the effect changes nothing; empty if it always changes something.
+    wave : tuple of str, optional
+        Names of amplitude and phase of a force ``amplitude·sin(… + phase)``: both can be solved for.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
@@ -160,6 +162,7 @@ class Effect(ABC):
     latex: ClassVar[str]
     absent_at: ClassVar[dict[str, float]] = {}
     states: ClassVar[tuple[State, ...]] = ()
+    wave: ClassVar[tuple[str, str] | None] = None
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     for_the_gain: ClassVar[str] = ""

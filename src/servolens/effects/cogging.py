@@ -27,6 +27,7 @@ class Cogging(Force):
     sentence = "A force repeats along the travel, as of a motor's magnets or a screw's pitch."
     latex = r"A\,\sin(2\pi\,y/p + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
+    wave = ("amplitude", "phase")
     looks_like = (
         "The speed ripples in step with the position, at slow moves most; "
         "targets a fraction of a pitch apart end with errors of different size and sign."
@@ -55,5 +56,4 @@ class Cogging(Force):
     def starts(cls, seen: Seen) -> Iterator[Cogging]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for pitch in pitches(seen):
-            for phase in (0.0, pi / 2):
-                yield within(cls, amplitude=0.05 * seen.push, pitch=pitch, phase=phase)
+            yield within(cls, amplitude=0.05 * seen.push, pitch=pitch, phase=0.0)

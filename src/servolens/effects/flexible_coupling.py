@@ -57,8 +57,8 @@ class FlexibleCoupling(Transmission):
         return axis.state.velocity, FlexibleCoupling.physics(axis, p) / p.load_ratio
 
     @staticmethod
-    def load_share(p: Any) -> Any:
-        """See :meth:`servolens.effects.kinds.Transmission.load_share`."""
+    def share(p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Transmission.share`."""
         return p.load_ratio
 
     @classmethod

@@ -131,7 +131,7 @@ class Transmission(Effect):
 
     @staticmethod
     @abstractmethod
-    def load_share(p: Any) -> SX:
+    def share(p: Any) -> SX:
         """Return the load's share μ of the moving mass, in (0, 1)."""
 
 

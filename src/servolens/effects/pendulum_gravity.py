@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -27,6 +26,7 @@ class PendulumGravity(Force):
     sentence = "The weight of an unbalanced arm pulls with the sine of its angle."
     latex = r"A\,\sin(y + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
+    wave = ("amplitude", "phase")
     looks_like = (
         "The error at rest depends on the angle: none where the arm hangs or stands, largest where it is level."
     )
@@ -49,5 +49,4 @@ class PendulumGravity(Force):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for phase in (0.0, pi / 2):
-            yield within(cls, amplitude=0.2 * seen.push, phase=phase)
+        yield within(cls, amplitude=0.2 * seen.push, phase=0.0)

@@ -27,6 +27,7 @@ class PeriodicDisturbance(Force):
     sentence = "A force that swings with time at a fixed frequency shakes the axis, whatever it does."
     latex = r"A\,\sin(2\pi f t + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
+    wave = ("amplitude", "phase")
     looks_like = "The position swings at one frequency even at rest, no matter where the axis is or how fast it moves."
     remedy = (
         "Find what turns at that frequency (a pump, fan or neighbouring axis, 50 or 100 Hz of the mains) "
@@ -52,5 +53,4 @@ class PeriodicDisturbance(Force):
     def starts(cls, seen: Seen) -> Iterator[PeriodicDisturbance]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for frequency in frequencies(seen):
-            for phase in (0.0, pi / 2):
-                yield within(cls, amplitude=0.05 * seen.push, frequency=frequency, phase=phase)
+            yield within(cls, amplitude=0.05 * seen.push, frequency=frequency, phase=0.0)

@@ -60,10 +60,9 @@ class StribeckFriction(DryFriction):
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.DryFriction.physics`."""
-        from casadi import exp, fmax
+        from casadi import exp
 
-        excess = fmax(p.static_excess, -p.level)  # a fit may pass by values that no instance admits
-        return p.level + excess * exp(-fmax(axis.speed, 0) / p.stribeck_speed)
+        return p.level + p.static_excess * exp(-axis.speed / p.stribeck_speed)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[StribeckFriction]:

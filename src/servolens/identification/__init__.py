@@ -1,7 +1,19 @@
 """Identification by the integral method, and its refinement."""
 
-from servolens.identification.effects_fit import fit_effects
+from servolens.identification.effects_fit import EffectsFit, FitOptions, fit_effects
 from servolens.identification.integral import Prior
+from servolens.identification.resampling import Bootstrap, Profile, bootstrap, profile
 from servolens.identification.workflow import Identification, identify
 
-__all__ = ["Identification", "Prior", "fit_effects", "identify"]
+__all__ = [
+    "Bootstrap",
+    "EffectsFit",
+    "FitOptions",
+    "Identification",
+    "Prior",
+    "Profile",
+    "bootstrap",
+    "fit_effects",
+    "identify",
+    "profile",
+]

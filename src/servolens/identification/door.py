@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.integral import Prior
 
-__all__ = ["check_priors", "together"]
+__all__ = ["check_names", "check_priors", "together"]
 
 
 def together(records: Record | Sequence[Record]) -> tuple[Record, ...]:
@@ -45,3 +45,17 @@ def check_priors(priors: Mapping[str, Prior], parameters: Iterable[str]) -> None
     for name in priors:
         if name not in known:
             raise InputError(f"a prior on {name[:40]!r} is not possible; known are {', '.join(known)}")
+
+
+def check_names(names: Iterable[str], parameters: Iterable[str]) -> None:
+    """Refuse what is no parameter of the model.
+
+    Raises
+    ------
+    InputError
+        With the names that are.
+    """
+    known = list(parameters)
+    for name in names:
+        if name not in known:
+            raise InputError(f"{name[:40]!r} is no parameter of this model; those are {', '.join(known)}")

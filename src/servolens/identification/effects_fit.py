@@ -1,45 +1,132 @@
-"""Plants with given effects: their sizes as columns of the integral equation, then refined."""
+"""Plants with given effects: their sizes as columns of the integral equation, then refined by simulation."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.effects import Actuator
-from servolens.identification.door import check_priors, together
-from servolens.identification.integral import assemble, solve_integral
-from servolens.identification.refine import AT_NOISE, Refinement, refine, refine_closed_loop
-from servolens.identification.regressors import regressor
-from servolens.identification.segments import motion_segments
-from servolens.identification.smoothing import smooth, smoothing_window
-from servolens.identification.varying import piece_duration
+from servolens.effects import Force
+from servolens.errors import InputError, NumericalError
+from servolens.identification.door import check_names, together
+from servolens.identification.doubts import doubts
+from servolens.identification.refine import AT_NOISE, Loss, Refinement, minimise_error
+from servolens.identification.runs import closed_runs, voltage_runs
+from servolens.identification.segments import motion_segments, noise_level
+from servolens.identification.starting import Screen
 from servolens.model import Model
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from servolens.effects import Effect
+    from servolens.findings import Finding
     from servolens.identification.integral import Prior
-    from servolens.identification.segments import Segment
+    from servolens.identification.runs import Run
+    from servolens.model import Quantity
     from servolens.record import Record
 
-__all__ = ["fit_effects"]
+__all__ = ["EffectsFit", "FitOptions", "fit_effects", "fit_runs", "last_word"]
+
+Driven = Literal["auto", "closed_loop", "voltage"]
+STARTS, SHORT = 3, 6
+"""Starts of each effect that are tried by simulation, and with how many iterations."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitOptions:
+    """How a plant is fitted.
+
+    Parameters
+    ----------
+    held : tuple of str
+        Qualified names of parameters that stay as given.
+    local : tuple of str
+        Parameters that each record has of its own, e.g. ``"periodic_disturbance.phase"``.
+    priors : mapping of str to Prior
+        Knowledge from elsewhere, by qualified name.
+    loss : {"squares", "huber"}
+        Whether outliers count as squares or linearly.
+    driven : {"auto", "closed_loop", "voltage"}
+        Whether the runs are simulated in closed loop from the reference, or driven by the voltage; ``"auto"`` begins
+        in closed loop where it can and lets the voltage have the last word where the model then reaches the noise.
+    """
+
+    held: tuple[str, ...] = ()
+    local: tuple[str, ...] = ()
+    priors: Mapping[str, Prior] | None = None
+    loss: Loss = "squares"
+    driven: Driven = "auto"
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EffectsFit:
+    """A fitted plant and how far it can be trusted.
+
+    Attributes
+    ----------
+    model : Model
+        Plant and covariance, the latter allowing for coloured residuals.
+    refinement : Refinement
+        Where the search ended: residuals, correlations, parameters of each record's own, status.
+    driven : {"closed_loop", "voltage"}
+        How the final runs were simulated.
+    noise : float
+        Standard deviation of the position's noise [m or rad].
+    findings : tuple of Finding
+        Parameters at a bound, not determined, or not to be told apart; a search that did not end.
+    records : tuple of Record
+        What was fitted.
+    options : FitOptions
+        How.
+    """
+
+    model: Model
+    refinement: Refinement
+    driven: Literal["closed_loop", "voltage"]
+    noise: float
+    findings: tuple[Finding, ...]
+    records: tuple[Record, ...]
+    options: FitOptions
+
+    @property
+    def plant(self) -> Plant:
+        """The best plant."""
+        return self.model.plant
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Every parameter with its error, by qualified name."""
+        return self.model.quantities
+
+    @property
+    def rms_error(self) -> float:
+        """Root mean square of simulated minus measured position [m or rad]."""
+        return self.refinement.rms_error
+
+    @property
+    def at_noise(self) -> bool:
+        """Whether the residual is explained by the noise."""
+        return self.rms_error <= AT_NOISE * self.noise
 
 
 def fit_effects(
-    records: Record | Sequence[Record], effects: Sequence[Effect], *, priors: Mapping[str, Prior] | None = None
-) -> Model:
+    records: Record | Sequence[Record],
+    effects: Sequence[Effect],
+    *,
+    priors: Mapping[str, Prior] | None = None,
+    options: FitOptions | None = None,
+) -> EffectsFit:
     """Fit gain, damping and the parameters of `effects` to `records`.
 
-    Sizes (parameters in which a force is linear) start from the integral equation, where each is one more column, and
-    once more from the values given; shapes from the values given. All are then refined, in closed loop where reference
-    and gains are known, else driven by the logged voltage, and the better end counts. Where the model reaches the noise
-    the voltage has the last word, for it contains what the controller made of the noise.
+    Each effect starts from the values given and from those it proposes itself; parameters in which a force is linear
+    are solved for in the integral equation. The best starts are refined, in closed loop where reference and gains are
+    known, else driven by the logged voltage. Where the model reaches the noise the voltage has the last word, for it
+    contains what the controller made of the noise.
 
     Parameters
     ----------
@@ -48,79 +135,164 @@ def fit_effects(
     effects : sequence of Effect
         What the plant contains, e.g. ``[CoulombFriction(level=1.0)]``, with values of the right order.
     priors : mapping of str to Prior, optional
-        By qualified parameter name.
+        By qualified parameter name; those of `options` where it is None.
+    options : FitOptions, optional
+        What else is wanted.
 
     Raises
     ------
     InputError
-        If there is no record or no motion.
+        If there is no record or no motion, or a name in the options is no parameter.
+    NumericalError
+        If no start can be simulated on the records.
 
     Examples
     --------
     >>> from servolens.effects import CoulombFriction
     >>> from servolens.lab import Truth, step_record
     >>> cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
-    >>> model = fit_effects(step_record(cart, kp=60), [CoulombFriction(level=1.0)])
-    >>> round(model.plant.effect("coulomb_friction").level, 2)
+    >>> fit = fit_effects(step_record(cart, kp=60), [CoulombFriction(level=1.0)])
+    >>> round(fit.plant.effect("coulomb_friction").level, 2)
     0.3
     """
     runs = together(records)
-    check_priors(priors or {}, Plant(gain=1.0, damping=0.0, effects=tuple(effects)).parameters)
-    segments = motion_segments(runs)
-    starts = [
-        replace(start, length_unit=runs[0].length_unit, command_unit=runs[0].command_unit)
-        for start in (_start(segments, tuple(effects)), replace(_start(segments, ()), effects=tuple(effects)))
-    ]
-    closed = all(run.reference is not None and run.controller is not None for run in runs)
-    noise = max(s.noise for s in segments)
-    found = [
-        refine_closed_loop(start, runs, noise=noise, priors=priors)
-        if closed
-        else refine(start, segments, priors=priors)
-        for start in starts
-    ]
-    refined = min(found, key=lambda refinement: refinement.rms_error)
-    if closed:
-        refined = _sharpened(refined, segments, noise, priors)
-    return Model(
-        plant=refined.plant,
-        covariance=refined.covariance,
-        identified_from=tuple(run.name for run in runs),
-        reasons=dict.fromkeys(refined.plant.parameters, "the data do not determine it"),
+    asked = options or FitOptions()
+    if priors is not None:
+        asked = replace(asked, priors=priors)
+    plant = Plant(
+        gain=1.0,
+        damping=0.0,
+        effects=tuple(effects),
+        length_unit=runs[0].length_unit,
+        command_unit=runs[0].command_unit,
+    )
+    check_names((*(asked.priors or {}), *asked.held, *asked.local), plant.parameters)
+    start = _start(runs, plant, asked)
+    return last_word(start, runs, asked)
+
+
+def fit_runs(records: Sequence[Record], plant: Plant, driven: str) -> list[Run]:
+    """Return the runs to which a plant of this structure is fitted; whole records where an effect remembers rests."""
+    whole = any(issubclass(cls, Force) and cls.states for cls in plant.structure)
+    if driven == "closed_loop":
+        return [*closed_runs(records, whole=whole)]
+    return [*voltage_runs(records, whole=whole)]
+
+
+def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) -> EffectsFit:
+    """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
+    noise = max(noise_level(record) for record in records)
+    driven = first_choice(records, options)
+    refined = _refined(start, records, options, driven, noise)
+    if options.driven == "auto" and driven == "closed_loop":
+        try:
+            by_voltage = _refined(refined.plant, records, options, "voltage", noise)
+        except NumericalError:
+            by_voltage = None
+        if by_voltage is not None and by_voltage.rms_error <= AT_NOISE * noise:
+            refined, driven = by_voltage, "voltage"
+    return EffectsFit(
+        model=Model(
+            plant=refined.plant,
+            covariance=refined.covariance,
+            identified_from=tuple(record.name for record in records),
+            reasons=_reasons(refined, options),
+        ),
+        refinement=refined,
+        driven=driven,
+        noise=noise,
+        findings=doubts(refined),
+        records=records,
+        options=options,
     )
 
 
-def _sharpened(
-    refined: Refinement, segments: Sequence[Segment], noise: float, priors: Mapping[str, Prior] | None
+def first_choice(records: Sequence[Record], options: FitOptions) -> Literal["closed_loop", "voltage"]:
+    """Return how the runs are simulated at first.
+
+    Raises
+    ------
+    InputError
+        If a closed loop is asked for and a record has no reference or no gains.
+    """
+    lacking = [record.name for record in records if record.reference is None or record.controller is None]
+    if options.driven == "closed_loop" and lacking:
+        raise InputError(f"{lacking[0]}: closing the loop needs reference, kp and kd")
+    return "voltage" if lacking or options.driven == "voltage" else "closed_loop"
+
+
+def _refined(
+    start: Plant,
+    records: tuple[Record, ...],
+    options: FitOptions,
+    driven: str,
+    noise: float,
+    iterations: int = 60,
 ) -> Refinement:
-    """Refine once more by the voltage where that reaches the noise: it contains what the controller made of it."""
-    by_voltage = refine(refined.plant, segments, priors=priors)
-    return by_voltage if by_voltage.rms_error <= AT_NOISE * noise else refined
+    return minimise_error(
+        start,
+        fit_runs(records, start, driven),
+        noise=noise,
+        held=options.held,
+        local=options.local,
+        priors=options.priors,
+        loss=options.loss,
+        iterations=iterations,
+    )
 
 
-def _start(segments: Sequence[Segment], effects: tuple[Effect, ...]) -> Plant:
-    window = smoothing_window(piece_duration(segments), segments[0].record.sample_time)
-    forces = [effect for effect in effects if not isinstance(effect, Actuator)]
-    columns = [_columns(segment, forces, window) for segment in segments]
-    damping, gain, *sizes = (float(v) for v in solve_integral(assemble(segments, forces=columns)).x)
-    found: list[Effect] = []
-    for effect in effects:
-        if effect in forces:
-            names = regressor(type(effect)).sizes
-            specs = {spec.name: spec for spec in effect.parameters()}
-            values = {n: float(np.clip(v, specs[n].low, specs[n].high)) for n, v in zip(names, sizes, strict=False)}
-            sizes = sizes[len(names) :]
-            found.append(replace(effect, **values))
-        else:
-            found.append(effect)
-    return Plant(gain=gain, damping=damping, effects=tuple(found))
+def _start(records: tuple[Record, ...], wanted: Plant, options: FitOptions) -> Plant:
+    """Return the plant from which the final search begins: effects take their best starts one after the other."""
+    screen = Screen.of(motion_segments(records))
+    bare, _ = screen.solve(())
+    plant = replace(wanted, gain=bare.gain, damping=bare.damping, effects=())
+    for effect in wanted.effects:
+        plant = _added(plant, effect, screen, records, options)
+    return plant
 
 
-def _columns(segment: Segment, forces: Sequence[Effect], window: int) -> NDArray[np.float64]:
-    velocity = smooth(segment.time, segment.position, window)[1]
-    rows = []
-    for effect in forces:
-        law = regressor(type(effect))
-        shapes = [getattr(effect, name) for name in law.shapes]
-        rows.append(law.columns(segment.time, segment.position, velocity, *shapes))
-    return np.vstack(rows) if rows else np.empty((0, segment.time.size))
+def _added(plant: Plant, effect: Effect, screen: Screen, records: tuple[Record, ...], options: FitOptions) -> Plant:
+    """Return `plant` with `effect` at the start from which a few steps of refinement lead furthest."""
+    noise = max(noise_level(record) for record in records)
+    driven = first_choice(records, options)
+    names = set(plant.with_effect(effect).parameters)
+    known = replace(
+        options,
+        held=tuple(name for name in options.held if name in names),
+        local=(),
+        priors={name: prior for name, prior in (options.priors or {}).items() if name in names},
+    )
+    kept = {name: getattr(effect, name.partition(".")[2]) for name in known.held if name.startswith(effect.name)}
+    best, least = plant.with_effect(effect), np.inf
+    for start in _candidates(plant, effect, screen):
+        values = {name.partition(".")[2]: value for name, value in kept.items()}
+        trial = replace(start, effects=(*start.effects[:-1], replace(start.effects[-1], **values)))
+        try:
+            found = _refined(trial, records, known, driven, noise, iterations=SHORT)
+        except (InputError, NumericalError):
+            continue
+        if found.rms_error < least:
+            best, least = found.plant, found.rms_error
+        if least <= noise:
+            break
+    return best
+
+
+def _candidates(plant: Plant, effect: Effect, screen: Screen) -> list[Plant]:
+    """Return plants to start from: with gain and damping as they are, and as the integral equation has them."""
+    found = []
+    for start in screen.best_starts(plant, effect, STARTS):
+        found.append(plant.with_effect(start))
+        try:
+            solved, _ = screen.solve(found[-1].effects)
+            found.append(replace(found[-1], gain=solved.gain, damping=max(solved.damping, 0.0)))
+        except (InputError, NumericalError):
+            continue
+    return found
+
+
+def _reasons(refined: Refinement, options: FitOptions) -> dict[str, str]:
+    reasons = dict.fromkeys(refined.plant.parameters, "the data do not determine it")
+    reasons |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
+    reasons |= dict.fromkeys(refined.plant.derived, "it follows from other parameters")
+    return reasons | dict.fromkeys(options.held, "given, not estimated")

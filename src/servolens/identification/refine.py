@@ -1,23 +1,23 @@
 """Output-error refinement: simulated minus measured position, minimised over the parameters.
 
 Two kinds of run. Driven by the voltage the axis really got, the residual is the position's noise itself, for that
-voltage contains what the controller made of the noise; each stretch of motion then has an initial position and
-velocity of its own, eliminated stretch by stretch. In closed loop from the reference the controller holds the
-simulation near the measurement, which bears what the model lacks (sticking above all) without drifting away.
+voltage contains what the controller made of the noise; each stretch then has an initial state of its own, eliminated
+stretch by stretch. In closed loop from the reference the controller holds the simulation near the measurement, which
+bears what the model lacks (sticking above all) without drifting away.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
-from servolens.identification.smoothing import smooth
 from servolens.identification.uncertainty import robust_covariance
-from servolens.simulation.loop import simulate, simulate_voltage
+from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -26,18 +26,22 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.integral import Prior
+    from servolens.identification.runs import Run
     from servolens.identification.segments import Segment
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["AT_NOISE", "Refinement", "closed_loop_rms", "refine", "refine_closed_loop"]
+__all__ = ["AT_NOISE", "Loss", "Refinement", "closed_loop_rms", "minimise_error", "refine", "refine_closed_loop"]
 
+Loss = Literal["squares", "huber"]
 STEP = 1e-4
 MOST_ITERATIONS = 60
 NEGLIGIBLE = 1e-8
 """Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
 AT_NOISE = 3.0
 """Times the noise up to which a residual counts as explained."""
+HUBER = 2.5
+"""Standard deviations from which on a residual counts linearly."""
 
 
 @final
@@ -48,11 +52,21 @@ class Refinement:
     Attributes
     ----------
     plant : Plant
-        The best plant found; the start if nothing better was.
+        The best plant found; the start if nothing better was. Parameters of each record's own are the first's.
     covariance : ndarray, shape (k, k)
         Of ``plant.values``; NaN for parameters that were held or that the data do not determine.
+    correlation : ndarray, shape (k, k)
+        Of the estimates if the residuals were white: what the data cannot tell apart. NaN for what was held.
+    colour : ndarray, shape (k,)
+        By how much coloured residuals enlarge each variance; NaN for what was held.
+    local : mapping of str to ndarray, shape (records,)
+        Parameters that each record has of its own.
+    at_bound : tuple of str
+        Parameters that ended at the end of their range.
     rms_error : float
         Root mean square of the residual [m or rad].
+    residuals : tuple of ndarray
+        Simulated minus measured position of each run.
     converged : bool
         Whether no step lowered the residual any more.
     status : str
@@ -61,7 +75,12 @@ class Refinement:
 
     plant: Plant
     covariance: NDArray[np.float64]
+    correlation: NDArray[np.float64]
+    colour: NDArray[np.float64]
+    local: Mapping[str, NDArray[np.float64]]
+    at_bound: tuple[str, ...]
     rms_error: float
+    residuals: tuple[NDArray[np.float64], ...]
     converged: bool
     status: str
 
@@ -89,9 +108,8 @@ def refine(
     window : int
         Samples of the smoothing derivative that gives the initial velocities.
     """
-    substeps = substeps_for(plant, max(s.record.sample_time for s in segments))
-    runs = [_VoltageRun(segment, window, substeps) for segment in segments]
-    return _minimise(_Problem(plant, runs, held, dict(priors or {}), max(s.noise for s in segments)))
+    runs: list[Run] = [VoltageRun(segment, 0, window) for segment in segments]
+    return minimise_error(plant, runs, noise=max(s.noise for s in segments), held=held, priors=priors)
 
 
 def refine_closed_loop(
@@ -113,8 +131,9 @@ def refine_closed_loop(
     noise : float
         Standard deviation of the position's noise, against which the priors are weighed.
     """
-    runs = [_ClosedRun(step) for record in records for step in settled_steps(record)]
-    return _minimise(_Problem(plant, runs, held, dict(priors or {}), noise))
+    steps = [step for record in records for step in settled_steps(record)]
+    runs = [ClosedRun(step, 0, len(step), 0) for step in steps]
+    return minimise_error(plant, runs, noise=noise, held=held, priors=priors)
 
 
 def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
@@ -127,40 +146,44 @@ def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
     return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
 
 
-class _Run(Protocol):
-    """A simulation to be compared with a measurement; `start` is its initial state, of size 0 if that is known."""
+def minimise_error(
+    plant: Plant,
+    runs: Sequence[Run],
+    *,
+    noise: float,
+    held: Sequence[str] = (),
+    local: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    loss: Loss = "squares",
+    iterations: int = MOST_ITERATIONS,
+) -> Refinement:
+    """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
 
-    measured: NDArray[np.float64]
-    start: NDArray[np.float64]
-    shifts: tuple[float, ...]
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]: ...
-
-
-@final
-class _VoltageRun:
-    def __init__(self, segment: Segment, window: int, substeps: int) -> None:
-        self.segment, self.substeps, self.measured = segment, substeps, segment.position
-        value, slope = smooth(segment.time, segment.position, window)
-        self.start = np.array([value[0], slope[0]])
-        travel = 1e-4 * max(float(np.ptp(segment.position)), 1e-9)
-        self.shifts: tuple[float, ...] = (travel, travel / max(float(segment.time[-1]), 1e-3))
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        begin = (float(start[0]), float(start[1]))
-        run = simulate_voltage(plant, self.segment.time, self.segment.voltage, start=begin, substeps=self.substeps)
-        return run.position
-
-
-@final
-class _ClosedRun:
-    def __init__(self, record: Record) -> None:
-        self.record, self.measured = record, record.position
-        self.start = np.empty(0)
-        self.shifts: tuple[float, ...] = ()
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        return simulate(plant, self.record).position
+    Parameters
+    ----------
+    plant : Plant
+        Start and structure.
+    runs : sequence of Run
+        What is simulated and compared.
+    noise : float
+        Standard deviation of the position's noise, against which the priors are weighed.
+    held, local : sequence of str
+        Parameters that stay as they are; that each record has of its own.
+    priors : mapping of str to Prior, optional
+        By qualified name.
+    loss : {"squares", "huber"}
+        Whether residuals beyond 2.5 robust standard deviations count as squares or linearly (Huber 1964,
+        doi:10.1214/aoms/1177703732).
+    iterations : int
+        At most.
+    """
+    problem = _Problem(plant, runs, (held, local), dict(priors or {}), noise)
+    point, converged = _descend(problem, problem.start(), iterations)
+    for _ in range(2 if loss == "huber" else 0):
+        problem.outlier = HUBER * problem.spread(point)
+        point.cost = problem.cost(point)
+        point, converged = _descend(problem, point, iterations)
+    return problem.finish(point, converged=converged)
 
 
 @final
@@ -185,11 +208,10 @@ class _Point:
     cost: float = np.inf
 
 
-def _minimise(problem: _Problem) -> Refinement:
-    """Levenberg–Marquardt within the parameters' bounds."""
-    point = problem.start()
+def _descend(problem: _Problem, point: _Point, iterations: int) -> tuple[_Point, bool]:
+    """Return where the search ends and whether that is an optimum."""
     damping = 1e-3
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(iterations):
         blocks, gradient, information = problem.linearise(point)
         for _ in range(12):
             trial = problem.step(point, blocks, gradient, information, damping)
@@ -197,12 +219,12 @@ def _minimise(problem: _Problem) -> Refinement:
                 break
             damping *= 5.0
         else:
-            return problem.finish(point, converged=True)
+            return point, bool(np.isfinite(point.cost))
         gained = 1.0 - trial.cost / point.cost
         point, damping = trial, max(damping / 10.0, 1e-12)
         if gained < NEGLIGIBLE:
-            return problem.finish(point, converged=True)
-    return problem.finish(point, converged=False)
+            return point, True
+    return point, False
 
 
 @final
@@ -210,11 +232,25 @@ class _Problem:
     """Residuals of all runs as functions of the free parameters and the initial states."""
 
     def __init__(
-        self, plant: Plant, runs: Sequence[_Run], held: Sequence[str], priors: dict[str, Prior], noise: float
+        self,
+        plant: Plant,
+        runs: Sequence[Run],
+        fixed: tuple[Sequence[str], Sequence[str]],
+        priors: dict[str, Prior],
+        noise: float,
     ) -> None:
+        held, local = fixed
         names, specs = list(plant.parameters), list(plant.parameters.values())
-        self.plant, self.runs = plant, runs
-        self.free = np.flatnonzero([name not in held for name in names])
+        self.plant, self.runs, self.names = plant, runs, names
+        estimated = [name for name in names if name not in held and name not in plant.derived]
+        shared = [(names.index(name), 0) for name in estimated if name not in local]
+        groups = sorted({run.group for run in runs})
+        own = [(names.index(name), group) for name in estimated if name in local for group in groups]
+        self.slots = shared + own
+        self.free = np.array([index for index, _ in self.slots], dtype=np.intp)
+        self.columns = [
+            [k for k, (_, group) in enumerate(self.slots) if k < len(shared) or group == run.group] for run in runs
+        ]
         lowest = {"damping": min(0.0, plant.damping)}  # a passive axis; only a start below stays there
         self.low = np.array([lowest.get(names[i], specs[i].low) for i in self.free])
         self.high = np.array([specs[i].high for i in self.free])
@@ -222,49 +258,75 @@ class _Problem:
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.measured.size for run in runs)
         self.noise = max(noise, 1e-12)
+        self.outlier = np.inf
+        self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
 
     def start(self) -> _Point:
         point = _Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
         point.cost = self.cost(point)
         return point
 
-    def residual(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    def plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
         full = np.array(self.plant.values)
-        full[self.free] = values
-        return self.runs[i].simulated(self.plant.with_values(full.tolist()), start) - self.runs[i].measured
+        full[self.free[self.columns[i]]] = values[self.columns[i]]
+        return self.plant.with_values(full.tolist())
+
+    def residual(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        run = self.runs[i]
+        return run.simulated(self.plant_at(values, i), start, self.substeps[i]) - run.measured
 
     def cost(self, point: _Point) -> float:
         try:
             parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
         except (InputError, NumericalError):
             return float(np.inf)
-        return float(sum(r @ r for r in parts)) + self._prior_cost(point.values)
+        return sum(self._loss(r) for r in parts) + self._prior_cost(point.values)
+
+    def spread(self, point: _Point) -> float:
+        """Return the robust standard deviation of the residuals, from their median size."""
+        parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
+        return float(1.4826 * np.median(np.abs(np.concatenate(parts))))
 
     def linearise(self, point: _Point) -> tuple[list[_Block], NDArray[np.float64], NDArray[np.float64]]:
         """Return each run's block, and gradient and information of the parameters."""
+        for i, run in enumerate(self.runs):
+            self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
+        point.cost = self.cost(point)
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))
         for i in range(len(self.runs)):
             residual = self.residual(point.values, i, point.starts[i])
             jacobian, initial = self._sensitivities(point, i)
-            q, r = np.linalg.qr(initial)
+            weight = self._weight(residual)[:, None]
+            q, r = np.linalg.qr(weight * initial)
+            jacobian, residual = weight * jacobian, weight[:, 0] * residual
             along, missed = q.T @ jacobian, q.T @ residual
             jacobian, residual = jacobian - q @ along, residual - q @ missed
             blocks.append(_Block(r, along, missed, jacobian, residual))
             gradient += jacobian.T @ residual
             information += jacobian.T @ jacobian
         for index, prior in self.priors:
-            weight = (self.noise / prior.deviation) ** 2
-            gradient[index] += weight * (point.values[index] - prior.value)
-            information[index, index] += weight
+            weight_of_prior = (self.noise / prior.deviation) ** 2
+            gradient[index] += weight_of_prior * (point.values[index] - prior.value)
+            information[index, index] += weight_of_prior
         return blocks, gradient, information
 
+    def _loss(self, residual: NDArray[np.float64]) -> float:
+        if not np.isfinite(self.outlier):
+            return float(residual @ residual)
+        size = np.abs(residual)
+        return float(np.sum(np.where(size <= self.outlier, size**2, self.outlier * (2.0 * size - self.outlier))))
+
+    def _weight(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the square root of the weights with which least squares follow the loss."""
+        return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
+
     def _sensitivities(self, point: _Point, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Central differences by the parameters and by the initial state."""
+        """Central differences by the parameters and by the initial state; one-sided at a bound."""
         n, start, shifts = self.runs[i].measured.size, point.starts[i], self.runs[i].shifts
-        jacobian, initial = np.empty((n, self.free.size)), np.empty((n, len(shifts)))
-        for k in range(self.free.size):
+        jacobian, initial = np.zeros((n, self.free.size)), np.empty((n, len(shifts)))
+        for k in self.columns[i]:
             h = STEP * max(abs(point.values[k]), 1e-3 * self.scale[k])
             up, down = point.values.copy(), point.values.copy()
             up[k], down[k] = min(up[k] + h, self.high[k]), max(down[k] - h, self.low[k])
@@ -304,29 +366,58 @@ class _Problem:
         return trial
 
     def finish(self, point: _Point, *, converged: bool) -> Refinement:
+        if not np.isfinite(point.cost):
+            raise NumericalError("the plant to start from cannot be simulated on these records: its loop is unstable")
         blocks, _, information = self.linearise(point)
-        full = np.array(self.plant.values)
-        full[self.free] = point.values
-        covariance = np.full((full.size, full.size), np.nan)
         inside = (point.values > self.low) & (point.values < self.high) & (np.diag(information) > 0)
+        covariance = np.full((len(self.names), len(self.names)), np.nan)
+        correlation, colour = covariance.copy(), np.full(len(self.names), np.nan)
+        shared = [k for k, (_, group) in enumerate(self.slots) if group == self.slots[0][1] or group == 0]
         if inside.any() and _well_conditioned(information[np.ix_(inside, inside)]):
-            scores = [(b.jacobian * b.residual[:, None])[:, inside] for b in blocks]
-            unknowns = point.values.size + sum(start.size for start in point.starts)
-            degrees = self.samples / max(self.samples - unknowns, 1)
-            index = self.free[inside]
-            known = np.zeros(inside.size)
-            for k, prior in self.priors:
-                known[k] = (self.noise / prior.deviation * self.noise) ** 2
-            inner = robust_covariance(scores, information[np.ix_(inside, inside)], np.diag(known[inside]))
-            covariance[np.ix_(index, index)] = degrees * inner
-        rms = float(np.sqrt(max(point.cost - self._prior_cost(point.values), 0.0) / self.samples))
+            index = np.flatnonzero(inside)
+            inner = self._covariance(point, blocks, information, index)
+            white = np.linalg.inv(information[np.ix_(index, index)])
+            spread = np.sqrt(np.diag(white))
+            kept = [i for i, k in enumerate(index) if k in shared]
+            place = np.ix_(self.free[index[kept]], self.free[index[kept]])
+            covariance[place] = inner[np.ix_(kept, kept)]
+            correlation[place] = (white / np.outer(spread, spread))[np.ix_(kept, kept)]
+            plain = point.cost / max(self.samples - point.values.size, 1) * np.diag(white)
+            colour[self.free[index[kept]]] = (np.diag(inner) / np.maximum(plain, 1e-300))[kept]
+        residuals = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
         return Refinement(
-            plant=self.plant.with_values(full.tolist()),
+            plant=self.plant_at(point.values, 0),
             covariance=covariance,
-            rms_error=rms,
+            correlation=correlation,
+            colour=colour,
+            local=self._local(point),
+            at_bound=self._at_bound(point),
+            rms_error=float(np.sqrt(sum(float(r @ r) for r in residuals) / self.samples)),
+            residuals=tuple(residuals),
             converged=converged,
             status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
         )
+
+    def _covariance(
+        self, point: _Point, blocks: list[_Block], information: NDArray[np.float64], index: NDArray[np.intp]
+    ) -> NDArray[np.float64]:
+        scores = [(b.jacobian * b.residual[:, None])[:, index] for b in blocks]
+        unknowns = point.values.size + sum(start.size for start in point.starts)
+        degrees = self.samples / max(self.samples - unknowns, 1)
+        known = np.zeros(point.values.size)
+        for k, prior in self.priors:
+            known[k] = (self.noise / prior.deviation * self.noise) ** 2
+        return degrees * robust_covariance(scores, information[np.ix_(index, index)], np.diag(known[index]))
+
+    def _local(self, point: _Point) -> dict[str, NDArray[np.float64]]:
+        own: dict[str, list[float]] = {}
+        for (index, _), value in zip(self.slots, point.values, strict=True):
+            own.setdefault(self.names[index], []).append(float(value))
+        return {name: np.array(values) for name, values in own.items() if len(values) > 1}
+
+    def _at_bound(self, point: _Point) -> tuple[str, ...]:
+        ends = (point.values <= self.low) | (point.values >= self.high)
+        return tuple(dict.fromkeys(self.names[self.free[k]] for k in np.flatnonzero(ends)))
 
     def _prior_cost(self, values: NDArray[np.float64]) -> float:
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))

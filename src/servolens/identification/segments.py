@@ -105,7 +105,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
 
 
 def settled_steps(record: Record) -> tuple[Record, ...]:
-    """Return the record's steps if the axis rests at each edge, so that a simulation may begin there; else all of it."""
+    """Return the record's steps if the axis rests at each edge, so that a simulation may begin there; else it whole."""
     return record.steps() if rests_between(record) else (record,)
 
 

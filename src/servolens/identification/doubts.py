@@ -1,0 +1,71 @@
+"""What a fit cannot know: parameters that the data do not determine or cannot tell apart."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.findings import Finding
+
+if TYPE_CHECKING:
+    from servolens.identification.refine import Refinement
+
+__all__ = ["doubts"]
+
+ALIKE = 0.98
+"""Correlation of two estimates from which on the data hardly tell them apart."""
+
+
+def doubts(refined: Refinement) -> tuple[Finding, ...]:
+    """Return what the search itself says against its result."""
+    return (*_unfinished(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
+
+
+def _unfinished(refined: Refinement) -> list[Finding]:
+    if refined.converged:
+        return []
+    return [Finding(code="not_converged", severity="warning", message=f"{refined.status}.")]
+
+
+def _at_bounds(refined: Refinement) -> list[Finding]:
+    return [
+        Finding(
+            code="at_bound",
+            severity="warning",
+            message=f"{name} ended at the end of its range, {_value(refined, name):.4g}; it has no error bar.",
+        )
+        for name in refined.at_bound
+    ]
+
+
+def _vague(refined: Refinement) -> list[Finding]:
+    """Name the parameters whose standard error exceeds their value."""
+    found = []
+    for name, value, variance in zip(
+        refined.plant.parameters, refined.plant.values, np.diag(refined.covariance), strict=True
+    ):
+        if np.isfinite(variance) and value != 0.0 and variance > value**2:
+            message = f"the data hardly determine {name}: {value:.3g} ± {np.sqrt(variance):.2g}."
+            found.append(Finding(code="not_determined", severity="note", message=message))
+    return found
+
+
+def _alike(refined: Refinement) -> list[Finding]:
+    """Name the pairs of parameters that the data cannot tell apart."""
+    names = list(refined.plant.parameters)
+    found = []
+    for i in range(len(names)):
+        for k in range(i):
+            rho = refined.correlation[i, k]
+            if abs(rho) > ALIKE:
+                message = (
+                    f"{names[k]} and {names[i]} are correlated at {rho:.3f}: these data hardly tell them apart; "
+                    "fix one, give a prior, or log a run that moves them differently."
+                )
+                found.append(Finding(code="strongly_correlated", severity="note", message=message))
+    return found
+
+
+def _value(refined: Refinement, name: str) -> float:
+    return refined.plant.values[list(refined.plant.parameters).index(name)]

@@ -1,0 +1,232 @@
+"""What a parameter could be besides its best value: profile likelihood and bootstrap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.effects_fit import fit_runs
+from servolens.identification.refine import Refinement, minimise_error
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.effects_fit import EffectsFit
+    from servolens.identification.runs import Run
+    from servolens.plant import Plant
+
+__all__ = ["Bootstrap", "Profile", "bootstrap", "profile"]
+
+CHI_SQUARE_95 = 3.841458820694124
+"""95 % quantile of χ² with one degree of freedom."""
+MOST_STEPS = 40
+BLOCK = 5.0
+"""Length of a block of residuals, in times that they are correlated for."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """How well each value of one parameter explains the data, all others refitted.
+
+    Attributes
+    ----------
+    name : str
+        Qualified name.
+    values : ndarray, shape (n,)
+        Increasing; the best one among them.
+    excess : ndarray, shape (n,)
+        Twice the loss of log-likelihood against the best value; 3.84 is the end of the 95 % interval.
+    interval : tuple of float or None
+        95 % interval; None for an end that was not found within the parameter's range.
+    """
+
+    name: str
+    values: NDArray[np.float64]
+    excess: NDArray[np.float64]
+    interval: tuple[float | None, float | None]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bootstrap:
+    """Estimates from data made again of the fitted response and its own residuals.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The parameters that were fitted.
+    values : ndarray, shape (repeats, k)
+        Their estimates.
+    failed : int
+        Repeats that could not be fitted.
+    """
+
+    names: tuple[str, ...]
+    values: NDArray[np.float64]
+    failed: int
+
+    @property
+    def stderr(self) -> NDArray[np.float64]:
+        """Standard error of each parameter, shape (k,)."""
+        return np.asarray(np.std(self.values, axis=0, ddof=1))
+
+    @property
+    def intervals(self) -> NDArray[np.float64]:
+        """95 % percentile interval of each parameter, shape (k, 2)."""
+        return np.asarray(np.percentile(self.values, [2.5, 97.5], axis=0).T)
+
+
+def profile(fit: EffectsFit, name: str) -> Profile:
+    """Follow the likelihood of one parameter to both sides until it leaves the 95 % interval.
+
+    The log-likelihood is counted in units of the residual's variance, enlarged by as much as coloured residuals enlarge
+    the parameter's variance (the ratio of the sandwich to the plain one; Pace and Salvan, doi:10.1111/insr.12131).
+
+    Parameters
+    ----------
+    fit : EffectsFit
+        The fit; its data are used again.
+    name : str
+        Qualified name of a parameter that was fitted, e.g. ``"saturation.limit"``.
+
+    Raises
+    ------
+    InputError
+        If no such parameter was fitted.
+    NumericalError
+        If the fit itself cannot be repeated.
+    """
+    index = _fitted(fit, name)
+    runs = fit_runs(fit.records, fit.plant, fit.driven)
+    best, spec = fit.plant.values[index], fit.plant.parameters[name]
+    unit = _variance_unit(fit, index)
+    least = _squares(fit.refinement)
+    width = np.sqrt(fit.model.covariance[index, index]) if fit.model.covariance is not None else np.nan
+    width = float(width) if np.isfinite(width) and width > 0 else 0.05 * max(abs(best), 1e-3)
+    values, excess, ends = [best], [0.0], []
+    for sign in (-1.0, 1.0):
+        plant, step, edge = fit.plant, 0.5 * width, None
+        here, before = best, 0.0
+        for _ in range(MOST_STEPS):
+            value = float(np.clip(here + sign * step, spec.low, spec.high))
+            if value == here:
+                break
+            refined = _with_value(fit, runs, plant, name, value)
+            lost = np.inf if refined is None else (_squares(refined) - least) / unit
+            values.append(value)
+            excess.append(lost)
+            if lost >= CHI_SQUARE_95:
+                share = (CHI_SQUARE_95 - before) / (lost - before) if np.isfinite(lost) else 0.5
+                edge = here + share * (value - here)
+                break
+            plant, here, before = (plant if refined is None else refined.plant), value, lost
+            step *= 1.6
+        ends.append(edge)
+    order = np.argsort(values)
+    return Profile(
+        name=name, values=np.array(values)[order], excess=np.array(excess)[order], interval=(ends[0], ends[1])
+    )
+
+
+def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
+    """Fit data made of the fitted response and blocks of its own residuals, `repeats` times.
+
+    Blocks keep the residuals' correlation (moving blocks; Künsch 1989, doi:10.1214/aos/1176347265); their length is
+    several times that over which the residuals are correlated.
+
+    Parameters
+    ----------
+    fit : EffectsFit
+        The fit.
+    repeats : int
+        At least 2.
+    seed : int
+        Of the blocks that are drawn.
+
+    Raises
+    ------
+    InputError
+        If `repeats` is less than 2.
+    NumericalError
+        If most repeats cannot be fitted.
+    """
+    if repeats < 2:
+        raise InputError(f"repeats must be at least 2, got {repeats}")
+    runs = fit_runs(fit.records, fit.plant, fit.driven)
+    names = [name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived)]
+    index = [list(fit.plant.parameters).index(name) for name in names]
+    measured = [run.measured for run in runs]
+    found, failed = [], 0
+    for stream in np.random.default_rng(seed).spawn(repeats):
+        for run, data, residual in zip(runs, measured, fit.refinement.residuals, strict=True):
+            run.measured = data + residual - _drawn(residual, stream)
+        try:
+            refined = _minimised(fit, runs, fit.plant)
+        except (InputError, NumericalError):
+            failed += 1
+            continue
+        found.append([refined.plant.values[i] for i in index])
+    if failed > repeats // 2:
+        raise NumericalError(f"{failed} of {repeats} repeats could not be fitted; the model is too fragile to resample")
+    return Bootstrap(names=tuple(names), values=np.array(found), failed=failed)
+
+
+def _fitted(fit: EffectsFit, name: str) -> int:
+    names = list(fit.plant.parameters)
+    fixed = (*fit.options.held, *fit.plant.derived, *fit.options.local)
+    if name not in names or name in fixed:
+        known = ", ".join(n for n in names if n not in fixed)
+        raise InputError(f"{name[:40]!r} is no parameter that was fitted for all records; those are {known}")
+    return names.index(name)
+
+
+def _variance_unit(fit: EffectsFit, index: int) -> float:
+    """Return the residual variance that one degree of freedom counts as."""
+    refined = fit.refinement
+    samples = sum(r.size for r in refined.residuals)
+    plain = _squares(refined) / max(samples - len(fit.plant.values), 1)
+    return float(max(plain * refined.colour[index], 1e-300))
+
+
+def _squares(refined: Refinement) -> float:
+    return float(sum(r @ r for r in refined.residuals))
+
+
+def _with_value(fit: EffectsFit, runs: Sequence[Run], plant: Plant, name: str, value: float) -> Refinement | None:
+    values = list(plant.values)
+    values[list(plant.parameters).index(name)] = value
+    try:
+        return _minimised(fit, runs, plant.with_values(values), name)
+    except (InputError, NumericalError):
+        return None
+
+
+def _minimised(fit: EffectsFit, runs: Sequence[Run], plant: Plant, *more: str) -> Refinement:
+    options = replace(fit.options, held=(*fit.options.held, *more))
+    return minimise_error(
+        plant,
+        runs,
+        noise=fit.noise,
+        held=options.held,
+        local=options.local,
+        priors=options.priors,
+        loss=options.loss,
+    )
+
+
+def _drawn(residual: NDArray[np.float64], stream: np.random.Generator) -> NDArray[np.float64]:
+    """Return a series like `residual`, of blocks drawn from it."""
+    n = residual.size
+    centred = residual - residual.mean()
+    energy = float(centred @ centred)
+    rho = float(centred[1:] @ centred[:-1]) / energy if energy > 0 else 0.0
+    memory = (1.0 + rho) / max(1.0 - rho, 1e-3) if rho > 3.0 / np.sqrt(n) else 1.0
+    length = int(np.clip(BLOCK * memory, 1, max(n // 4, 1)))
+    begins = stream.integers(0, n - length + 1, size=-(-n // length))
+    return np.concatenate([centred[b : b + length] for b in begins])[:n]

@@ -1,0 +1,143 @@
+"""Where a fit of effects begins: sizes from the integral equation, shapes from each effect's own proposals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.effects import Seen
+from servolens.errors import InputError, NumericalError
+from servolens.identification.integral import assemble, solve_integral
+from servolens.identification.regressors import regressor
+from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.identification.varying import piece_duration
+from servolens.plant import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+    from servolens.identification.segments import Segment
+
+__all__ = ["Screen", "seen_in"]
+
+MOST_STARTS = 400
+
+
+def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
+    """Return what the stretches of motion show, beside the model `plant`."""
+    sample_time = min(s.record.sample_time for s in segments)
+    fastest = [float(np.abs(np.gradient(s.position, s.time)).max()) for s in segments if s.time.size > 2]
+    return Seen(
+        low=min(float(s.position.min()) for s in segments),
+        high=max(float(s.position.max()) for s in segments),
+        speed=max(*fastest, 1e-9),
+        command=max(float(np.abs(s.voltage).max()) for s in segments),
+        gain=plant.gain,
+        damping=plant.damping,
+        sample_time=sample_time,
+        duration=max(s.record.duration for s in segments),
+        noise=max(s.noise for s in segments),
+    )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Screen:
+    """Stretches of motion made ready for the integral equation, in which effects can be tried at once.
+
+    Attributes
+    ----------
+    segments : tuple of Segment
+        The stretches.
+    velocity : tuple of ndarray
+        Theirs, smoothed.
+    """
+
+    segments: tuple[Segment, ...]
+    velocity: tuple[NDArray[np.float64], ...]
+
+    @classmethod
+    def of(cls, segments: Sequence[Segment]) -> Screen:
+        """Differentiate the positions of `segments`."""
+        window = smoothing_window(piece_duration(segments), segments[0].record.sample_time)
+        velocity = [smooth(s.time, s.position, min(window, s.time.size))[1] for s in segments]
+        return cls(segments=tuple(segments), velocity=tuple(velocity))
+
+    def solve(self, effects: Sequence[Effect]) -> tuple[Plant, float]:
+        """Return the plant whose sizes solve the integral equation, and the root mean square of its residual.
+
+        Parameters in which no force is linear keep the values of `effects`. Sizes are clipped into their bounds.
+
+        Raises
+        ------
+        NumericalError
+            If the data do not determine the sizes.
+        """
+        columns = [self._columns(i, effects) for i in range(len(self.segments))]
+        factor = assemble(self.segments, forces=columns)
+        damping, gain, *sizes = (float(v) for v in solve_integral(factor).x)
+        samples = sum(s.time.size for s in self.segments)
+        found = [_sized(effect, sizes) for effect in effects]
+        return Plant(gain=gain, damping=damping, effects=tuple(found)), float(abs(factor[-1, -1]) / np.sqrt(samples))
+
+    def best_starts(self, plant: Plant, effect: Effect, count: int) -> list[Effect]:
+        """Return the values of `effect`, its own and those it proposes, that suit the data best beside `plant`.
+
+        A force's sizes are solved for with each proposal; proposals of other effects are returned as they are.
+        """
+        proposed = [effect, *_first(type(effect), seen_in(self.segments, plant))]
+        if not regressor(type(effect)).sizes:
+            return proposed[: count + 1]
+        others = tuple(e for e in plant.effects if e.name != effect.name)
+        ranked = []
+        for proposal in proposed:
+            try:
+                solved, error = self.solve((*others, proposal))
+            except (InputError, NumericalError):
+                continue
+            ranked.append((error, solved.effects[-1]))
+        ranked.sort(key=lambda pair: pair[0])
+        return [found for _, found in ranked[:count]] or proposed[:1]
+
+    def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
+        segment = self.segments[i]
+        time = segment.record.time[segment.first : segment.first + segment.time.size]
+        rows = []
+        for effect in effects:
+            for variant in _waves(effect):
+                law = regressor(type(effect))
+                if law.sizes:
+                    shapes = [getattr(variant, name) for name in law.shapes]
+                    rows.append(law.columns(time, segment.position, self.velocity[i], *shapes))
+        return np.vstack(rows) if rows else np.empty((0, segment.time.size))
+
+
+def _first(effect: type[Effect], seen: Seen) -> list[Effect]:
+    return [proposal for proposal, _ in zip(effect.starts(seen), range(MOST_STARTS), strict=False)]
+
+
+def _waves(effect: Effect) -> tuple[Effect, ...]:
+    """Return the effect at phases 0 and π/2, if it has a phase: then two sizes give amplitude and phase."""
+    if effect.wave is None:
+        return (effect,)
+    phase = effect.wave[1]
+    return (replace(effect, **{phase: 0.0}), replace(effect, **{phase: np.pi / 2}))
+
+
+def _sized(effect: Effect, sizes: list[float]) -> Effect:
+    """Return `effect` with its sizes, which are taken off the front of `sizes`."""
+    names = regressor(type(effect)).sizes
+    if not names:
+        return effect
+    if effect.wave is not None:
+        amplitude, phase = effect.wave
+        sine, cosine = sizes.pop(0), sizes.pop(0)
+        return replace(effect, **{amplitude: float(np.hypot(sine, cosine)), phase: float(np.arctan2(cosine, sine))})
+    specs = {spec.name: spec for spec in effect.parameters()}
+    values = {name: float(np.clip(sizes.pop(0), specs[name].low, specs[name].high)) for name in names}
+    return replace(effect, **values)
