@@ -18,6 +18,7 @@ SAYS = {
     "emps": "Moving mass with Coulomb friction: 95.",
     "kawata_arm": "this arm is a linear plant",
     "kawata_cart": "the cause is another one",
+    "own_effect": "read back: TravelFriction(level=0.2",
 }
 MEASURED = {
     "cu_rotary_arm": "cu_rotary_arm",
