@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import control as ct
 import numpy as np
 
+from servolens.bridge.checking import TOLERANCE, judge
+from servolens.bridge.system import PlantSystem
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,8 +31,9 @@ def held_response(
     time: ArrayLike,
     inputs: ArrayLike,
     *,
-    initial_state: ArrayLike = 0.0,
+    initial_state: ArrayLike | Literal["at rest"] = 0.0,
     params: Mapping[str, float] | None = None,
+    check: bool = False,
 ) -> Any:
     """Simulate a continuous system of python-control under inputs that are held from sample to sample.
 
@@ -45,10 +48,13 @@ def held_response(
         Increasing [s], at least 2.
     inputs : array_like, shape (n,) or (m, n)
         Of each sample.
-    initial_state : array_like, shape (number of states,), or float
-        At the first sample.
+    initial_state : array_like, shape (number of states,), or float, or "at rest"
+        At the first sample. ``"at rest"``, for one plant or loop: standing at 0 under the first input, which has been
+        there for ever; for another position pass ``system.at_rest(position, held)``.
     params : mapping, optional
         Parameters that differ from the system's own.
+    check : bool
+        Simulate with the kernel too, and warn if the two are apart, see :func:`check_response`.
 
     Returns
     -------
@@ -58,7 +64,13 @@ def held_response(
     Raises
     ------
     InputError
-        If time does not increase or the inputs have another shape.
+        If time does not increase, inputs or initial state have another shape, or `check` or ``"at rest"`` is asked of
+        a system that is not one of :func:`to_control` or :func:`closed_loop`.
+
+    Warns
+    -----
+    ResponseWarning
+        As :func:`check_response`.
 
     Examples
     --------
@@ -70,7 +82,7 @@ def held_response(
     """
     grid, held = _signals(system, time, inputs)
     states = np.empty((system.nstates, grid.size))
-    states[:, 0] = initial_state
+    states[:, 0] = _begin(system, initial_state, grid, held, params)
     changes = 1 + np.flatnonzero((np.diff(held[:, :-1], axis=1) != 0).any(axis=0))
     edges = [0, *changes.tolist(), grid.size - 1]
     for a, b in pairwise(edges):
@@ -81,7 +93,7 @@ def held_response(
         )
         states[:, a + 1 : b + 1] = done.states[:, 1:]
     outputs = [system.output(t, x, u, params=_plain(params)) for t, x, u in zip(grid, states.T, held.T, strict=True)]
-    return ct.TimeResponseData(
+    response = ct.TimeResponseData(
         grid,
         np.transpose(outputs),
         states,
@@ -94,6 +106,9 @@ def held_response(
         state_labels=system.state_labels,
         title=f"Response of {system.name} to held inputs",
     )
+    if check:
+        judge(system, response, TOLERANCE, held=True)
+    return response
 
 
 def _signals(system: Any, time: ArrayLike, inputs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -103,6 +118,25 @@ def _signals(system: Any, time: ArrayLike, inputs: ArrayLike) -> tuple[NDArray[n
     if held.shape != (system.ninputs, grid.size):
         raise InputError(f"inputs must have shape ({system.ninputs}, {grid.size}), got {held.shape}")
     return grid, held
+
+
+def _begin(
+    system: Any,
+    asked: ArrayLike | Literal["at rest"],
+    grid: NDArray[np.float64],
+    held: NDArray[np.float64],
+    params: Mapping[str, float] | None,
+) -> NDArray[np.float64]:
+    if isinstance(asked, str):
+        if asked != "at rest" or not isinstance(system, PlantSystem):
+            raise InputError(
+                f'initial_state must be numbers, or "at rest" of one plant or loop; got {asked!r} of {system.name}'
+            )
+        return system.at_rest(0.0, float(held[0, 0]), time=float(grid[0]), params=params)
+    state = np.asarray(asked, dtype=np.float64)
+    if state.shape not in ((), (system.nstates,)):
+        raise InputError(f"initial_state must be one number or have shape ({system.nstates},), got {state.shape}")
+    return np.broadcast_to(state, system.nstates)
 
 
 def _plain(params: Mapping[str, float] | None) -> dict[str, float] | None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, final
 
 import control as ct
 import numpy as np
 
+from servolens.bridge.delay import HIGHEST_ORDER
 from servolens.bridge.equations import Equations
+from servolens.effects import TimeShift
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,46 +22,71 @@ if TYPE_CHECKING:
 __all__ = ["PlantSystem", "closed_loop", "to_control"]
 
 
-def to_control(plant: Plant, *, name: str | None = None, prefix: str = "", friction_width: float = 1e-3) -> PlantSystem:
+def to_control(
+    plant: Plant,
+    *,
+    name: str | None = None,
+    prefix: str = "",
+    friction_width: float = 1e-3,
+    delay_order: int | None = None,
+) -> PlantSystem:
     """Return `plant` as a system of python-control, driven by its voltage.
 
     Parameters
     ----------
     plant : Plant
-        The axis.
+        The axis. An effect that has states or delays, and is absent by its values (a time constant of 0), is left out:
+        it would be infinitely stiff. Its parameters are then no parameters of the system.
     name : str, optional
         Name of the system.
     prefix : str
         Put before the names of the parameters, so that several plants can be interconnected, e.g. ``"x."``.
     friction_width : float
         Speed at which smoothed dry friction has reached 76 % of its level [m/s or rad/s], positive.
+    delay_order : int, optional
+        1 to 10: a delay τ becomes as many states, Padé's approximation, good up to about ``delay_order / τ`` rad/s.
+        None refuses a plant with a delay.
 
     Returns
     -------
     PlantSystem
-        Input ``voltage`` [V or the plant's command unit]; outputs and states ``position`` [m or rad] and ``velocity``;
-        ``params`` holds every parameter of the plant by qualified name, SI.
+        Input ``voltage`` [V or the plant's command unit]. Outputs ``position``, as the sensor shows it [m or rad], and
+        ``velocity``, both of the load. States ``position`` and ``velocity``, which behind a transmission are the
+        motor's, then those of the effects (``flexible_coupling.position``), then those of a delay
+        (``delay.history_0``). ``params`` holds every parameter of the plant by qualified name, SI.
 
     Raises
     ------
     InputError
-        If `friction_width` is not positive.
+        If `friction_width` is not positive, or the plant has a delay and `delay_order` is None.
 
     Examples
     --------
     >>> from servolens.bridge import to_control
+    >>> from servolens.effects import ActuatorLag
     >>> from servolens.plant import Plant
     >>> cart = to_control(Plant(gain=1.9, damping=6.0), name="cart")
     >>> cart.linearize([0.0, 0.0], 0.0).poles().real.tolist()
     [0.0, -6.0]
+    >>> to_control(Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=0.01),))).state_labels
+    ['position', 'velocity', 'actuator_lag.command']
     """
-    return _system(plant, {}, "voltage", ["position", "velocity"], name, prefix, friction_width)
+    return _system(plant, {}, name, prefix, friction_width, delay_order)
 
 
 def closed_loop(
-    plant: Plant, kp: float, kd: float = 0.0, *, name: str | None = None, prefix: str = "", friction_width: float = 1e-3
+    plant: Plant,
+    kp: float,
+    kd: float = 0.0,
+    *,
+    name: str | None = None,
+    prefix: str = "",
+    friction_width: float = 1e-3,
+    delay_order: int | None = None,
 ) -> PlantSystem:
     """Return `plant` under the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (the paper's eq. 15).
+
+    The controller is given the position that the sensor shows and the load's velocity.
 
     Parameters
     ----------
@@ -67,19 +94,19 @@ def closed_loop(
         The axis.
     kp, kd : float
         Gains [V/m, V s/m], parameters of the system too.
-    name, prefix, friction_width
+    name, prefix, friction_width, delay_order
         As in :func:`to_control`.
 
     Returns
     -------
     PlantSystem
         Input ``reference`` [m or rad]; outputs ``position``, ``velocity`` and ``voltage``, which is what the
-        controller asks for; states ``position`` and ``velocity``.
+        controller asks for; states as in :func:`to_control`.
 
     Raises
     ------
     InputError
-        If `friction_width` is not positive or a gain not finite.
+        As in :func:`to_control`, or if a gain is not finite.
 
     Examples
     --------
@@ -91,13 +118,53 @@ def closed_loop(
     """
     if not np.isfinite([kp, kd]).all():
         raise InputError(f"kp and kd must be finite, got {kp!r} and {kd!r}")
-    outputs = ["position", "velocity", "voltage"]
-    return _system(plant, {"kp": float(kp), "kd": float(kd)}, "reference", outputs, name, prefix, friction_width)
+    return _system(plant, {"kp": float(kp), "kd": float(kd)}, name, prefix, friction_width, delay_order)
 
 
 @final
 class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships no types
     """A ``NonlinearIOSystem`` that knows its derivatives; made by :func:`to_control` and :func:`closed_loop`."""
+
+    def at_rest(
+        self,
+        position: float = 0.0,
+        held: float = 0.0,
+        *,
+        time: float = 0.0,
+        params: Mapping[str, float] | None = None,
+    ) -> NDArray[np.float64]:
+        """Return the states of an axis that stands still, whatever follows its input having caught up with it.
+
+        Where nothing is remembered that is `position` and 0. Lags, sensors and delays are filled; a second mass stands
+        where the motor does; a force that would move the axis is not asked.
+
+        Parameters
+        ----------
+        position : float
+            Of motor and load [m or rad].
+        held : float
+            The input until now: voltage, or reference of a loop [m or rad].
+        time : float
+            [s]; matters to effects that drift.
+        params : mapping, optional
+            Parameters that differ from the system's own.
+
+        Returns
+        -------
+        ndarray, shape (number of states,)
+            For ``initial_state`` or ``linearize``.
+
+        Examples
+        --------
+        >>> from servolens.bridge import to_control
+        >>> from servolens.effects import ActuatorLag
+        >>> from servolens.plant import Plant
+        >>> cart = to_control(Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=0.01),)))
+        >>> cart.at_rest(0.1, held=2.0).tolist()
+        [0.1, 0.0, 2.0]
+        """
+        found: NDArray[np.float64] = self.updfcn.at_rest(time, position, held, {**self.params, **(params or {})})
+        return found[:, 0]
 
     def linearize(
         self,
@@ -114,7 +181,7 @@ class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships 
         Parameters
         ----------
         x0 : array_like or OperatingPoint
-            Position and velocity.
+            All states; missing ones are 0.
         u0 : array_like, optional
             The input; 0, or that of the operating point.
         t : float
@@ -138,26 +205,25 @@ class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships 
 
 
 def _system(
-    plant: Plant,
-    gains: dict[str, float],
-    given: Literal["voltage", "reference"],
-    outputs: list[str],
-    name: str | None,
-    prefix: str,
-    width: float,
+    plant: Plant, gains: dict[str, float], name: str | None, prefix: str, width: float, order: int | None
 ) -> PlantSystem:
     if not (np.isfinite(width) and width > 0):
         raise InputError(f"friction_width must be positive and finite, got {width!r}")
-    values = dict(zip(plant.parameters, plant.values, strict=True)) | gains
-    params = {prefix + key: value for key, value in values.items()}
-    equations = Equations(plant.structure, params, float(width), bool(gains))
+    if order is not None and order not in range(1, HIGHEST_ORDER + 1):
+        raise InputError(f"delay_order must be a whole number from 1 to {HIGHEST_ORDER}, got {order!r}")
+    equations = Equations(plant, gains, prefix, float(width), int(order or 0))
+    if order is None and any(issubclass(cls, TimeShift) for cls in equations.plant.structure):
+        raise InputError(
+            f"the plant has a delay of {plant.delay:g} s, which differential equations cannot hold: "
+            "pass delay_order=3, say, for Padé's approximation, or simulate it with servolens.simulation"
+        )
     return PlantSystem(
         equations,
         equations.outputs,
-        params=params,
-        inputs=[given],
-        outputs=outputs,
-        states=["position", "velocity"],
+        params=equations.defaults,
+        inputs=["reference" if gains else "voltage"],
+        outputs=["position", "velocity", "voltage"] if gains else ["position", "velocity"],
+        states=equations.states,
         name=name,
     )
 
