@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.effects import Force
 from servolens.errors import InputError, NumericalError
 from servolens.identification.door import check_names, together
 from servolens.identification.doubts import doubts
-from servolens.identification.refine import AT_NOISE, Loss, Refinement, minimise_error
+from servolens.identification.options import FitOptions
+from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, error_of, minimise_error
+from servolens.identification.regressors import regressor
 from servolens.identification.runs import closed_runs, voltage_runs
 from servolens.identification.segments import motion_segments, noise_level
 from servolens.identification.starting import Screen
@@ -28,38 +29,10 @@ if TYPE_CHECKING:
     from servolens.model import Quantity
     from servolens.record import Record
 
-__all__ = ["EffectsFit", "FitOptions", "fit_effects", "fit_runs", "last_word"]
+__all__ = ["EffectsFit", "fit_effects", "fit_runs", "last_word"]
 
-Driven = Literal["auto", "closed_loop", "voltage"]
 STARTS, SHORT = 3, 6
 """Starts of each effect that are tried by simulation, and with how many iterations."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitOptions:
-    """How a plant is fitted.
-
-    Parameters
-    ----------
-    held : tuple of str
-        Qualified names of parameters that stay as given.
-    local : tuple of str
-        Parameters that each record has of its own, e.g. ``"periodic_disturbance.phase"``.
-    priors : mapping of str to Prior
-        Knowledge from elsewhere, by qualified name.
-    loss : {"squares", "huber"}
-        Whether outliers count as squares or linearly.
-    driven : {"auto", "closed_loop", "voltage"}
-        Whether the runs are simulated in closed loop from the reference, or driven by the voltage; ``"auto"`` begins
-        in closed loop where it can and lets the voltage have the last word where the model then reaches the noise.
-    """
-
-    held: tuple[str, ...] = ()
-    local: tuple[str, ...] = ()
-    priors: Mapping[str, Prior] | None = None
-    loss: Loss = "squares"
-    driven: Driven = "auto"
 
 
 @final
@@ -73,8 +46,9 @@ class EffectsFit:
         Plant and covariance, the latter allowing for coloured residuals.
     refinement : Refinement
         Where the search ended: residuals, correlations, parameters of each record's own, status.
-    driven : {"closed_loop", "voltage"}
-        How the final runs were simulated.
+    driven : {"closed_loop", "voltage", "stretches"}
+        How the final runs were simulated: in closed loop, driven by the voltage from the record's beginning, or so in
+        stretches of motion with initial states of their own.
     noise : float
         Standard deviation of the position's noise [m or rad].
     findings : tuple of Finding
@@ -87,7 +61,7 @@ class EffectsFit:
 
     model: Model
     refinement: Refinement
-    driven: Literal["closed_loop", "voltage"]
+    driven: str
     noise: float
     findings: tuple[Finding, ...]
     records: tuple[Record, ...]
@@ -171,26 +145,20 @@ def fit_effects(
     return last_word(start, runs, asked)
 
 
-def fit_runs(records: Sequence[Record], plant: Plant, driven: str) -> list[Run]:
-    """Return the runs to which a plant of this structure is fitted; whole records where an effect remembers rests."""
-    whole = any(issubclass(cls, Force) and cls.states for cls in plant.structure)
+def fit_runs(records: Sequence[Record], driven: str) -> list[Run]:
+    """Return the runs to which a plant is fitted: ``"closed_loop"``, ``"voltage"`` or ``"stretches"``."""
     if driven == "closed_loop":
-        return [*closed_runs(records, whole=whole)]
-    return [*voltage_runs(records, whole=whole)]
+        return [*closed_runs(records)]
+    return [*voltage_runs(records, stretches=driven == "stretches")]
 
 
 def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) -> EffectsFit:
     """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
     noise = max(noise_level(record) for record in records)
-    driven = first_choice(records, options)
+    driven: str = first_choice(records, options)
     refined = _refined(start, records, options, driven, noise)
     if options.driven == "auto" and driven == "closed_loop":
-        try:
-            by_voltage = _refined(refined.plant, records, options, "voltage", noise)
-        except NumericalError:
-            by_voltage = None
-        if by_voltage is not None and by_voltage.rms_error <= AT_NOISE * noise:
-            refined, driven = by_voltage, "voltage"
+        refined, driven = _by_voltage(refined, records, options, noise)
     return EffectsFit(
         model=Model(
             plant=refined.plant,
@@ -221,24 +189,34 @@ def first_choice(records: Sequence[Record], options: FitOptions) -> Literal["clo
     return "voltage" if lacking or options.driven == "voltage" else "closed_loop"
 
 
-def _refined(
-    start: Plant,
-    records: tuple[Record, ...],
-    options: FitOptions,
-    driven: str,
-    noise: float,
-    iterations: int = 60,
-) -> Refinement:
-    return minimise_error(
-        start,
-        fit_runs(records, start, driven),
-        noise=noise,
-        held=options.held,
-        local=options.local,
-        priors=options.priors,
-        loss=options.loss,
-        iterations=iterations,
-    )
+def _by_voltage(
+    refined: Refinement, records: tuple[Record, ...], options: FitOptions, noise: float
+) -> tuple[Refinement, str]:
+    """Return the refinement driven by the voltage where it reaches the noise, and how it was driven.
+
+    Stretches follow the data closer than whole records in any case: they count only if they alone get down to it.
+    """
+    best, driven = refined, "closed_loop"
+    for way, enough in (("voltage", AT_NOISE), ("stretches", DOWN_TO_NOISE)):
+        try:
+            found = _refined(best.plant, records, options, way, noise)
+        except (InputError, NumericalError):
+            continue
+        if found.rms_error <= enough * noise:
+            best, driven = found, way
+        if best.rms_error <= DOWN_TO_NOISE * noise:
+            break
+    return best, driven
+
+
+def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, driven: str, noise: float) -> Refinement:
+    """Refine; once more with coarse sensitivities where that does not reach the noise."""
+    runs = fit_runs(records, driven)
+    found = minimise_error(start, runs, options, noise=noise)
+    if found.rms_error <= DOWN_TO_NOISE * noise:
+        return found
+    again = minimise_error(start, runs, options, noise=noise, coarse=True)
+    return again if again.rms_error < found.rms_error else found
 
 
 def _start(records: tuple[Record, ...], wanted: Plant, options: FitOptions) -> Plant:
@@ -254,7 +232,8 @@ def _start(records: tuple[Record, ...], wanted: Plant, options: FitOptions) -> P
 def _added(plant: Plant, effect: Effect, screen: Screen, records: tuple[Record, ...], options: FitOptions) -> Plant:
     """Return `plant` with `effect` at the start from which a few steps of refinement lead furthest."""
     noise = max(noise_level(record) for record in records)
-    driven = first_choice(records, options)
+    runs = fit_runs(records, first_choice(records, options))
+    smooth = bool(regressor(type(effect)).sizes)
     names = set(plant.with_effect(effect).parameters)
     known = replace(
         options,
@@ -264,11 +243,11 @@ def _added(plant: Plant, effect: Effect, screen: Screen, records: tuple[Record, 
     )
     kept = {name: getattr(effect, name.partition(".")[2]) for name in known.held if name.startswith(effect.name)}
     best, least = plant.with_effect(effect), np.inf
-    for start in _candidates(plant, effect, screen):
+    for start in _candidates(plant, effect, screen, runs):
         values = {name.partition(".")[2]: value for name, value in kept.items()}
         trial = replace(start, effects=(*start.effects[:-1], replace(start.effects[-1], **values)))
         try:
-            found = _refined(trial, records, known, driven, noise, iterations=SHORT)
+            found = minimise_error(trial, runs, known, noise=noise, iterations=SHORT, coarse=not smooth)
         except (InputError, NumericalError):
             continue
         if found.rms_error < least:
@@ -278,17 +257,21 @@ def _added(plant: Plant, effect: Effect, screen: Screen, records: tuple[Record, 
     return best
 
 
-def _candidates(plant: Plant, effect: Effect, screen: Screen) -> list[Plant]:
-    """Return plants to start from: with gain and damping as they are, and as the integral equation has them."""
-    found = []
-    for start in screen.best_starts(plant, effect, STARTS):
-        found.append(plant.with_effect(start))
-        try:
-            solved, _ = screen.solve(found[-1].effects)
+def _candidates(plant: Plant, effect: Effect, screen: Screen, runs: Sequence[Run]) -> list[Plant]:
+    """Return the likeliest plants to start from: by the integral equation where it holds the effect, else simulated."""
+    if regressor(type(effect)).sizes:
+        found = []
+        for start in screen.best_starts(plant, effect, STARTS):
+            found.append(plant.with_effect(start))
+            try:
+                solved, _ = screen.solve(found[-1].effects)
+            except (InputError, NumericalError):
+                continue
             found.append(replace(found[-1], gain=solved.gain, damping=max(solved.damping, 0.0)))
-        except (InputError, NumericalError):
-            continue
-    return found
+        return found
+    trials = [plant.with_effect(start) for start in screen.proposals(plant, effect)]
+    ranked = sorted(((error_of(trial, runs), i) for i, trial in enumerate(trials)))
+    return [trials[i] for _, i in ranked[:STARTS]]
 
 
 def _reasons(refined: Refinement, options: FitOptions) -> dict[str, str]:

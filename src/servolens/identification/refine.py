@@ -9,11 +9,12 @@ bears what the model lacks (sticking above all) without drifting away.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.options import FitOptions
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -31,15 +32,27 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["AT_NOISE", "Loss", "Refinement", "closed_loop_rms", "minimise_error", "refine", "refine_closed_loop"]
+__all__ = [
+    "AT_NOISE",
+    "DOWN_TO_NOISE",
+    "Refinement",
+    "closed_loop_rms",
+    "error_of",
+    "minimise_error",
+    "refine",
+    "refine_closed_loop",
+]
 
-Loss = Literal["squares", "huber"]
-STEP = 1e-4
+FINE, COARSE = 1e-4, 5e-2
+"""Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking
+crumple."""
 MOST_ITERATIONS = 60
 NEGLIGIBLE = 1e-8
 """Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
-AT_NOISE = 3.0
-"""Times the noise up to which a residual counts as explained."""
+AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
+"""Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
+CRUMPLED = 1.5
+"""Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
 
@@ -109,7 +122,8 @@ def refine(
         Samples of the smoothing derivative that gives the initial velocities.
     """
     runs: list[Run] = [VoltageRun(segment, 0, window) for segment in segments]
-    return minimise_error(plant, runs, noise=max(s.noise for s in segments), held=held, priors=priors)
+    options = FitOptions(held=tuple(held), priors=priors or {})
+    return minimise_error(plant, runs, options, noise=max(s.noise for s in segments))
 
 
 def refine_closed_loop(
@@ -132,8 +146,8 @@ def refine_closed_loop(
         Standard deviation of the position's noise, against which the priors are weighed.
     """
     steps = [step for record in records for step in settled_steps(record)]
-    runs = [ClosedRun(step, 0, len(step), 0) for step in steps]
-    return minimise_error(plant, runs, noise=noise, held=held, priors=priors)
+    runs: list[Run] = [ClosedRun(step, 0, len(step), 0) for step in steps]
+    return minimise_error(plant, runs, FitOptions(held=tuple(held), priors=priors or {}), noise=noise)
 
 
 def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
@@ -146,16 +160,25 @@ def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
     return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
 
 
+def error_of(plant: Plant, runs: Sequence[Run]) -> float:
+    """Return the root mean square error of `plant` on `runs` [m or rad]; infinite if it cannot be simulated."""
+    try:
+        residuals = [
+            run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured for run in runs
+        ]
+    except (InputError, NumericalError):
+        return float(np.inf)
+    return float(np.sqrt(sum(float(r @ r) for r in residuals) / sum(r.size for r in residuals)))
+
+
 def minimise_error(
     plant: Plant,
     runs: Sequence[Run],
+    options: FitOptions,
     *,
     noise: float,
-    held: Sequence[str] = (),
-    local: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
-    loss: Loss = "squares",
     iterations: int = MOST_ITERATIONS,
+    coarse: bool = False,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
 
@@ -165,21 +188,29 @@ def minimise_error(
         Start and structure.
     runs : sequence of Run
         What is simulated and compared.
+    options : FitOptions
+        What is held, what each record has of its own, priors, and the loss: with ``"huber"`` residuals beyond 2.5
+        robust standard deviations count linearly (Huber 1964, doi:10.1214/aoms/1177703732).
     noise : float
         Standard deviation of the position's noise, against which the priors are weighed.
-    held, local : sequence of str
-        Parameters that stay as they are; that each record has of its own.
-    priors : mapping of str to Prior, optional
-        By qualified name.
-    loss : {"squares", "huber"}
-        Whether residuals beyond 2.5 robust standard deviations count as squares or linearly (Huber 1964,
-        doi:10.1214/aoms/1177703732).
     iterations : int
         At most.
+    coarse : bool
+        Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
+
+    Raises
+    ------
+    NumericalError
+        If `plant` cannot be simulated on the runs.
     """
-    problem = _Problem(plant, runs, (held, local), dict(priors or {}), noise)
-    point, converged = _descend(problem, problem.start(), iterations)
-    for _ in range(2 if loss == "huber" else 0):
+    problem = _Problem(plant, runs, options, noise)
+    point = problem.start()
+    if coarse:
+        problem.share = COARSE
+        point, _ = _descend(problem, point, iterations)
+        problem.share = FINE
+    point, converged = _descend(problem, point, iterations)
+    for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
         point, converged = _descend(problem, point, iterations)
@@ -235,11 +266,10 @@ class _Problem:
         self,
         plant: Plant,
         runs: Sequence[Run],
-        fixed: tuple[Sequence[str], Sequence[str]],
-        priors: dict[str, Prior],
+        options: FitOptions,
         noise: float,
     ) -> None:
-        held, local = fixed
+        held, local, priors = options.held, options.local, options.priors
         names, specs = list(plant.parameters), list(plant.parameters.values())
         self.plant, self.runs, self.names = plant, runs, names
         estimated = [name for name in names if name not in held and name not in plant.derived]
@@ -258,7 +288,8 @@ class _Problem:
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.measured.size for run in runs)
         self.noise = max(noise, 1e-12)
-        self.outlier = np.inf
+        self.outlier, self.share = np.inf, FINE
+        self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
 
     def start(self) -> _Point:
@@ -327,7 +358,7 @@ class _Problem:
         n, start, shifts = self.runs[i].measured.size, point.starts[i], self.runs[i].shifts
         jacobian, initial = np.zeros((n, self.free.size)), np.empty((n, len(shifts)))
         for k in self.columns[i]:
-            h = STEP * max(abs(point.values[k]), 1e-3 * self.scale[k])
+            h = max(self.share * max(abs(point.values[k]), 1e-3 * self.scale[k]), self.least_shift[k])
             up, down = point.values.copy(), point.values.copy()
             up[k], down[k] = min(up[k] + h, self.high[k]), max(down[k] - h, self.low[k])
             change = self.residual(up, i, start) - self.residual(down, i, start)
@@ -368,7 +399,7 @@ class _Problem:
     def finish(self, point: _Point, *, converged: bool) -> Refinement:
         if not np.isfinite(point.cost):
             raise NumericalError("the plant to start from cannot be simulated on these records: its loop is unstable")
-        blocks, _, information = self.linearise(point)
+        blocks, _, information = self._linearised_as_wide_as_the_errors(point)
         inside = (point.values > self.low) & (point.values < self.high) & (np.diag(information) > 0)
         covariance = np.full((len(self.names), len(self.names)), np.nan)
         correlation, colour = covariance.copy(), np.full(len(self.names), np.nan)
@@ -397,6 +428,47 @@ class _Problem:
             converged=converged,
             status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
         )
+
+    def _linearised_as_wide_as_the_errors(
+        self, point: _Point
+    ) -> tuple[list[_Block], NDArray[np.float64], NDArray[np.float64]]:
+        """Linearise over a standard error of each parameter: over less, crumples would count as information.
+
+        Where the two disagree, the width is approached from above, for an error crumpled on a small scale has many
+        small widths that confirm themselves.
+        """
+        found = self.linearise(point)
+        fine = self._widths(point, found[2])
+        if fine is None:
+            return found
+        found = self._over(point, np.minimum(fine, 0.1 * np.abs(point.values)))
+        wide = self._widths(point, found[2])
+        if wide is None or (wide < CRUMPLED * fine).all():
+            return found
+        widths = COARSE * np.maximum(np.abs(point.values), 1e-3 * self.scale)
+        for _ in range(4):
+            found = self._over(point, widths)
+            errors = self._widths(point, found[2])
+            if errors is None or (errors > 0.5 * widths).all():
+                break
+            widths = np.minimum(widths, errors)
+        return found
+
+    def _over(
+        self, point: _Point, widths: NDArray[np.float64]
+    ) -> tuple[list[_Block], NDArray[np.float64], NDArray[np.float64]]:
+        self.least_shift = widths
+        found = self.linearise(point)
+        self.least_shift = np.zeros(self.free.size)
+        return found
+
+    def _widths(self, point: _Point, information: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the standard errors if the noise were white; None where the data do not determine all parameters."""
+        if not ((np.diag(information) > 0).all() and _well_conditioned(information)):
+            return None
+        unknowns = point.values.size + sum(start.size for start in point.starts)
+        variance = point.cost / max(self.samples - unknowns, 1) * np.diag(np.linalg.inv(information))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def _covariance(
         self, point: _Point, blocks: list[_Block], information: NDArray[np.float64], index: NDArray[np.intp]

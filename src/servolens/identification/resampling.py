@@ -103,7 +103,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
         If the fit itself cannot be repeated.
     """
     index = _fitted(fit, name)
-    runs = fit_runs(fit.records, fit.plant, fit.driven)
+    runs = fit_runs(fit.records, fit.driven)
     best, spec = fit.plant.values[index], fit.plant.parameters[name]
     unit = _variance_unit(fit, index)
     least = _squares(fit.refinement)
@@ -158,7 +158,7 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
     """
     if repeats < 2:
         raise InputError(f"repeats must be at least 2, got {repeats}")
-    runs = fit_runs(fit.records, fit.plant, fit.driven)
+    runs = fit_runs(fit.records, fit.driven)
     names = [name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived)]
     index = [list(fit.plant.parameters).index(name) for name in names]
     measured = [run.measured for run in runs]
@@ -209,15 +209,7 @@ def _with_value(fit: EffectsFit, runs: Sequence[Run], plant: Plant, name: str, v
 
 def _minimised(fit: EffectsFit, runs: Sequence[Run], plant: Plant, *more: str) -> Refinement:
     options = replace(fit.options, held=(*fit.options.held, *more))
-    return minimise_error(
-        plant,
-        runs,
-        noise=fit.noise,
-        held=options.held,
-        local=options.local,
-        priors=options.priors,
-        loss=options.loss,
-    )
+    return minimise_error(plant, runs, options, noise=fit.noise)
 
 
 def _drawn(residual: NDArray[np.float64], stream: np.random.Generator) -> NDArray[np.float64]:

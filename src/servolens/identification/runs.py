@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
 
-from servolens.identification.segments import Segment, applied_voltage, motion_segments, rests_between
+from servolens.identification.segments import Segment, applied_voltage, motion_segments
 from servolens.identification.smoothing import smooth
 from servolens.simulation.loop import simulate_loop, simulate_voltage, without_gaps
 
@@ -116,56 +116,38 @@ class VoltageRun:
         return simulate_voltage(plant, self.segment.time, self.segment.voltage, start=begin, substeps=substeps).measured
 
 
-def closed_runs(records: Sequence[Record], *, whole: bool = False) -> list[ClosedRun]:
-    """Return the records' stretches between rests in closed loop; with `whole` each record in one."""
-    return [
-        ClosedRun(record, first, stop, group, rest=rest)
-        for group, record in enumerate(records)
-        for first, stop, rest in windows(record, whole=whole)
-    ]
+def closed_runs(records: Sequence[Record]) -> list[ClosedRun]:
+    """Return each record in closed loop, from rest."""
+    return [ClosedRun(record, 0, len(record), group, rest=rest(record)) for group, record in enumerate(records)]
 
 
-def voltage_runs(records: Sequence[Record], *, whole: bool = False, window: int = 21) -> list[VoltageRun]:
-    """Return the records' stretches driven by their voltage: between rests, or between reversals of a trajectory."""
+def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: int = 21) -> list[VoltageRun]:
+    """Return each record driven by its voltage from rest; or, as of a trajectory, in stretches of motion.
+
+    Stretches suit an axis that is unstable by itself, in which a small error grows over a whole record.
+    """
     runs: list[VoltageRun] = []
     for group, record in enumerate(records):
-        stretches = windows(record, whole=whole)
-        if _begins_at_rest(record, stretches):
-            voltage = applied_voltage(record)
-            runs += [
-                VoltageRun(_segment(record, voltage, first, stop), group, window, rest=max(rest, 1))
-                for first, stop, rest in stretches
-            ]
+        if not stretches and _begins_at_rest(record):
+            whole = _segment(record, applied_voltage(record), 0, len(record))
+            runs.append(VoltageRun(whole, group, window, rest=max(rest(record), 1)))
         else:
             runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
     return runs
 
 
-def windows(record: Record, *, whole: bool = False) -> list[tuple[int, int, int]]:
-    """Return first sample, the one after the last, and the samples of rest at the beginning of each stretch.
-
-    A stretch goes from shortly before an edge of the reference to shortly before the next, if the axis rests at every
-    edge; else there is one.
-    """
+def rest(record: Record) -> int:
+    """Return the number of samples before the first edge of the reference, at most 40: there the axis rests."""
     edges = record.edges()
-    if edges.size == 0:
-        return [(0, len(record), 0)]
-    if whole or not rests_between(record):
-        return [(0, len(record), min(int(edges[0]), LEAD))]
-    gaps = np.diff([0, *edges.tolist(), len(record)])
-    leads = [min(LEAD, int(gap) // 4) if gap > 1 else 0 for gap in gaps[:-1]]
-    leads[0] = min(LEAD, int(edges[0]))
-    begins = [int(edge) - lead for edge, lead in zip(edges, leads, strict=True)]
-    ends = [*begins[1:], len(record)]
-    return [(a, b, lead) for a, b, lead in zip(begins, ends, leads, strict=True) if b - a > LEAD // 4]
+    return min(int(edges[0]), LEAD) if edges.size else 0
 
 
-def _begins_at_rest(record: Record, stretches: list[tuple[int, int, int]]) -> bool:
-    """Tell whether the stretches can be taken to begin at rest: as a step's log does."""
+def _begins_at_rest(record: Record) -> bool:
+    """Tell whether the record can be taken to begin at rest: as a step's log does."""
     if record.reference is None:
         return _initial_speed_is_nothing(record)
     moving = record.reference[1:] != record.reference[:-1]
-    return len(stretches) > 1 or float(np.mean(moving)) < 0.01
+    return float(np.mean(moving)) < 0.01
 
 
 def _initial_speed_is_nothing(record: Record) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -86,13 +87,11 @@ class Screen:
         return Plant(gain=gain, damping=damping, effects=tuple(found)), float(abs(factor[-1, -1]) / np.sqrt(samples))
 
     def best_starts(self, plant: Plant, effect: Effect, count: int) -> list[Effect]:
-        """Return the values of `effect`, its own and those it proposes, that suit the data best beside `plant`.
+        """Return the values of the force `effect`, its own and those it proposes, that suit the data best.
 
-        A force's sizes are solved for with each proposal; proposals of other effects are returned as they are.
+        Its sizes and those of the plant's other forces are solved for with each proposal.
         """
-        proposed = [effect, *_first(type(effect), seen_in(self.segments, plant))]
-        if not regressor(type(effect)).sizes:
-            return proposed[: count + 1]
+        proposed = self.proposals(plant, effect)
         others = tuple(e for e in plant.effects if e.name != effect.name)
         ranked = []
         for proposal in proposed:
@@ -103,6 +102,10 @@ class Screen:
             ranked.append((error, solved.effects[-1]))
         ranked.sort(key=lambda pair: pair[0])
         return [found for _, found in ranked[:count]] or proposed[:1]
+
+    def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
+        """Return `effect` and what it proposes itself beside `plant`."""
+        return [effect, *islice(type(effect).starts(seen_in(self.segments, plant)), MOST_STARTS)]
 
     def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
         segment = self.segments[i]
@@ -115,10 +118,6 @@ class Screen:
                     shapes = [getattr(variant, name) for name in law.shapes]
                     rows.append(law.columns(time, segment.position, self.velocity[i], *shapes))
         return np.vstack(rows) if rows else np.empty((0, segment.time.size))
-
-
-def _first(effect: type[Effect], seen: Seen) -> list[Effect]:
-    return [proposal for proposal, _ in zip(effect.starts(seen), range(MOST_STARTS), strict=False)]
 
 
 def _waves(effect: Effect) -> tuple[Effect, ...]:

@@ -1,0 +1,39 @@
+"""What is wanted of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping  # noqa: TC003 - dataclass fields are looked at by tools
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal, final
+
+if TYPE_CHECKING:
+    from servolens.identification.integral import Prior
+
+__all__ = ["FitOptions"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FitOptions:
+    """How a plant is fitted.
+
+    Parameters
+    ----------
+    held : tuple of str
+        Qualified names of parameters that stay as given.
+    local : tuple of str
+        Parameters that each record has of its own, e.g. ``"periodic_disturbance.phase"``.
+    priors : mapping of str to Prior
+        Knowledge from elsewhere, by qualified name.
+    loss : {"squares", "huber"}
+        Whether outliers count as squares or linearly.
+    driven : {"auto", "closed_loop", "voltage"}
+        Whether the runs are simulated in closed loop from the reference, or driven by the voltage; ``"auto"`` begins
+        in closed loop where it can and lets the voltage have the last word where the model then reaches the noise.
+    """
+
+    held: tuple[str, ...] = ()
+    local: tuple[str, ...] = ()
+    priors: Mapping[str, Prior] = field(default_factory=dict)
+    loss: Literal["squares", "huber"] = "squares"
+    driven: Literal["auto", "closed_loop", "voltage"] = "auto"
