@@ -358,7 +358,7 @@ def test_starts_are_admissible(cls, seen):
         ("dead_zone", "width", 0.2, 1.0, 2),
         ("saturation", "limit", 5.0, 9.0, 3),
         ("force_limit", "acceleration", 9.5, 17.1, 3),
-        ("backlash", "gap", 4e-4, 4e-3, 2),
+        ("backlash", "gap", 4e-4, 1.2e-2, 4),
         ("speed_servo", "proportional", 20.0, 200.0, 3),
     ],
 )
