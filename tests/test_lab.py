@@ -300,7 +300,7 @@ def test_truth_is_frozen_and_survives_pickling():
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ({"gremlin": {}}, "has no effect 'gremlin'; it has coulomb_friction"),
+        ({"gremlin": {}}, "has no effect 'gremlin'; it has actuator_lag, .* coulomb_friction"),
         ({"coulomb_friction": {"size": 1.0}}, "coulomb_friction needs level; got size"),
         ({"coulomb_friction": {"level": float("nan")}}, "coulomb_friction.level must be finite, got nan"),
     ],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -12,11 +13,13 @@ from servolens.lab.loop import Bench, run_many, run_one
 from servolens.record import Controller, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
+    from servolens.lab.loop import Run
     from servolens.lab.truth import Truth
+    from servolens.record import LengthUnit
 
     Seed = int | np.random.SeedSequence | np.random.Generator | None
 
@@ -25,26 +28,34 @@ __all__ = ["step_record", "step_records"]
 
 def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains by keyword
     truth: Truth,
-    kp: float,
+    kp: float = 0.0,
     kd: float = 0.0,
     *,
     reference: float | Sequence[float] = 0.1,
     duration: float = 1.5,
     sample_time: float = 1e-3,
     rest: float = 0.0,
+    trajectory: ArrayLike | None = None,
+    feedforward: ArrayLike | None = None,
+    start: float = 0.0,
     encoder: float = 1e-5,
     noise: float = 0.0,
     seed: Seed = None,
     derivative_filter: float = 1.0,
+    controller: Controller | None = None,
     voltage_limit: float | None = None,
+    log_reference: bool = True,
     log_voltage: bool = True,
+    length_unit: LengthUnit = "m",
+    command_unit: str = "V",
     name: str | None = None,
 ) -> Record:
-    """Log one closed-loop step, or several in a row, of a virtual axis that starts at rest at 0.
+    """Log one closed-loop step, several in a row, or a whole trajectory of a virtual axis that starts at rest.
 
-    The loop is digital: the noisy, quantised position feeds ``V[k] = kp (r[k] − y[k]) − kd d[k]`` with
-    ``d[k] = d[k−1] + derivative_filter ((y[k] − y[k−1])/h − d[k−1])``, and V[k] is held until the next sample. The
-    voltage logged is what the controller asked for.
+    The loop is digital: the position as the sensor shows it, noisy and quantised, feeds
+    ``V[k] = kp (r[k] − y[k]) − kd d[k]`` with ``d[k] = d[k−1] + derivative_filter ((y[k] − y[k−1])/h − d[k−1])``, or
+    any other `controller`, and V[k] is held until the next sample. The voltage logged is what the controller asked for.
+    What the sensor shows and what the actuator makes of the voltage are effects of the truth.
 
     Parameters
     ----------
@@ -59,7 +70,13 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
     sample_time : float
         h [s], positive.
     rest : float
-        Time at reference 0 before the first step [s].
+        Time at the reference `start` before the first step [s].
+    trajectory : array_like, shape (n,), optional
+        The reference at each sample [m], in place of `reference`, `duration` and `rest`.
+    feedforward : array_like, shape (n,), optional
+        Added to the controller's voltage [V], and logged.
+    start : float
+        Where the axis rests at time 0 [m].
     encoder : float
         Resolution of the position sensor [m], 0 for none.
     noise : float
@@ -68,17 +85,24 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
         Of the noise; needed when there is noise.
     derivative_filter : float
         Share of the new difference in the derivative, in (0, 1].
+    controller : Controller, optional
+        In place of `kp`, `kd` and `derivative_filter`. A loop that uses a velocity of its own gets the load's true one,
+        and that is logged.
     voltage_limit : float, optional
         The amplifier clips at this [V], and the record says so. (A limit nobody knows of is an effect of the truth.)
-    log_voltage : bool
-        Whether the voltage is in the record.
+    log_reference, log_voltage : bool
+        Whether reference and voltage are in the record; one of them must be.
+    length_unit : {"m", "rad"}
+        Unit of position; for "rad" read rad for m in all of this.
+    command_unit : str
+        Unit of the command; read it for V in all of this.
     name : str, optional
         By default the gains.
 
     Returns
     -------
     Record
-        With ``n = round((rest + levels·duration)/h) + 1`` samples from time 0.
+        With ``n = round((rest + levels·duration)/h) + 1`` samples from time 0, or as many as the trajectory.
 
     Raises
     ------
@@ -92,25 +116,15 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
     >>> len(record), float(record.time[-1]), record.encoder_resolution
     (1501, 1.5, 1e-05)
     """
-    bench = _bench(
-        Controller(kp=kp, kd=kd, derivative_filter=derivative_filter),
-        _staircase(reference, duration, sample_time, rest),
-        sample_time,
-        encoder=encoder,
-        noise=noise,
-        seed=seed,
-        voltage_limit=voltage_limit,
-        log_voltage=log_voltage,
-        name=name,
-    )
+    settings = _settings(locals())
+    bench = settings.bench()
     noises = noise * np.random.default_rng(seed).standard_normal(bench.time.size) if noise else None
-    position, voltage = run_one(truth, bench, noises)
-    return _record(bench, position, voltage, bench.name)
+    return settings.record(bench, run_one(truth, bench, noises), settings.title)
 
 
 def step_records(  # noqa: PLR0913 - as step_record
     truth: Truth,
-    kp: float,
+    kp: float = 0.0,
     kd: float = 0.0,
     *,
     repeats: int,
@@ -119,11 +133,18 @@ def step_records(  # noqa: PLR0913 - as step_record
     duration: float = 1.5,
     sample_time: float = 1e-3,
     rest: float = 0.0,
+    trajectory: ArrayLike | None = None,
+    feedforward: ArrayLike | None = None,
+    start: float = 0.0,
     encoder: float = 1e-5,
     noise: float = 1e-5,
     derivative_filter: float = 1.0,
+    controller: Controller | None = None,
     voltage_limit: float | None = None,
+    log_reference: bool = True,
     log_voltage: bool = True,
+    length_unit: LengthUnit = "m",
+    command_unit: str = "V",
     name: str | None = None,
 ) -> tuple[Record, ...]:
     """Log the same experiment `repeats` times with other noise, all runs simulated at once.
@@ -137,8 +158,8 @@ def step_records(  # noqa: PLR0913 - as step_record
         Number of runs, at least 1.
     seed : int, SeedSequence or Generator
         Of the noise of all runs; each has a stream of its own.
-    truth, kp, kd, reference, duration, sample_time, rest, encoder, noise, derivative_filter, voltage_limit, \
-log_voltage, name
+    truth, kp, kd, reference, duration, sample_time, rest, trajectory, feedforward, start, encoder, noise, \
+derivative_filter, controller, voltage_limit, log_reference, log_voltage, length_unit, command_unit, name
         As in :func:`step_record`.
 
     Returns
@@ -158,87 +179,132 @@ log_voltage, name
     """
     if repeats < 1:
         raise InputError(f"repeats must be at least 1, got {repeats}")
-    bench = _bench(
-        Controller(kp=kp, kd=kd, derivative_filter=derivative_filter),
-        _staircase(reference, duration, sample_time, rest),
-        sample_time,
-        encoder=encoder,
-        noise=noise,
-        seed=seed,
-        voltage_limit=voltage_limit,
-        log_voltage=log_voltage,
-        name=name,
-    )
+    settings = _settings(locals())
+    bench = settings.bench()
     streams = np.random.default_rng(seed).spawn(repeats)
     noises = noise * np.stack([stream.standard_normal(bench.time.size) for stream in streams], axis=1)
-    positions, voltages = run_many(truth, bench, noises)
-    names = [f"{bench.name}, run {i}" for i in range(1, repeats + 1)]
-    return tuple(_record(bench, y, v, n) for y, v, n in zip(positions, voltages, names, strict=True))
-
-
-def _staircase(
-    reference: float | Sequence[float], duration: float, sample_time: float, rest: float
-) -> NDArray[np.float64]:
-    """Return the reference at each sample: 0 for the rest, then each level in turn."""
-    _check("sample_time", sample_time, positive=True)
-    _check("duration", duration, positive=True)
-    _check("rest", rest)
-    levels = np.atleast_1d(np.asarray(reference, dtype=np.float64))
-    each, lead = round(duration / sample_time), round(rest / sample_time)
-    if levels.ndim != 1 or levels.size == 0 or not np.isfinite(levels).all():
-        raise InputError(f"reference must be one finite level or a sequence of them, got {reference!r}")
-    if each < 1:
-        raise InputError(f"duration must be at least one sample ({sample_time:g} s), got {duration:g} s")
-    return np.concatenate([np.zeros(lead), np.repeat(levels, each), levels[-1:]])
-
-
-def _bench(  # noqa: PLR0913 - hands the knobs on
-    controller: Controller,
-    reference: NDArray[np.float64],
-    sample_time: float,
-    *,
-    encoder: float,
-    noise: float,
-    seed: Seed,
-    voltage_limit: float | None,
-    log_voltage: bool,
-    name: str | None,
-) -> Bench:
-    _check("encoder", encoder)
-    _check("noise", noise)
-    if voltage_limit is not None:
-        _check("voltage_limit", voltage_limit, positive=True)
-    if noise and seed is None:
-        raise InputError("noise needs a seed, so that the record can be made again")
-    time = sample_time * np.arange(reference.size, dtype=np.float64)
-    time.flags.writeable = reference.flags.writeable = False
-    return Bench(
-        controller=controller,
-        time=time,
-        reference=reference,
-        encoder=encoder,
-        noise=noise,
-        voltage_limit=voltage_limit,
-        log_voltage=log_voltage,
-        name=f"kp {controller.kp:g}, kd {controller.kd:g}" if name is None else name,
+    runs = run_many(truth, bench, noises)
+    return tuple(
+        settings.record(bench, type(runs)(*signals), f"{settings.title}, run {i}")
+        for i, signals in enumerate(zip(*runs, strict=True), start=1)
     )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Settings:
+    """The knobs of the bench as they were turned; see :func:`step_record`."""
+
+    kp: float
+    kd: float
+    reference: float | Sequence[float]
+    duration: float
+    sample_time: float
+    rest: float
+    trajectory: ArrayLike | None
+    feedforward: ArrayLike | None
+    start: float
+    encoder: float
+    noise: float
+    seed: Seed
+    derivative_filter: float
+    controller: Controller | None
+    voltage_limit: float | None
+    log_reference: bool
+    log_voltage: bool
+    length_unit: LengthUnit
+    command_unit: str
+    name: str | None
+
+    def __post_init__(self) -> None:
+        _check("sample_time", self.sample_time, positive=True)
+        _check("encoder", self.encoder)
+        _check("noise", self.noise)
+        if not math.isfinite(self.start):
+            raise InputError(f"start must be finite, got {self.start!r}")
+        if self.voltage_limit is not None:
+            _check("voltage_limit", self.voltage_limit, positive=True)
+        if self.noise and self.seed is None:
+            raise InputError("noise needs a seed, so that the record can be made again")
+        if not (self.log_reference or self.log_voltage):
+            raise InputError("log_reference and log_voltage are both False; a record needs at least one of the two")
+
+    @property
+    def loop(self) -> Controller:
+        """The controller of the loop."""
+        return self.controller or Controller(kp=self.kp, kd=self.kd, derivative_filter=self.derivative_filter)
+
+    @property
+    def title(self) -> str:
+        """Name of the record."""
+        return f"kp {self.loop.kp:g}, kd {self.loop.kd:g}" if self.name is None else self.name
+
+    def bench(self) -> Bench:
+        """Return what the knobs mean, sample by sample."""
+        reference = self._staircase() if self.trajectory is None else _signal("trajectory", self.trajectory)
+        if reference.size < 2:
+            raise InputError(f"trajectory must have at least 2 samples, got {reference.size}")
+        feedforward = None if self.feedforward is None else _signal("feedforward", self.feedforward)
+        if feedforward is not None and feedforward.size != reference.size:
+            raise InputError(f"feedforward has {feedforward.size} samples, the reference has {reference.size}")
+        time = self.sample_time * np.arange(reference.size, dtype=np.float64)
+        time.flags.writeable = reference.flags.writeable = False
+        return Bench(
+            controller=self.loop,
+            time=time,
+            reference=reference,
+            feedforward=feedforward,
+            start=float(self.start),
+            encoder=self.encoder,
+            voltage_limit=self.voltage_limit,
+        )
+
+    def record(self, bench: Bench, run: Run, name: str) -> Record:
+        """Return what is logged of a run."""
+        for signal in run:
+            signal.flags.writeable = False
+        return Record(
+            time=bench.time,
+            position=run.position,
+            reference=bench.reference if self.log_reference else None,
+            voltage=run.voltage if self.log_voltage else None,
+            velocity=run.velocity if bench.controller.derivative == "velocity" else None,
+            feedforward=bench.feedforward,
+            controller=bench.controller,
+            encoder_resolution=self.encoder or None,
+            voltage_limit=self.voltage_limit,
+            name=name,
+            source="virtual laboratory",
+            length_unit=self.length_unit,
+            command_unit=self.command_unit,
+        )
+
+    def _staircase(self) -> NDArray[np.float64]:
+        """Return the reference at each sample: where the axis starts for the rest, then each level in turn."""
+        _check("duration", self.duration, positive=True)
+        _check("rest", self.rest)
+        levels = np.atleast_1d(np.asarray(self.reference, dtype=np.float64))
+        each, lead = round(self.duration / self.sample_time), round(self.rest / self.sample_time)
+        if levels.ndim != 1 or levels.size == 0 or not np.isfinite(levels).all():
+            raise InputError(f"reference must be one finite level or a sequence of them, got {self.reference!r}")
+        if each < 1:
+            raise InputError(f"duration must be at least one sample ({self.sample_time:g} s), got {self.duration:g} s")
+        return np.concatenate([np.full(lead, float(self.start)), np.repeat(levels, each), levels[-1:]])
+
+
+def _settings(knobs: Mapping[str, Any]) -> _Settings:
+    """Return the settings among a function's arguments: they are named once, in its signature."""
+    return _Settings(**{item.name: knobs[item.name] for item in fields(_Settings)})
+
+
+def _signal(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    signal = np.array(value, dtype=np.float64)
+    if signal.ndim != 1 or not np.isfinite(signal).all():
+        raise InputError(f"{name} must be a finite number at each sample, got an array of shape {signal.shape}")
+    signal.flags.writeable = False
+    return signal
 
 
 def _check(name: str, value: float, *, positive: bool = False) -> None:
     if not (math.isfinite(value) and value >= 0.0 and (value > 0.0 or not positive)):
         raise InputError(f"{name} must be {'positive' if positive else 'at least 0'} and finite, got {value!r}")
-
-
-def _record(bench: Bench, position: NDArray[np.float64], voltage: NDArray[np.float64], name: str) -> Record:
-    position.flags.writeable = voltage.flags.writeable = False
-    return Record(
-        time=bench.time,
-        position=position,
-        reference=bench.reference,
-        voltage=voltage if bench.log_voltage else None,
-        controller=bench.controller,
-        encoder_resolution=bench.encoder or None,
-        voltage_limit=bench.voltage_limit,
-        name=name,
-        source="virtual laboratory",
-    )

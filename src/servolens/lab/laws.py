@@ -1,23 +1,63 @@
 """What a virtual axis can do, each effect as a function of one instant.
 
-A law is written with operators and the functions of the namespace ``m`` (``math`` for one run, ``numpy`` for many at
-once). The names and parameters are those of the toolbox; the physics is this module's own.
+A law is written with operators and the functions of the namespace ``m``: :data:`FLOATS` for one run, :data:`ARRAYS` for
+many at once. The names and parameters are those of the toolbox; the physics is this module's own. Effects that have a
+memory of their own or split the axis in two have no function here: :mod:`servolens.lab.axis` carries them.
 
-To add an effect: write its function, add its line to :data:`LAWS`.
+To add a force or a friction: write its function, add its line to :data:`LAWS`.
 """
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+import numpy as np
 
-__all__ = ["LAWS", "Instant", "Law"]
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = ["ARRAYS", "CONTACT_RATE", "FADED", "FLOATS", "LAWS", "LOAD_DRAG", "Instant", "Law", "Range", "across"]
+
+CONTACT_RATE = 2000.0
+"""Free–free frequency of two masses pressed together at the end of the lost motion [rad/s]; critically damped."""
+LOAD_DRAG = 2.0
+"""Viscous drag of a load behind lost motion, per unit of its own mass [1/s]."""
+FADED = 12.0
+"""exp(−12) is 6e-6: what fades like this no longer needs short steps."""
+
+FLOATS = SimpleNamespace(
+    exp=math.exp,
+    sin=math.sin,
+    copysign=math.copysign,
+    floor=math.floor,
+    maximum=max,
+    minimum=min,
+    where=lambda condition, yes, no: yes if condition else no,
+    sign=lambda value: float((value > 0.0) - (value < 0.0)),
+    any=bool,
+)
+"""The functions that laws are written with, for plain floats."""
+ARRAYS = SimpleNamespace(
+    exp=np.exp,
+    sin=np.sin,
+    copysign=np.copysign,
+    floor=np.floor,
+    maximum=np.maximum,
+    minimum=np.minimum,
+    where=np.where,
+    sign=np.sign,
+    any=np.any,
+)
+"""The same for arrays, one element a run."""
 
 
 class Instant(NamedTuple):
-    """Position, velocity, speed |v|, direction of motion ±1 (at rest that of the push) and time, SI."""
+    """Position, velocity, speed |v|, direction of motion ±1 (0 at rest) and time of the motor, SI.
+
+    `speed` is direction·velocity: it goes on smoothly, below 0, where a trial step oversteps a reversal.
+    """
 
     position: Any
     velocity: Any
@@ -26,16 +66,48 @@ class Instant(NamedTuple):
     time: Any
 
 
-class Law(NamedTuple):
-    """One effect: where it acts, the names of its numbers, its function.
+class Range(NamedTuple):
+    """What a parameter may be: from `low` to `high`, or strictly between them where `within`."""
 
-    ``force``: (instant, p, m) → acceleration that is subtracted. ``friction``: (instant, p, m) → level of dry friction.
-    ``command``: (command, p, m) → what is left of the held command; commands act in the order of :data:`LAWS`.
+    low: float = -math.inf
+    high: float = math.inf
+    within: bool = False
+
+    def holds(self, value: float) -> bool:
+        """Tell whether `value` is admissible."""
+        return self.low < value < self.high if self.within else self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        if math.isfinite(self.high):
+            return f"lie between {self.low:g} and {self.high:g}"
+        return f"be {'above' if self.within else 'at least'} {self.low:g}"
+
+
+ANY, NOT_NEGATIVE, POSITIVE, SHARE = Range(), Range(0.0), Range(0.0, within=True), Range(0.0, 1.0, within=True)
+
+
+class Law(NamedTuple):
+    """One effect: where it acts, its numbers, its function.
+
+    Attributes
+    ----------
+    kind : str
+        ``"force"``: function (instant, p, m) → acceleration that is subtracted. ``"friction"``: the same → level of dry
+        friction. ``"command"``: (command, p, m) → what is left of the held command; these act in the order of
+        :data:`LAWS`. ``"memory"``: carried by the axis, no function.
+    parameters : mapping of str to Range
+        SI.
+    pace : callable, optional
+        p → the quickest rate that the effect brings in [1/s].
+    haste : callable, optional
+        (p, |x|, |v|, |acceleration|, m) → the rate at which it changes just now [1/s], where that hangs on the motion.
     """
 
-    kind: Literal["force", "friction", "command"]
-    parameters: tuple[str, ...]
-    function: Callable[[Any, Any, Any], Any]
+    kind: Literal["force", "friction", "command", "memory"]
+    parameters: Mapping[str, Range]
+    function: Callable[[Any, Any, Any], Any] | None = None
+    pace: Callable[[Any], float] | None = None
+    haste: Callable[[Any, Any, Any, Any, Any], Any] | None = None
 
 
 def _saturation(command: Any, p: Any, m: Any) -> Any:
@@ -43,16 +115,156 @@ def _saturation(command: Any, p: Any, m: Any) -> Any:
     return command - (over > 0.0) * m.copysign(over, command)
 
 
+def _dead_zone(command: Any, p: Any, m: Any) -> Any:
+    over = abs(command) - p.width
+    return (over > 0.0) * m.copysign(over, command)
+
+
 def _velocity_decay_damping(instant: Instant, p: Any, m: Any) -> Any:
-    return p.alpha1 * m.exp(-p.alpha2 * instant.speed) * instant.velocity
+    return p.alpha1 * m.exp(m.minimum(-p.alpha2 * instant.speed, 1.0)) * instant.velocity
+
+
+def _asymmetric_damping(instant: Instant, p: Any, m: Any) -> Any:
+    return 0.5 * p.damping_difference * instant.direction * instant.velocity
+
+
+def _quadratic_drag(instant: Instant, p: Any, m: Any) -> Any:
+    return p.drag * instant.speed * instant.velocity
+
+
+def _return_spring(instant: Instant, p: Any, m: Any) -> Any:
+    return p.stiffness * instant.position
+
+
+def _hardening_spring(instant: Instant, p: Any, m: Any) -> Any:
+    return p.cubic_stiffness * instant.position * instant.position * instant.position
+
+
+def _constant_force(instant: Instant, p: Any, m: Any) -> Any:
+    return p.acceleration
+
+
+def _pendulum_gravity(instant: Instant, p: Any, m: Any) -> Any:
+    return p.amplitude * m.sin(instant.position + p.phase)
+
+
+def _cogging(instant: Instant, p: Any, m: Any) -> Any:
+    return p.amplitude * m.sin(2.0 * math.pi / p.pitch * instant.position + p.phase)
+
+
+def _periodic_disturbance(instant: Instant, p: Any, m: Any) -> Any:
+    return p.amplitude * m.sin(2.0 * math.pi * p.frequency * instant.time + p.phase)
 
 
 def _coulomb_friction(instant: Instant, p: Any, m: Any) -> Any:
     return p.level
 
 
+def _asymmetric_friction(instant: Instant, p: Any, m: Any) -> Any:
+    return m.where(instant.direction > 0.0, p.level_positive, p.level_negative)
+
+
+def _stribeck_friction(instant: Instant, p: Any, m: Any) -> Any:
+    return p.level + p.static_excess * m.exp(m.minimum(-instant.speed / p.stribeck_speed, 1.0))
+
+
+def _position_friction(instant: Instant, p: Any, m: Any) -> Any:
+    away = (instant.position - p.centre) / p.width
+    return p.level * m.exp(-away * away)
+
+
+def across(length: float, speed: Any, acceleration: Any, m: Any) -> Any:
+    """Return the rate at which `length` is crossed, from rest too."""
+    return m.maximum(speed / length, (acceleration / length) ** 0.5)
+
+
+def _stribeck_haste(p: Any, x: Any, speed: Any, acceleration: Any, m: Any) -> Any:
+    beyond = m.maximum(speed - FADED * p.stribeck_speed, 0.0)
+    return 0.4 * acceleration / (p.stribeck_speed + 4.0 * beyond)
+
+
+def _root(*names: str) -> Callable[[Any], float]:
+    """Return p → the square root of the product of the parameters `names`, without their signs."""
+    return lambda p: math.sqrt(math.prod(abs(getattr(p, name)) for name in names))
+
+
 LAWS = {
-    "saturation": Law("command", ("limit",), _saturation),
-    "velocity_decay_damping": Law("force", ("alpha1", "alpha2"), _velocity_decay_damping),
-    "coulomb_friction": Law("friction", ("level",), _coulomb_friction),
+    "saturation": Law("command", {"limit": NOT_NEGATIVE}, _saturation),
+    "dead_zone": Law("command", {"width": NOT_NEGATIVE}, _dead_zone),
+    "delay": Law("memory", {"time": NOT_NEGATIVE}),
+    "actuator_lag": Law("memory", {"time_constant": NOT_NEGATIVE}),
+    "gain_drift": Law("memory", {"rate": ANY}),
+    "force_limit": Law("memory", {"acceleration": NOT_NEGATIVE}),
+    "speed_servo": Law(
+        "memory",
+        {"speed_per_volt": ANY, "proportional": POSITIVE, "integral": NOT_NEGATIVE},
+        pace=lambda p: p.proportional + math.sqrt(p.integral),
+    ),
+    "velocity_decay_damping": Law(
+        "force",
+        {"alpha1": ANY, "alpha2": NOT_NEGATIVE},
+        _velocity_decay_damping,
+        pace=lambda p: abs(p.alpha1),
+    ),
+    "asymmetric_damping": Law(
+        "force", {"damping_difference": ANY}, _asymmetric_damping, pace=lambda p: 0.5 * abs(p.damping_difference)
+    ),
+    "quadratic_drag": Law(
+        "force",
+        {"drag": ANY},
+        _quadratic_drag,
+        haste=lambda p, x, speed, acceleration, m: 2.0 * abs(p.drag) * speed,
+    ),
+    "return_spring": Law("force", {"stiffness": ANY}, _return_spring, pace=_root("stiffness")),
+    "hardening_spring": Law(
+        "force",
+        {"cubic_stiffness": ANY},
+        _hardening_spring,
+        haste=lambda p, x, speed, acceleration, m: (3.0 * abs(p.cubic_stiffness)) ** 0.5 * x,
+    ),
+    "constant_force": Law("force", {"acceleration": ANY}, _constant_force),
+    "pendulum_gravity": Law("force", {"amplitude": ANY, "phase": ANY}, _pendulum_gravity, pace=_root("amplitude")),
+    "cogging": Law(
+        "force",
+        {"amplitude": ANY, "pitch": POSITIVE, "phase": ANY},
+        _cogging,
+        pace=lambda p: math.sqrt(2.0 * math.pi * abs(p.amplitude) / p.pitch),
+        haste=lambda p, x, speed, acceleration, m: 0.4 * across(p.pitch / (2.0 * math.pi), speed, acceleration, m),
+    ),
+    "periodic_disturbance": Law(
+        "force",
+        {"amplitude": ANY, "frequency": NOT_NEGATIVE, "phase": ANY},
+        _periodic_disturbance,
+        pace=lambda p: 2.0 * math.pi * p.frequency,
+    ),
+    "presliding": Law(
+        "memory",
+        {"stiffness": NOT_NEGATIVE, "level": NOT_NEGATIVE},
+        pace=_root("stiffness"),
+    ),
+    "coulomb_friction": Law("friction", {"level": NOT_NEGATIVE}, _coulomb_friction),
+    "asymmetric_friction": Law(
+        "friction", {"level_positive": NOT_NEGATIVE, "level_negative": NOT_NEGATIVE}, _asymmetric_friction
+    ),
+    "stribeck_friction": Law(
+        "friction",
+        {"level": NOT_NEGATIVE, "static_excess": ANY, "stribeck_speed": POSITIVE},
+        _stribeck_friction,
+        pace=lambda p: abs(p.static_excess) / p.stribeck_speed,
+        haste=_stribeck_haste,
+    ),
+    "position_friction": Law(
+        "friction",
+        {"level": NOT_NEGATIVE, "centre": ANY, "width": POSITIVE},
+        _position_friction,
+        haste=lambda p, x, speed, acceleration, m: 0.4 * across(p.width, speed, acceleration, m),
+    ),
+    "backlash": Law("memory", {"gap": NOT_NEGATIVE, "load_share": SHARE}, pace=lambda p: CONTACT_RATE / 2.5),
+    "flexible_coupling": Law(
+        "memory",
+        {"frequency": POSITIVE, "damping_ratio": NOT_NEGATIVE, "load_ratio": SHARE},
+        pace=lambda p: 2.0 * math.pi * p.frequency * max(1.0, 2.0 * p.damping_ratio),
+    ),
+    "sensor_lag": Law("memory", {"time_constant": NOT_NEGATIVE}),
 }
+"""Every effect of the laboratory; commands act in this order."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
 from servolens.errors import NumericalError
-from servolens.lab.motion import Axis, advance_many, advance_one
+from servolens.lab.axis import Axis
+from servolens.lab.command import Chain
+from servolens.lab.laws import ARRAYS, FLOATS
+from servolens.lab.motion import advance_many, advance_one
+from servolens.lab.pd import DigitalPD
 from servolens.lab.truth import Truth
 
 if TYPE_CHECKING:
@@ -19,10 +22,12 @@ if TYPE_CHECKING:
 
     from servolens.record import Controller
 
-__all__ = ["Bench", "run_many", "run_one"]
+__all__ = ["Bench", "Run", "run_many", "run_one"]
 
 SUBSTEP = 2.5e-4
 """Longest integration step [s]; what it costs in accuracy is in the tests."""
+ANGLE = 0.1
+"""Largest product of a step and the quickest rate of the physics; shorter steps than SUBSTEP where that asks for it."""
 BOUNDS = 1e6
 """A position beyond this [m or rad] is a loop that has run away."""
 
@@ -30,63 +35,68 @@ BOUNDS = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bench:
-    """What surrounds the axis: the loop, the reference at each sample, the sensor, the amplifier's stated limit."""
+    """What surrounds the axis: the loop, its reference and feedforward at each sample, the sensor, a stated limit."""
 
     controller: Controller
     time: NDArray[np.float64]
     reference: NDArray[np.float64]
+    feedforward: NDArray[np.float64] | None
+    start: float
     encoder: float
-    noise: float
     voltage_limit: float | None
-    log_voltage: bool
-    name: str
 
 
-def run_one(
-    truth: Truth, bench: Bench, noises: NDArray[np.float64] | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return measured position and asked voltage, each of shape (n,); `noises` of shape (n,)."""
-    axis = Axis(_limited(truth, bench), math)
+class Run(NamedTuple):
+    """Measured position, asked voltage and true velocity of the load; shape (n,), or (runs, n) for many runs."""
+
+    position: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+
+
+def run_one(truth: Truth, bench: Bench, noises: NDArray[np.float64] | None) -> Run:
+    """Return one run; `noises` of shape (n,)."""
     each = [0.0] * bench.time.size if noises is None else noises.tolist()
-    position, voltage = _close(axis, bench, each, (0.0, 0.0), advance_one, math.floor)
-    return np.array(position), np.array(voltage)
+    return Run(*(np.array(signal) for signal in _close(truth, bench, each, bench.start, FLOATS, advance_one)))
 
 
-def run_many(
-    truth: Truth, bench: Bench, noises: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return measured position and asked voltage of all runs, each of shape (runs, n); `noises` of shape (n, runs)."""
-    axis = Axis(_limited(truth, bench), np)
-    rest = np.zeros(noises.shape[1])
-    position, voltage = _close(axis, bench, noises, (rest, rest), advance_many, np.floor)
-    return np.stack(position, axis=1), np.stack(voltage, axis=1)
+def run_many(truth: Truth, bench: Bench, noises: NDArray[np.float64]) -> Run:
+    """Return all runs; `noises` of shape (n, runs)."""
+    start = np.full(noises.shape[1], bench.start)
+    with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away is named below
+        signals = _close(truth, bench, noises, start, ARRAYS, advance_many)
+    return Run(*(np.stack(signal, axis=1) for signal in signals))
 
 
 def _close(
-    axis: Axis, bench: Bench, noises: Any, state: tuple[Any, ...], advance: Callable[..., Any], floor: Any
-) -> tuple[list[Any], list[Any]]:
+    truth: Truth, bench: Bench, noises: Any, start: Any, m: Any, advance: Callable[..., Any]
+) -> tuple[list[Any], list[Any], list[Any]]:
     """Run the loop through its samples; a sample is a float for one run, an array for many."""
-    controller, step = bench.controller, bench.encoder
-    time, reference = bench.time.tolist(), bench.reference.tolist()
+    truth, time, step = _limited(truth, bench), bench.time.tolist(), bench.encoder
     h = time[1] - time[0]
-    pieces = math.ceil(h / SUBSTEP - 1e-9)
+    axis, chain, controller = Axis(truth, m, SUBSTEP, ANGLE), Chain(truth, m, h), DigitalPD(bench.controller, h)
+    reference = bench.reference.tolist()
+    added = [0.0] * len(time) if bench.feedforward is None else bench.feedforward.tolist()
+    body = axis.body(start)
     position: list[Any] = []
     voltage: list[Any] = []
-    derivative: Any = 0.0
-    for t, r, noise in zip(time, reference, noises, strict=True):
-        seen = state[0] + noise
+    velocity: list[Any] = []
+    for k, (t, noise) in enumerate(zip(time, noises, strict=True)):
+        seen = body.shown + noise
         if step:
-            seen = floor(seen / step + 0.5) * step
-        slope = (seen - position[-1]) / h if position else 0.0
-        derivative = derivative + controller.derivative_filter * (slope - derivative)
-        asked = controller.kp * (r - seen) - controller.kd * derivative
+            seen = m.floor(seen / step + 0.5) * step
+        moving = axis.output(body.state)[1]
+        asked = controller.ask(k, reference[k], seen, moving) + added[k]
         position.append(seen)
+        velocity.append(moving)
         voltage.append(asked)
-        applied = axis.command(asked)
-        for i in range(pieces):
-            state = advance(axis, t + i * h / pieces, state, h / pieces, applied)
-        _check_bounds(state[0], t)
-    return position, voltage
+        try:
+            for since, length, signal in chain.apply(t, asked):
+                body = advance(axis, since, length, body, signal)
+        except (OverflowError, ValueError):  # sin(inf) and exp(1e3) of plain floats
+            _check_bounds(np.inf, t)
+        _check_bounds(axis.output(body.state)[0], t)
+    return position, voltage, velocity
 
 
 def _check_bounds(position: Any, t: float) -> None:
@@ -98,6 +108,6 @@ def _limited(truth: Truth, bench: Bench) -> Truth:
     """Return the truth with the amplifier's stated limit, or its own where that is lower."""
     if bench.voltage_limit is None:
         return truth
-    own = truth.effects.get("saturation", {"limit": math.inf})["limit"]
+    own = truth.effects.get("saturation", {"limit": bench.voltage_limit})["limit"]
     saturation = {"saturation": {"limit": min(own, bench.voltage_limit)}}
     return Truth(gain=truth.gain, damping=truth.damping, effects={**truth.effects, **saturation})

@@ -1,160 +1,206 @@
-"""Motion of virtual axes under a held command: Runge–Kutta steps, split exactly where the velocity reverses.
+"""Motion of virtual axes under a command: Runge–Kutta steps, split exactly at every edge of the physics.
 
-Within a step the direction of motion is fixed, so that |v| and dry friction are smooth and the fourth order holds; the
-reversal is found as the root of the step itself, to rounding. There the axis either sticks, and then does not move by
-one bit, or leaves with the push. One run is carried in plain floats, many runs in arrays; the step is the same code.
-
-The state is a tuple ``(position, velocity, …)``; further components are for effects with a memory.
+Within a step the mode is fixed (direction of motion, force limit, contact), so that all is smooth and the fourth order
+holds. An edge is found as the root of the step itself, to rounding: a reversal, where the axis either sticks, and then
+does not move by one bit, or leaves with the push; the instant at which a growing push breaks an axis at rest away; the
+end of a force limit; the touch of a flank. One run is carried in plain floats, many in arrays, each run with steps of
+its own; both take the same steps.
 """
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, final
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servolens.lab.laws import LAWS, Instant
+from servolens.lab.axis import Body, Mode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servolens.lab.truth import Truth
+    from servolens.lab.axis import Axis
+    from servolens.lab.command import Signal
 
     State = tuple[Any, ...]
 
-__all__ = ["Axis", "advance_many", "advance_one"]
+__all__ = ["advance_many", "advance_one", "lag_weights"]
 
 MOST_ROOT_STEPS = 60
-REST = 1e-15
-"""A reversal is found when the speed there is below this [m/s or rad/s]."""
+MOST_EDGES = 12
+"""An axis that meets more edges than this within one step only grazes them, and is let pass."""
+SMALLEST = 1e-15
+"""A root is found when the guard there is below this [SI]."""
 
 
-@final
-class Axis:
-    """The equations of a truth, for one run (``m = math``) or many at once (``m = numpy``)."""
-
-    def __init__(self, truth: Truth, m: Any) -> None:
-        self._gain, self._damping, self._m = truth.gain, truth.damping, m
-        parts = [(LAWS[name], SimpleNamespace(**truth.effects[name])) for name in LAWS if name in truth.effects]
-        self._forces, self._frictions, self._commands = (
-            [(law.function, p) for law, p in parts if law.kind == kind] for kind in ("force", "friction", "command")
-        )
-
-    def command(self, asked: Any) -> Any:
-        """Return what the actuator makes of the held command [V]."""
-        for function, p in self._commands:
-            asked = function(asked, p, self._m)
-        return asked
-
-    def push(self, t: float, state: State, u: Any, d: Any) -> tuple[Any, Any]:
-        """Return the acceleration without dry friction and the level of dry friction, in direction `d`."""
-        position, velocity = state[0], state[1]
-        instant = Instant(position, velocity, d * velocity, d, t)
-        push = self._gain * u - self._damping * velocity
-        for function, p in self._forces:
-            push = push - function(instant, p, self._m)
-        level = 0.0
-        for function, p in self._frictions:
-            level = level + function(instant, p, self._m)
-        return push, level
-
-    def rates(self, t: float, state: State, u: Any, d: Any) -> State:
-        """Return the time derivative of the state while moving in direction `d`."""
-        push, level = self.push(t, state, u, d)
-        return state[1], push - d * level
+def advance_one(axis: Axis, t: float, length: float, body: Body, u: Signal) -> Body:
+    """Carry one run over `length` seconds."""
+    body = axis.enter(t, body, u)
+    left, edges = length, 0
+    while left > 0.0:
+        if body.mode.direction == 0.0 and not axis.evolves_at_rest:
+            return body
+        h = left / math.ceil(left / axis.longest(t, body, u) - 1e-9)
+        body, used, edges = _step_one(axis, t, h, body, u, edges)
+        t, left = t + used, 0.0 if used == left else left - used
+    return body
 
 
-def advance_one(axis: Axis, t: float, state: State, h: float, u: float) -> State:
-    """Carry one run over `h` seconds."""
-    start = state[1]
-    d = math.copysign(1.0, start) if start != 0.0 else _departure(axis, t, state, u)
-    if d == 0.0:
-        return state
-    new = _runge_kutta(axis, t, state, h, u, d)
-    if new[1] * d > 0.0:
-        return new
-    if start == 0.0:
-        return state
-    tau = _reversal(lambda share: d * _runge_kutta(axis, t, state, share, u, d)[1], d * start, d * new[1], h)
-    x, _, *rest = _runge_kutta(axis, t, state, tau, u, d)
-    turned = (x, 0.0, *rest)
-    d = _departure(axis, t + tau, turned, u)
-    if d == 0.0:
-        return turned
-    new = _runge_kutta(axis, t + tau, turned, h - tau, u, d)
-    return new if new[1] * d > 0.0 else turned
+def _step_one(axis: Axis, t: float, h: float, body: Body, u: Signal, edges: int) -> tuple[Body, float, int]:
+    """Return the axis after a step, or after the part of it before its first edge, with the time and edges passed."""
+    new = _runge_kutta(axis, t, h, body, u)
+    guards = axis.guards(t + h, new, body, u)
+    if min(guards) >= 0.0:
+        return _accepted(axis, body, new, h), h, 0
+    if edges >= MOST_EDGES:
+        body = _let_pass(axis, body)
+        return _accepted(axis, body, _runge_kutta(axis, t, h, body, u), h), h, 0
+    broken = [i for i, guard in enumerate(guards) if guard < 0.0]
+
+    def margin(share: float) -> float:
+        ahead = axis.guards(t + share, _runge_kutta(axis, t, share, body, u), body, u)
+        return float(min([ahead[i] for i in broken]))
+
+    now = axis.guards(t, body.state, body, u)
+    first = min([now[i] for i in broken])
+    tau = _root(margin, first, min([guards[i] for i in broken]), h) if first > 0.0 else 0.0
+    if tau > 0.0:
+        body = _accepted(axis, body, _runge_kutta(axis, t, tau, body, u), tau)
+        now = axis.guards(t + tau, body.state, body, u)
+    fired = min(broken, key=lambda i: now[i])
+    return axis.cross(t + tau, body, u, fired), tau, edges + 1
 
 
-def advance_many(axis: Axis, t: float, state: State, h: float, u: Any) -> State:
-    """Carry many runs, one an element, over `h` seconds; the same steps as :func:`advance_one`."""
-    start = state[1]
-    d = np.sign(start)
-    resting = d == 0.0
-    if resting.any():
-        d = np.where(resting, _departures(axis, t, state, u), d)
-    new = _runge_kutta(axis, t, state, h, u, d)
-    moving = new[1] * d > 0.0
-    if moving.all():
-        return new
-    new = tuple(np.where(moving, after, before) for after, before in zip(new, state, strict=True))
-    lanes = np.flatnonzero(~moving & ~resting)
+def advance_many(axis: Axis, t: float, length: float, body: Body, u: Signal) -> Body:
+    """Carry many runs, one an element, over `length` seconds; the same steps as :func:`advance_one`."""
+    body = axis.enter(t, body, u)
+    n = u.level.size
+    clock, left, edges = np.full(n, t), np.full(n, length), np.zeros(n, dtype=np.int64)
+    while True:
+        lanes = np.flatnonzero(left > 0.0)
+        if lanes.size == 0:
+            return body
+        whole = lanes.size == n
+        part, signal = (body, u) if whole else (_take(body, lanes), u.take(lanes))
+        h = left[lanes] / np.ceil(left[lanes] / axis.longest(clock[lanes], part, signal) - 1e-9)
+        part, used, passed = _step_many(axis, clock[lanes], h, part, signal, edges[lanes])
+        body = part if whole else _put(body, lanes, part)
+        edges[lanes] = passed
+        clock[lanes] += used
+        left[lanes] = np.where(used == left[lanes], 0.0, left[lanes] - used)
+
+
+def _step_many(axis: Axis, t: Any, h: Any, body: Body, u: Signal, edges: Any) -> tuple[Body, Any, Any]:
+    """As :func:`_step_one`, each run by itself."""
+    new = _runge_kutta(axis, t, h, body, u)
+    guards = np.stack(np.broadcast_arrays(*axis.guards(t + h, new, body, u)))
+    stopped = ~(guards.min(axis=0) >= 0.0)
+    accepted = _accepted(axis, body, new, h)
+    if not stopped.any():
+        return accepted, h, np.zeros_like(edges)
+    used, passed = h.copy(), np.zeros_like(edges)
+    lanes = np.flatnonzero(stopped & (edges >= MOST_EDGES))
     if lanes.size:
-        turned = _turn_many(axis, t, tuple(part[lanes] for part in state), h, u[lanes], d[lanes])
-        for part, values in zip(new, turned, strict=True):
-            part[lanes] = values
-    return new
+        part, signal = _let_pass(axis, _take(body, lanes)), u.take(lanes)
+        moved = _runge_kutta(axis, t[lanes], h[lanes], part, signal)
+        accepted = _put(accepted, lanes, _accepted(axis, part, moved, h[lanes]))
+    lanes = np.flatnonzero(stopped & (edges < MOST_EDGES))
+    if lanes.size:
+        part, tau = _edge_many(axis, t[lanes], h[lanes], _take(body, lanes), u.take(lanes), guards[:, lanes])
+        accepted = _put(accepted, lanes, part)
+        used[lanes], passed[lanes] = tau, edges[lanes] + 1
+    return accepted, used, passed
 
 
-def _turn_many(axis: Axis, t: float, state: State, h: float, u: Any, d: Any) -> State:
-    """Carry runs that all reverse within `h` seconds."""
+def _edge_many(axis: Axis, t: Any, h: Any, body: Body, u: Signal, guards: Any) -> tuple[Body, Any]:
+    """Return runs that all meet an edge within `h` seconds, beyond their first one, and the time until then."""
+    broken = ~(guards >= 0.0)
 
-    def ahead(share: Any) -> Any:
-        return d * _runge_kutta(axis, t, state, share, u, d)[1]
+    def least(found: State) -> Any:
+        return np.where(broken, np.stack(np.broadcast_arrays(*found)), np.inf).min(axis=0)
 
-    tau = _reversals(ahead, d * state[1], ahead(h), h)
-    x, v, *rest = _runge_kutta(axis, t, state, tau, u, d)
-    turned = (x, np.zeros_like(v), *rest)
-    d = _departures(axis, t + tau, turned, u)
-    new = _runge_kutta(axis, t + tau, turned, h - tau, u, d)
-    leaves = new[1] * d > 0.0
-    return tuple(np.where(leaves, after, before) for after, before in zip(new, turned, strict=True))
+    def margin(share: Any) -> Any:
+        return least(axis.guards(t + share, _runge_kutta(axis, t, share, body, u), body, u))
 
-
-def _departure(axis: Axis, t: float, state: State, u: float) -> float:
-    """Return the direction in which an axis at rest leaves, 0 where dry friction holds it."""
-    for d in (1.0, -1.0):
-        push, level = axis.push(t, state, u, d)
-        if d * push > level:
-            return d
-    return 0.0
+    first = least(axis.guards(t, body.state, body, u))
+    before = first > 0.0
+    tau = np.where(before, _roots(margin, np.where(before, first, 1.0), least(tuple(guards)), h), 0.0)
+    moved = _accepted(axis, body, _runge_kutta(axis, t, tau, body, u), tau)
+    body = _choose(before & (tau > 0.0), moved, body)
+    now = np.stack(np.broadcast_arrays(*axis.guards(t + tau, body.state, body, u)))
+    fired = np.where(broken, now, np.inf).argmin(axis=0)
+    return axis.cross(t + tau, body, u, fired), tau
 
 
-def _departures(axis: Axis, t: Any, state: State, u: Any) -> Any:
-    push, level = axis.push(t, state, u, 1.0)
-    down, level_down = axis.push(t, state, u, -1.0)
-    return np.where(push > level, 1.0, np.where(-down > level_down, -1.0, 0.0))
-
-
-def _runge_kutta(axis: Axis, t: Any, state: State, h: Any, u: Any, d: Any) -> State:
+def _runge_kutta(axis: Axis, t: Any, h: Any, body: Body, u: Signal) -> State:
     """One classical step of fourth order (Hairer, Nørsett, Wanner, Solving ODEs I, table II.1.2)."""
-    half = 0.5 * h
-    k1 = axis.rates(t, state, u, d)
-    k2 = axis.rates(t + half, tuple([s + half * k for s, k in zip(state, k1, strict=True)]), u, d)
-    k3 = axis.rates(t + half, tuple([s + half * k for s, k in zip(state, k2, strict=True)]), u, d)
-    k4 = axis.rates(t + h, tuple([s + h * k for s, k in zip(state, k3, strict=True)]), u, d)
+    state, half = body.state, 0.5 * h
+    k1 = axis.rates(t, state, body, u)
+    k2 = axis.rates(t + half, tuple([s + half * k for s, k in zip(state, k1, strict=True)]), body, u)
+    k3 = axis.rates(t + half, tuple([s + half * k for s, k in zip(state, k2, strict=True)]), body, u)
+    k4 = axis.rates(t + h, tuple([s + h * k for s, k in zip(state, k3, strict=True)]), body, u)
     sixth = h / 6.0
     return tuple([s + sixth * (a + 2.0 * (b + c) + e) for s, a, b, c, e in zip(state, k1, k2, k3, k4, strict=True)])
 
 
-def _reversal(speed: Callable[[float], float], first: float, last: float, h: float) -> float:
-    """Return the root of `speed` in (0, h], positive at 0: regula falsi, a stale end halved (Illinois)."""
+def _accepted(axis: Axis, body: Body, new: State, h: Any) -> Body:
+    """Return the axis after a step to the state `new`, its sensor carried along."""
+    before, after = axis.output(body.state), axis.output(new)
+    if not axis.lag:
+        return Body(new, body.mode, body.anchor, after[0])
+    fade, weights = lag_weights(h / axis.lag, axis.m)
+    rise = after[0] - before[0]
+    cubic = (before[0], h * before[1], 3.0 * rise - h * (2.0 * before[1] + after[1]))
+    shown = fade * body.shown + sum(w * c for w, c in zip(weights, cubic, strict=False))
+    return Body(new, body.mode, body.anchor, shown + weights[3] * (h * (before[1] + after[1]) - 2.0 * rise))
+
+
+def _let_pass(axis: Axis, body: Body) -> Body:
+    """Return the axis with the direction that it has, at rest where it has just stopped."""
+    return body._replace(mode=body.mode._replace(direction=axis.m.sign(body.state[1])))
+
+
+def lag_weights(z: Any, m: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return what a first-order lag makes of a cubic over a step of z time constants.
+
+    Its output ends at ``fade·initial + Σ w_j c_j`` for the input ``Σ c_j (t/h)^j``: ``w_j = ∫₀¹ z e^{−z(1−s)} s^j ds``,
+    by recurrence, ``w_j = 1 − (j/z) w_{j−1}``, or for small z, where that cancels, by the series
+    ``w_j = z Σ_i (−z)^i j!/(j+i+1)!``.
+    """
+    if isinstance(z, float):
+        return _scalar_weights(z)
+    pairs = [_scalar_weights(value) for value in np.unique(z).tolist()]
+    place = np.searchsorted(np.unique(z), z)
+    fades = np.array([fade for fade, _ in pairs])
+    return fades[place], tuple(np.array(column)[place] for column in zip(*(w for _, w in pairs), strict=True))
+
+
+@lru_cache(maxsize=64)
+def _scalar_weights(z: float) -> tuple[float, tuple[float, ...]]:
+    fade = math.exp(-z)
+    if z > 1.0:
+        weights = [-math.expm1(-z)]
+        for j in (1, 2, 3):
+            weights.append(1.0 - j / z * weights[-1])
+        return fade, tuple(weights)
+    weights = []
+    for j in range(4):
+        term = total = z / (j + 1)
+        for i in range(1, 18):
+            term *= -z / (j + i + 1)
+            total += term
+        weights.append(total)
+    return fade, tuple(weights)
+
+
+def _root(margin: Callable[[float], float], first: float, last: float, h: float) -> float:
+    """Return the root of `margin` in (0, h], positive at 0: regula falsi, a stale end halved (Illinois)."""
     low, high, side = 0.0, h, 0
     for _ in range(MOST_ROOT_STEPS):
         tau = (low * last - high * first) / (last - first)
-        value = speed(tau)
-        if abs(value) <= REST or not low < tau < high:
+        value = margin(tau)
+        if abs(value) <= SMALLEST or not low < tau < high:
             break
         if value > 0.0:
             low, first, last, side = tau, value, last * (0.5 if side > 0 else 1.0), 1
@@ -163,13 +209,15 @@ def _reversal(speed: Callable[[float], float], first: float, last: float, h: flo
     return tau
 
 
-def _reversals(speed: Callable[[Any], Any], first: Any, last: Any, h: float) -> Any:
-    """Return the root of each run; see :func:`_reversal`."""
-    low, high, side = np.zeros_like(first), np.full_like(first, h), np.zeros_like(first)
+def _roots(margin: Callable[[Any], Any], first: Any, last: Any, h: Any) -> Any:
+    """Return the root of each run; see :func:`_root`."""
+    low, high, side = np.zeros_like(first), h.copy(), np.zeros_like(first)
+    tau = low
+    going = np.ones_like(first, dtype=bool)
     for _ in range(MOST_ROOT_STEPS):
-        tau = (low * last - high * first) / (last - first)
-        value = speed(tau)
-        going = (np.abs(value) > REST) & (low < tau) & (tau < high)
+        tau = np.where(going, (low * last - high * first) / (last - first), tau)
+        value = margin(tau)
+        going &= (np.abs(value) > SMALLEST) & (low < tau) & (tau < high)
         if not going.any():
             break
         ahead, behind = going & (value > 0.0), going & (value <= 0.0)
@@ -180,3 +228,36 @@ def _reversals(speed: Callable[[Any], Any], first: Any, last: Any, h: float) -> 
         )
         side = np.where(ahead, 1.0, np.where(behind, -1.0, side))
     return tau
+
+
+def _take(body: Body, lanes: Any) -> Body:
+    state, mode, anchor, shown = body
+    return Body(
+        tuple(part[lanes] for part in state),
+        Mode(*(part[lanes] for part in mode)),
+        tuple(part[lanes] for part in anchor),
+        shown[lanes],
+    )
+
+
+def _put(body: Body, lanes: Any, part: Body) -> Body:
+    def put(old: Any, new: Any) -> Any:
+        changed = old.copy()
+        changed[lanes] = new
+        return changed
+
+    return _merge(put, body, part)
+
+
+def _choose(condition: Any, yes: Body, no: Body) -> Body:
+    return _merge(lambda a, b: np.where(condition, a, b), yes, no)
+
+
+def _merge(function: Callable[[Any, Any], Any], one: Body, other: Body) -> Body:
+    """Return `function` of each number of the two."""
+    return Body(
+        tuple(function(a, b) for a, b in zip(one.state, other.state, strict=True)),
+        Mode(*(function(a, b) for a, b in zip(one.mode, other.mode, strict=True))),
+        tuple(function(a, b) for a, b in zip(one.anchor, other.anchor, strict=True)),
+        function(one.shown, other.shown),
+    )

@@ -22,6 +22,9 @@ __all__ = ["LM1", "LM2", "LM3", "NLM1", "NLM2", "NLM3", "Truth"]
 class Truth:
     """What an axis really is: ``ÿ = gain·a(V) − damping·ẏ − Σ forces − level·sgn ẏ``, per unit of moving mass.
 
+    Every effect of the toolbox, in any combination but two transmissions. With a load that moves apart (share μ of the
+    mass) ``(1 − μ)ẍ = gain·a(V) − damping·ẋ − Σ forces − level·sgn ẋ − F`` and ``μÿ = F``; y is measured.
+
     Parameters
     ----------
     gain : float
@@ -34,7 +37,7 @@ class Truth:
     Raises
     ------
     InputError
-        If an effect is unknown, a parameter is missing or too many, or a number is not finite.
+        If an effect is unknown, a parameter is missing, too many or out of its range, or effects do not fit together.
 
     Examples
     --------
@@ -53,6 +56,7 @@ class Truth:
         if self.gain == 0:
             raise InputError("truth: gain must not be 0, the command would move nothing")
         checked = {name: MappingProxyType(_checked(name, values)) for name, values in self.effects.items()}
+        _check_together(self.gain, checked)
         object.__setattr__(self, "effects", MappingProxyType(checked))
 
     def __reduce__(self) -> tuple[Any, tuple[()]]:
@@ -66,7 +70,29 @@ def _checked(name: str, values: Mapping[str, float]) -> dict[str, float]:
     wanted = LAWS[name].parameters
     if sorted(values) != sorted(wanted):
         raise InputError(f"truth: {name} needs {', '.join(wanted)}; got {', '.join(values) or 'none'}")
-    return {key: _finite(values[key], f"truth: {name}.{key}") for key in wanted}
+    numbers = {key: _finite(values[key], f"truth: {name}.{key}") for key in wanted}
+    for key, number in numbers.items():
+        if not wanted[key].holds(number):
+            raise InputError(f"truth: {name}.{key} must {wanted[key]}, got {number:g}")
+    return numbers
+
+
+def _check_together(gain: float, effects: Mapping[str, Mapping[str, float]]) -> None:
+    if "backlash" in effects and "flexible_coupling" in effects:
+        raise InputError("truth: backlash and flexible_coupling cannot be combined, both move the load; keep one")
+    stribeck = effects.get("stribeck_friction")
+    if stribeck and stribeck["level"] + stribeck["static_excess"] < 0:
+        raise InputError(
+            f"truth: stribeck_friction.static_excess must be at least -level ({-stribeck['level']:g}),"
+            f" got {stribeck['static_excess']:g}"
+        )
+    servo = effects.get("speed_servo")
+    if servo:
+        own = servo["proportional"] * servo["speed_per_volt"]
+        if not math.isclose(gain, own, rel_tol=1e-6):
+            raise InputError(
+                f"truth: with speed_servo the gain is proportional times speed_per_volt, {own:g}, got {gain:g}"
+            )
 
 
 def _finite(value: float, what: str) -> float:
