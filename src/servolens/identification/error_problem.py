@@ -1,0 +1,310 @@
+"""The least-squares problem of a refinement: residuals of all runs as functions of parameters and initial states."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.options import FitOptions
+    from servolens.identification.runs import Run
+    from servolens.plant import Plant
+
+__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "well_conditioned"]
+
+FINE, COARSE = 1e-4, 5e-2
+"""Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking
+crumple."""
+CRUMPLED = 1.5
+"""Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
+WORTH_THREADS = 200_000
+"""Substeps of all simulations of one linearisation from which on they are shared among threads."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One run, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r)."""
+
+    factor: NDArray[np.float64]
+    along: NDArray[np.float64]
+    missed: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+    residual: NDArray[np.float64]
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Point:
+    """A trial: parameters, initial states, and the cost there."""
+
+    values: NDArray[np.float64]
+    starts: list[NDArray[np.float64]]
+    cost: float = np.inf
+
+
+class _Trial(NamedTuple):
+    """Parameters and the initial state of one simulation."""
+
+    values: NDArray[np.float64]
+    start: NDArray[np.float64]
+
+    def at(self, k: int) -> float:
+        """Return unknown `k`: a parameter, or after those an element of the initial state."""
+        return float(self.values[k] if k < self.values.size else self.start[k - self.values.size])
+
+
+@final
+class Problem:
+    """Residuals of all runs as functions of the free parameters and the initial states."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        runs: Sequence[Run],
+        options: FitOptions,
+        noise: float,
+    ) -> None:
+        held, local, priors = options.held, options.local, options.priors
+        names, specs = list(plant.parameters), list(plant.parameters.values())
+        self.plant, self.runs, self.names = plant, runs, names
+        estimated = [name for name in names if name not in held and name not in plant.derived]
+        shared = [(names.index(name), 0) for name in estimated if name not in local]
+        groups = sorted({run.group for run in runs})
+        own = [(names.index(name), group) for name in estimated if name in local for group in groups]
+        self.slots, self.local = shared + own, local
+        self.free = np.array([index for index, _ in self.slots], dtype=np.intp)
+        self.columns = [
+            [k for k, (_, group) in enumerate(self.slots) if k < len(shared) or group == run.group] for run in runs
+        ]
+        lowest = {"damping": min(0.0, plant.damping)}  # a passive axis; only a start below stays there
+        self.low = np.array([lowest.get(names[i], specs[i].low) for i in self.free])
+        self.high = np.array([specs[i].high for i in self.free])
+        self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
+        self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
+        self.samples = sum(run.measured.size for run in runs)
+        self.noise = max(noise, 1e-12)
+        self.outlier, self.share = np.inf, FINE
+        self.least_shift = np.zeros(self.free.size)
+        self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
+
+    def start(self) -> Point:
+        """Return where the search begins."""
+        point = Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
+        point.cost = self.cost(point)
+        return point
+
+    def plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
+        """Return the plant of run `i`."""
+        full = np.array(self.plant.values)
+        full[self.free[self.columns[i]]] = values[self.columns[i]]
+        return self.plant.with_values(full.tolist())
+
+    def residual(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return simulated minus measured position of run `i`."""
+        run = self.runs[i]
+        return run.simulated(self.plant_at(values, i), start, self.substeps[i]) - run.measured
+
+    def cost(self, point: Point) -> float:
+        """Return the sum of the losses, priors included; infinite where a run cannot be simulated."""
+        parts = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
+        losses = [np.inf if r is None else self._loss(r) for r in parts]
+        return sum(losses) + self._prior_cost(point.values)
+
+    def spread(self, point: Point) -> float:
+        """Return the robust standard deviation of the residuals, from their median size."""
+        parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
+        return float(1.4826 * np.median(np.abs(np.concatenate(parts))))
+
+    def linearise(self, point: Point) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
+        """Return each run's block, and gradient and information of the parameters; renews the cost of `point`."""
+        for i, run in enumerate(self.runs):
+            self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
+        k = self.free.size
+        blocks = []
+        gradient, information = np.zeros(k), np.zeros((k, k))
+        cost = self._prior_cost(point.values)
+        for residual, jacobian, initial in self._differences(point):
+            cost += self._loss(residual)
+            weight = self._weight(residual)[:, None]
+            q, r = np.linalg.qr(weight * initial)
+            x, y = weight * jacobian, weight[:, 0] * residual
+            along, missed = q.T @ x, q.T @ y
+            x, y = x - q @ along, y - q @ missed
+            blocks.append(Block(r, along, missed, x, y))
+            gradient += x.T @ y
+            information += x.T @ x
+        point.cost = cost
+        for index, prior in self.priors:
+            weight_of_prior = (self.noise / prior.deviation) ** 2
+            gradient[index] += weight_of_prior * (point.values[index] - prior.value)
+            information[index, index] += weight_of_prior
+        return blocks, gradient, information
+
+    def _differences(self, point: Point) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+        """Return each run's residual and its differences by the parameters and by the initial state.
+
+        Central, one-sided at a bound and where one side is no plant.
+        """
+        centres = [_Trial(point.values, start) for start in point.starts]
+        plans = [self._moves(centre, i) for i, centre in enumerate(centres)]
+        trials = [
+            (i, trial)
+            for i, (centre, plan) in enumerate(zip(centres, plans, strict=True))
+            for trial in (centre, *(side for _, *pair in plan for side in pair))
+        ]
+        found = iter(self._evaluate(trials))
+        sets = []
+        for centre, plan in zip(centres, plans, strict=True):
+            residual = next(found)
+            assert residual is not None  # noqa: S101 - the point has a finite cost
+            slopes = np.zeros((residual.size, self.free.size + centre.start.size))
+            for k, up, down in plan:
+                sides = [(trial, r) for trial, r in ((up, next(found)), (down, next(found))) if r is not None]
+                (a, high), (b, low) = (*sides, (centre, residual), (centre, residual))[:2]
+                if a.at(k) != b.at(k):
+                    slopes[:, k] = (high - low) / (a.at(k) - b.at(k))
+            sets.append((residual, slopes[:, : self.free.size], slopes[:, self.free.size :]))
+        return sets
+
+    def _moves(self, centre: _Trial, i: int) -> list[tuple[int, _Trial, _Trial]]:
+        """Return, for each unknown of run `i`, its number among parameters and initial state, and two trials."""
+        plan = []
+        for k in self.columns[i]:
+            up, down = self._moved(centre.values, k)
+            plan.append((k, centre._replace(values=up), centre._replace(values=down)))
+        for k, h in enumerate(self.runs[i].shifts):
+            shift = h * (np.arange(centre.start.size) == k)
+            above, below = centre._replace(start=centre.start + shift), centre._replace(start=centre.start - shift)
+            plan.append((self.free.size + k, above, below))
+        return plan
+
+    def _moved(self, values: NDArray[np.float64], k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        h = max(self.share * max(abs(values[k]), 1e-3 * self.scale[k]), self.least_shift[k])
+        up, down = values.copy(), values.copy()
+        up[k], down[k] = min(up[k] + h, self.high[k]), max(down[k] - h, self.low[k])
+        return up, down
+
+    def _evaluate(self, trials: list[tuple[int, _Trial]]) -> list[NDArray[np.float64] | None]:
+        """Return the residuals; None where a trial is no plant or cannot be simulated."""
+
+        def one(job: tuple[int, _Trial]) -> NDArray[np.float64] | None:
+            try:
+                return self.residual(job[1].values, job[0], job[1].start)
+            except (InputError, NumericalError):
+                return None
+
+        work = sum(self.runs[i].measured.size * self.substeps[i] for i, _ in trials)
+        workers = min(os.cpu_count() or 1, len(trials))
+        if work < WORTH_THREADS or workers < 2:
+            return [one(job) for job in trials]
+        with ThreadPoolExecutor(workers) as pool:  # the kernel frees the interpreter
+            return list(pool.map(one, trials))
+
+    def _loss(self, residual: NDArray[np.float64]) -> float:
+        if not np.isfinite(self.outlier):
+            return float(residual @ residual)
+        size = np.abs(residual)
+        return float(np.sum(np.where(size <= self.outlier, size**2, self.outlier * (2.0 * size - self.outlier))))
+
+    def _weight(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the square root of the weights with which least squares follow the loss."""
+        return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
+
+    def step(
+        self,
+        point: Point,
+        blocks: list[Block],
+        gradient: NDArray[np.float64],
+        information: NDArray[np.float64],
+        damping: float,
+    ) -> Point:
+        """Return the trial that the damped normal equations propose, at most half of each parameter away."""
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        held = ((point.values <= self.low) & (gradient > 0)) | ((point.values >= self.high) & (gradient < 0))
+        free = ~held
+        normal = (information / np.outer(scale, scale) + damping * np.eye(scale.size))[np.ix_(free, free)]
+        change = np.zeros(scale.size)
+        change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
+        reach = 0.5 * np.maximum(np.abs(point.values), np.where(self.free == 0, 0.0, self.scale))  # β keeps its sign
+        values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
+        moved = values - point.values
+        starts = [
+            start - np.linalg.solve(block.factor, block.missed + block.along @ moved) if start.size else start
+            for start, block in zip(point.starts, blocks, strict=True)
+        ]
+        trial = Point(values, starts)
+        trial.cost = self.cost(trial)
+        return trial
+
+    def linearised_widely(self, point: Point) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
+        """Linearise over a standard error of each parameter: over less, crumples would count as information.
+
+        Where the two disagree, the width is approached from above, for an error crumpled on a small scale has many
+        small widths that confirm themselves.
+        """
+        found = self.linearise(point)
+        fine = self._widths(point, found[2])
+        if fine is None:
+            return found
+        found = self._over(point, np.minimum(fine, 0.1 * np.abs(point.values)))
+        wide = self._widths(point, found[2])
+        if wide is None or (wide < CRUMPLED * fine).all():
+            return found
+        widths = COARSE * np.maximum(np.abs(point.values), 1e-3 * self.scale)
+        for _ in range(4):
+            found = self._over(point, widths)
+            errors = self._widths(point, found[2])
+            if errors is None or (errors > 0.5 * widths).all():
+                break
+            widths = np.minimum(widths, errors)
+        return found
+
+    def _over(
+        self, point: Point, widths: NDArray[np.float64]
+    ) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
+        self.least_shift = widths
+        found = self.linearise(point)
+        self.least_shift = np.zeros(self.free.size)
+        return found
+
+    def _widths(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the standard errors if the noise were white; None where the data do not determine all parameters."""
+        if not ((np.diag(information) > 0).all() and well_conditioned(information)):
+            return None
+        unknowns = point.values.size + sum(start.size for start in point.starts)
+        variance = point.cost / max(self.samples - unknowns, 1) * np.diag(np.linalg.inv(information))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def local_values(self, point: Point) -> dict[str, NDArray[np.float64]]:
+        """Return the parameters that each record has of its own."""
+        own: dict[str, list[float]] = {}
+        for (index, _), value in zip(self.slots, point.values, strict=True):
+            if self.names[index] in self.local:
+                own.setdefault(self.names[index], []).append(float(value))
+        return {name: np.array(values) for name, values in own.items()}
+
+    def at_bound(self, point: Point) -> tuple[str, ...]:
+        """Return the names of the parameters that are at an end of their range."""
+        ends = (point.values <= self.low) | (point.values >= self.high)
+        return tuple(dict.fromkeys(self.names[self.free[k]] for k in np.flatnonzero(ends)))
+
+    def _prior_cost(self, values: NDArray[np.float64]) -> float:
+        return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
+
+
+def well_conditioned(information: NDArray[np.float64]) -> bool:
+    """Tell whether the data determine all parameters: no column depends on the others."""
+    scale = np.sqrt(np.diag(information))
+    return bool(np.linalg.cond(information / np.outer(scale, scale)) < 1e14)
