@@ -1,4 +1,4 @@
-"""The virtual laboratory: carts whose truth is known, on a bench with a digital PD loop.
+"""The virtual laboratory: axes whose truth is known, with any effects, on a bench with a digital PD loop.
 
 Its physics and its numerics are written a second time, with NumPy alone: nothing here derives from the effects or the
 simulator of servolens, so that agreement of the two means something. Used by the demo and by the tests.

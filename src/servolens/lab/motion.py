@@ -149,11 +149,12 @@ def _accepted(axis: Axis, body: Body, new: State, h: Any) -> Body:
     before, after = axis.output(body.state), axis.output(new)
     if not axis.lag:
         return Body(new, body.mode, body.anchor, after[0])
-    fade, weights = lag_weights(h / axis.lag, axis.m)
+    weights = lag_weights(h / axis.lag)
     rise = after[0] - before[0]
-    cubic = (before[0], h * before[1], 3.0 * rise - h * (2.0 * before[1] + after[1]))
-    shown = fade * body.shown + sum(w * c for w, c in zip(weights, cubic, strict=False))
-    return Body(new, body.mode, body.anchor, shown + weights[3] * (h * (before[1] + after[1]) - 2.0 * rise))
+    first, last = h * before[1], h * after[1]
+    cubic = (before[0] - body.shown, first, 3.0 * rise - 2.0 * first - last, first + last - 2.0 * rise)
+    shown = body.shown + sum(weight * part for weight, part in zip(weights, cubic, strict=True))
+    return Body(new, body.mode, body.anchor, shown)
 
 
 def _let_pass(axis: Axis, body: Body) -> Body:
@@ -161,29 +162,26 @@ def _let_pass(axis: Axis, body: Body) -> Body:
     return body._replace(mode=body.mode._replace(direction=axis.m.sign(body.state[1])))
 
 
-def lag_weights(z: Any, m: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return what a first-order lag makes of a cubic over a step of z time constants.
+def lag_weights(z: Any) -> tuple[Any, ...]:
+    """Return what a first-order lag makes of 1, s, s², s³ over a step of z of its time constants, s from 0 to 1.
 
-    Its output ends at ``fade·initial + Σ w_j c_j`` for the input ``Σ c_j (t/h)^j``: ``w_j = ∫₀¹ z e^{−z(1−s)} s^j ds``,
-    by recurrence, ``w_j = 1 − (j/z) w_{j−1}``, or for small z, where that cancels, by the series
-    ``w_j = z Σ_i (−z)^i j!/(j+i+1)!``.
+    It ends at ``w_j = ∫₀¹ z e^{−z(1−s)} s^j ds`` if it starts at 0: by recurrence, ``w_j = 1 − (j/z) w_{j−1}``, or for
+    small z, where that cancels, by the series ``w_j = z Σ_i (−z)^i j!/(j+i+1)!``.
     """
     if isinstance(z, float):
         return _scalar_weights(z)
-    pairs = [_scalar_weights(value) for value in np.unique(z).tolist()]
-    place = np.searchsorted(np.unique(z), z)
-    fades = np.array([fade for fade, _ in pairs])
-    return fades[place], tuple(np.array(column)[place] for column in zip(*(w for _, w in pairs), strict=True))
+    values, place = np.unique(z, return_inverse=True)
+    each = np.array([_scalar_weights(value) for value in values.tolist()])
+    return tuple(each[place].T)
 
 
 @lru_cache(maxsize=64)
-def _scalar_weights(z: float) -> tuple[float, tuple[float, ...]]:
-    fade = math.exp(-z)
+def _scalar_weights(z: float) -> tuple[float, ...]:
     if z > 1.0:
         weights = [-math.expm1(-z)]
         for j in (1, 2, 3):
             weights.append(1.0 - j / z * weights[-1])
-        return fade, tuple(weights)
+        return tuple(weights)
     weights = []
     for j in range(4):
         term = total = z / (j + 1)
@@ -191,7 +189,7 @@ def _scalar_weights(z: float) -> tuple[float, tuple[float, ...]]:
             term *= -z / (j + i + 1)
             total += term
         weights.append(total)
-    return fade, tuple(weights)
+    return tuple(weights)
 
 
 def _root(margin: Callable[[float], float], first: float, last: float, h: float) -> float:
