@@ -626,6 +626,14 @@ def test_record_carries_units_and_leaves_out_the_reference():
     assert record.voltage is not None
 
 
+def test_numbers_of_numpy_are_as_good_as_plain_ones():
+    plain, numpys = (
+        lab.step_record(axis(**EVERYTHING["everything and coupling"]), number(60), number(2), duration=0.05)
+        for number in (float, np.float64)
+    )
+    np.testing.assert_array_equal(plain.position, numpys.position)
+
+
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [

@@ -247,7 +247,7 @@ class _Settings:
         feedforward = None if self.feedforward is None else _signal("feedforward", self.feedforward)
         if feedforward is not None and feedforward.size != reference.size:
             raise InputError(f"feedforward has {feedforward.size} samples, the reference has {reference.size}")
-        time = self.sample_time * np.arange(reference.size, dtype=np.float64)
+        time = float(self.sample_time) * np.arange(reference.size, dtype=np.float64)
         time.flags.writeable = reference.flags.writeable = False
         return Bench(
             controller=self.loop,
@@ -255,7 +255,7 @@ class _Settings:
             reference=reference,
             feedforward=feedforward,
             start=float(self.start),
-            encoder=self.encoder,
+            encoder=float(self.encoder),
             voltage_limit=self.voltage_limit,
         )
 

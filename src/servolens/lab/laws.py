@@ -35,7 +35,7 @@ FLOATS = SimpleNamespace(
     maximum=max,
     minimum=min,
     where=lambda condition, yes, no: yes if condition else no,
-    sign=lambda value: float((value > 0.0) - (value < 0.0)),
+    sign=lambda value: 1.0 if value > 0.0 else -1.0 if value < 0.0 else 0.0,
     any=bool,
 )
 """The functions that laws are written with, for plain floats."""

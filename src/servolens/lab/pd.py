@@ -18,6 +18,10 @@ class DigitalPD:
 
     def __init__(self, controller: Controller, sample_time: float) -> None:
         self._settings = controller
+        # NumPy's numbers, as gains may be, would make the plain floats of a single run slow
+        self._kp, self._kd, self._share = (
+            float(gain) for gain in (controller.kp, controller.kd, controller.derivative_filter)
+        )
         self._every = samples_a_period(controller, sample_time)
         self._period = sample_time if self._every == 1 else controller.control_period or sample_time
         self._signals: list[Any] = []
@@ -27,10 +31,9 @@ class DigitalPD:
     def ask(self, k: int, reference: float, seen: Any, velocity: Any) -> Any:
         """Return the voltage asked for at sample `k`, held between the ticks of a slow loop, without feedforward."""
         if k % self._every == 0:
-            settings = self._settings
-            raw = velocity if settings.derivative == "velocity" else self._slope(reference, seen)
-            self._derivative = self._derivative + settings.derivative_filter * (raw - self._derivative)
-            self._held = settings.kp * (reference - seen) - settings.kd * self._derivative
+            raw = velocity if self._settings.derivative == "velocity" else self._slope(reference, seen)
+            self._derivative = self._derivative + self._share * (raw - self._derivative)
+            self._held = self._kp * (reference - seen) - self._kd * self._derivative
         return self._held
 
     def _slope(self, reference: float, seen: Any) -> Any:
