@@ -85,10 +85,10 @@ class Axis:
         self.has_load, self.has_contact = self._joint is not None, "backlash" in own
         moving_in_time = {"actuator_lag", "gain_drift", "periodic_disturbance", "sensor_lag", "speed_servo"}
         self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own)
-        paces = [LAWS[name].pace(p) for name, p in own.items() if LAWS[name].pace is not None]  # type: ignore[misc]
-        pace = max([abs(truth.damping), *paces]) / self._share
-        self._step = min(longest, angle / pace) if pace > 0.0 else longest
-        self._hastes = [(LAWS[name].haste, p) for name, p in own.items() if LAWS[name].haste is not None]
+        paces = [pace(p) for name, p in own.items() if (pace := LAWS[name].pace) is not None]
+        quickest = max([abs(truth.damping), *paces]) / self._share
+        self._step = min(longest, angle / quickest) if quickest > 0.0 else longest
+        self._hastes = [(haste, p) for name, p in own.items() if (haste := LAWS[name].haste) is not None]
         self.minds_motion = bool(self._hastes) or self._dahl is not None
 
     def body(self, position: Any) -> Body:
@@ -122,7 +122,7 @@ class Axis:
         m, state = self.m, body.state
         speed, acceleration = abs(state[1]), abs(self.rates(t, state, body, u)[1])
         for haste, p in self._hastes:
-            rate = haste(p, abs(state[0]), speed, acceleration, m)  # type: ignore[misc]  # only those there are
+            rate = haste(p, abs(state[0]), speed, acceleration, m)
             step = m.minimum(step, self._angle / m.maximum(rate, 1e-9))
         if self._dahl is not None:
             length = self._dahl.level / self._dahl.stiffness
