@@ -9,6 +9,7 @@ RUN_STAMP := $(VENV)/.installed
 DEV_STAMP := $(VENV)/.installed-dev
 SLOW ?=
 DEMO_ARGS ?=
+COVERAGE_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
@@ -45,8 +46,9 @@ docs: $(DEV_STAMP) ## the documentation, into site/
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "docs: site/index.html"
 
-coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth (a minute)
+coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model and by effect (minutes)
 	@$(BIN)/python benchmarks/coverage.py
+	@$(BIN)/python benchmarks/fit_coverage.py $(COVERAGE_ARGS)
 
 pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
 	@$(BIN)/python docs/pictures.py
