@@ -259,7 +259,7 @@ def test_a_damaged_cache_is_replaced(tmp_path) -> None:
     environment = {**os.environ, "SERVOLENS_CACHE": str(tmp_path)}
     command = [sys.executable, "-c", PROGRAM]
     first = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    damaged = [*(tmp_path / "__pycache__").glob("*.nbi"), *(tmp_path / "__pycache__").glob("*.nbc")]
+    damaged = [*tmp_path.glob("*.ll")]
     assert damaged
     for path in damaged:
         path.write_bytes(path.read_bytes()[:40])

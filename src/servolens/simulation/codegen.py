@@ -9,16 +9,16 @@ import casadi as ca
 
 from servolens.errors import InputError
 
-__all__ = ["SYMBOLS", "function_text"]
+__all__ = ["SYMBOLS", "function_text", "number_text"]
 
 COMPARE = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "une"}
 ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul", ca.OP_DIV: "fdiv"}
 INTRINSICS = {
     ca.OP_SQRT: "llvm.sqrt.f64",
-    ca.OP_EXP: "llvm.exp.f64",
+    ca.OP_EXP: "servolens_exp",
     ca.OP_LOG: "llvm.log.f64",
-    ca.OP_SIN: "llvm.sin.f64",
-    ca.OP_COS: "llvm.cos.f64",
+    ca.OP_SIN: "servolens_sin",
+    ca.OP_COS: "servolens_cos",
     ca.OP_FABS: "llvm.fabs.f64",
     ca.OP_FLOOR: "llvm.floor.f64",
     ca.OP_CEIL: "llvm.ceil.f64",
@@ -49,7 +49,7 @@ SYMBOLS = (*sorted(LIBRARY.values()), "exp", "log", "sin", "cos", "pow")
 
 
 def function_text(name: str, inputs: list[Any], outputs: list[Any]) -> str:
-    """Return LLVM assembly of ``void name(const double *x, const double *p, double *out)``.
+    """Return LLVM assembly of ``int64_t name(const double *x, const double *p, double *out)``, which returns 0.
 
     Parameters
     ----------
@@ -68,21 +68,32 @@ def function_text(name: str, inputs: list[Any], outputs: list[Any]) -> str:
     program = ca.Function(name, inputs, ca.cse([ca.densify(ca.vertcat(*outputs))]))
     writer = _Writer()
     held: dict[int, str] = {}
+    known: dict[int, bool] = {}  # whether it is the same for a whole simulation
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
         source, target = program.instruction_input(k), program.instruction_output(k)
-        if operation == ca.OP_INPUT:
-            held[target[0]] = writer.load("xp"[source[0]], source[1])
-        elif operation == ca.OP_OUTPUT:
+        if operation == ca.OP_OUTPUT:
             writer.store(held[source[0]], target[1])
+            continue
+        if operation == ca.OP_INPUT:
+            value, same = writer.load("xp"[source[0]], source[1]), source[0] == 1
         elif operation == ca.OP_CONST:
-            held[target[0]] = _number(float(program.instruction_constant(k)))
+            value, same = _number(float(program.instruction_constant(k))), True
+        elif operation == ca.OP_DIV and known[source[1]]:
+            inverse = writer.operation(ca.OP_INV, [held[source[1]]])  # LLVM takes it out of the loop over the samples
+            value, same = writer.operation(ca.OP_MUL, [held[source[0]], inverse]), known[source[0]]
         else:
-            held[target[0]] = writer.operation(operation, [held[i] for i in source])
+            value, same = writer.operation(operation, [held[i] for i in source]), all(known[i] for i in source)
+        held[target[0]], known[target[0]] = value, same
     body = "\n".join(writer.lines)
     declared = "\n".join(sorted(writer.declared))
-    head = f"define void @{name}(ptr noalias readonly %x, ptr noalias readonly %p, ptr noalias %out) {{"
-    return f"{declared}\n{head}\n{body}\n  ret void\n}}\n"
+    head = f"define i64 @{name}(ptr %x, ptr noalias readonly %p, ptr %out) alwaysinline nounwind {{"
+    return f"{declared}\n{head}\n{body}\n  ret i64 0\n}}\n"
+
+
+def number_text(name: str, number: int) -> str:
+    """Return LLVM assembly of ``int64_t name(void)`` that returns `number`."""
+    return f"define i64 @{name}() alwaysinline nounwind {{\n  ret i64 {number}\n}}\n"
 
 
 def _number(value: float) -> str:
@@ -127,17 +138,17 @@ class _Writer:
         a, b = given[0], given[-1]
         zero, one = _number(0.0), _number(1.0)
         if code in ARITHMETIC:
-            return self.emit(f"{ARITHMETIC[code]} double {a}, {b}")
+            return self.emit(f"{ARITHMETIC[code]} contract double {a}, {b}")
         if code in COMPARE:
             return self.choose(self.test(COMPARE[code], a, b), one, zero)
         if code in INTRINSICS or code in LIBRARY:
             return self.call(INTRINSICS.get(code) or LIBRARY[code], given)
         simple = {
             ca.OP_ASSIGN: lambda: a,
-            ca.OP_NEG: lambda: self.emit(f"fneg double {a}"),
-            ca.OP_SQ: lambda: self.emit(f"fmul double {a}, {a}"),
-            ca.OP_TWICE: lambda: self.emit(f"fadd double {a}, {a}"),
-            ca.OP_INV: lambda: self.emit(f"fdiv double {one}, {a}"),
+            ca.OP_NEG: lambda: self.emit(f"fneg contract double {a}"),
+            ca.OP_SQ: lambda: self.emit(f"fmul contract double {a}, {a}"),
+            ca.OP_TWICE: lambda: self.emit(f"fadd contract double {a}, {a}"),
+            ca.OP_INV: lambda: self.emit(f"fdiv contract double {one}, {a}"),
             ca.OP_FMIN: lambda: self.choose(self.test("olt", a, b), a, b),
             ca.OP_FMAX: lambda: self.choose(self.test("ogt", a, b), a, b),
             ca.OP_NOT: lambda: self.choose(self.test("oeq", a, zero), one, zero),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -206,22 +207,23 @@ def _run(
     substeps: int,
     gains: tuple[float, ...] = (),
 ) -> Simulation:
-    from servolens.simulation.kernel import kernel
     from servolens.simulation.native import native
 
     if not (held.size == reference.size == time.size):
         raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
     code = native(plant.structure, continuous=bool(gains))
-    outputs = [np.empty(time.size) for _ in range(4)]
+    results = np.empty((4, time.size))
     signals = (time, held, reference, np.array(settings), np.array(start, dtype=np.float64))
     parameters = np.array([*plant.values, *gains])
-    done = kernel()(code.addresses, *code.sizes, *signals, parameters, plant.delay, substeps, *outputs)
-    if done < time.size:
+    done = ctypes.c_int64()
+    addresses = [array.ctypes.data for array in (*signals, parameters, results)]
+    code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *addresses)
+    if done.value < time.size:
         raise NumericalError(
             f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "
             "the loop is unstable with these gains"
         )
-    position, velocity, voltage, measured = outputs
+    position, velocity, voltage, measured = results
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 

@@ -13,9 +13,12 @@ import casadi as ca
 import numpy as np
 
 from servolens.dynamics import dynamics, ideal_pd
-from servolens.simulation.codegen import SYMBOLS, function_text
+from servolens.simulation.codegen import SYMBOLS, function_text, number_text
+from servolens.simulation.kernel import ENTRY, rule
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from servolens.dynamics import Dynamics
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Native", "native"]
 
+SWITCHES = (ca.OP_LT, ca.OP_LE, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FABS, ca.OP_SIGN)
+"""Operations that have a kink where their arguments are equal, or their argument 0."""
 _COMPILING = Lock()
 
 
@@ -31,46 +36,48 @@ _COMPILING = Lock()
 class Native:
     """Machine code of a structure.
 
-    All functions have the form ``f(x, p, out)``, with ``x = [y, v, t, u, d, moving, smooth states, relaxing states,
-    their rates]`` and the plant's parameters in `p`.
-
     Attributes
     ----------
-    addresses : ndarray of int64, shape (6,)
-        * ``taylor``: acceleration, jerk, snap, then rate and its two derivatives of each smooth state;
-        * ``breakaway``: push and friction level;
-        * ``relaxation``: A and B of each relaxing state's ż = A − B z;
-        * ``shown``: position shown by the sensor, velocity and position of the load (0 where that is y, v, y);
-        * ``beginning``: the states of an axis at rest;
-        * ``slopes``: the Jacobian of [v, acceleration, rates], column by column.
+    run : callable
+        :func:`servolens.simulation.stepping.run` for plants of this structure.
+    slopes : callable
+        ``slopes(x, p, out)``: the Jacobian of [v, acceleration, rates], column by column, at ``x = [y, v, t, u, d,
+        moving, smooth states, relaxing states, their ramps]`` and the plant's parameters `p`.
     sizes : tuple of int
         Numbers of smooth and of relaxing states.
     order : ndarray of int64
         Where each state of ``Dynamics.states`` stands among [smooth, relaxing].
     """
 
-    addresses: NDArray[np.int64]
+    run: Callable[..., int]
+    slopes: Callable[..., int]
     sizes: tuple[int, int]
     order: NDArray[np.int64]
     keeper: Any
 
 
-@lru_cache(maxsize=1024)
 def native(structure: tuple[type[Effect], ...], *, continuous: bool = False) -> Native:
-    """Return the machine code of a plant with the effects of `structure`.
+    """Return the machine code of a plant with the effects of `structure`; threads may ask at once.
 
     With `continuous` the input is the reference and an ideal PD acts inside the step, its kp and kd appended to the
     parameters.
     """
-    equations = _Equations(structure, continuous)
-    text = "\n".join(_merged([function_text(name, equations.inputs, e) for name, e in equations.functions().items()]))
     with _COMPILING:
-        engine = _engine(text)
-    names = ("taylor", "breakaway", "relaxation", "shown", "beginning", "slopes")
-    absent = equations.absent()
-    found = [0 if name in absent else engine.get_function_address(name) for name in names]
+        return _native(structure, continuous)
+
+
+@lru_cache(maxsize=1024)
+def _native(structure: tuple[type[Effect], ...], continuous: bool) -> Native:
+    equations = _Equations(structure, continuous)
+    texts = [function_text(f"servolens_{name}", equations.inputs, e) for name, e in equations.functions().items()]
+    texts += [number_text(f"servolens_{name}", number) for name, number in equations.numbers().items()]
+    engine = _engine("\n".join(_merged(texts)))
+    number, real, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
+    run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 7)
+    slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
     return Native(
-        addresses=np.array(found, dtype=np.int64),
+        run=run(engine.get_function_address(ENTRY)),
+        slopes=slopes(engine.get_function_address("servolens_slopes")),
         sizes=(len(equations.smooth), len(equations.relaxing)),
         order=np.argsort([*equations.smooth, *equations.relaxing], kind="stable").astype(np.int64),
         keeper=engine,
@@ -97,8 +104,11 @@ class _Equations:
         self.push, self.level, self.rates = found
         self.beginning = beginning
         self.acceleration = self.push - self.level * d.direction
+        self.motion = ca.vertcat(d.position, d.velocity, d.time, d.states)
+        self.edges = self._edges()
 
     def functions(self) -> dict[str, list[Any]]:
+        """Return what the stepping rule calls by these names, and ``slopes``."""
         d = self.d
         state = ca.vertcat(d.position, d.velocity, d.states)
         flow = ca.vertcat(d.velocity, self.acceleration, self.rates)
@@ -106,39 +116,67 @@ class _Equations:
             "taylor": self._taylor(),
             "breakaway": [self.push, self.level],
             "relaxation": self._relaxation(),
+            "kinked": self.edges,
             "shown": [d.shown, d.output_velocity, d.output],
             "beginning": [self.beginning[i] for i in (*self.smooth, *self.relaxing)],
             "slopes": [ca.vec(ca.densify(ca.jacobian(flow, state)))],
         }
 
-    def absent(self) -> set[str]:
-        """Return the names of the functions that would tell nothing."""
+    def numbers(self) -> dict[str, int]:
+        """Return the constants that the stepping rule asks for by these names."""
         d = self.d
-        plain = ca.is_equal(d.shown, d.position) and ca.is_equal(d.output, d.position)
-        names = {"shown"} if plain else set()
-        if not self.relaxing:
-            names.add("relaxation")
-        return names if d.state_names else names | {"beginning"}
+        drifts = ca.depends_on(ca.vertcat(0, *self._relaxation()), self.motion)
+        return {
+            "parameters": self.inputs[1].numel(),
+            "smooth": len(self.smooth),
+            "relaxing": len(self.relaxing),
+            "drifts": int(drifts),
+            "kinks": len(self.edges),
+            "shows": int(not (ca.is_equal(d.shown, d.position) and ca.is_equal(d.output, d.position))),
+        }
+
+    def _edges(self) -> list[Any]:
+        """Return functions of the motion whose changes of sign are kinks of the acceleration or of a rate."""
+        found: dict[int, Any] = {}
+        waiting = [*ca.vertsplit(ca.vertcat(self.acceleration, *(self.rates[i] for i in self.smooth)))]
+        seen = set()
+        while waiting:
+            element = waiting.pop()
+            if element.__hash__() in seen or element.is_constant() or element.is_symbolic():
+                continue
+            seen.add(element.__hash__())
+            parts = [element.dep(i) for i in range(element.n_dep())]
+            waiting += parts
+            if element.op() in SWITCHES:
+                edge = parts[0] - parts[1] if len(parts) > 1 else parts[0]
+                if ca.depends_on(edge, self.motion):
+                    found[element.__hash__()] = edge
+        return list(found.values())
 
     def _taylor(self) -> list[Any]:
-        """Return acceleration, jerk and snap, and the derivatives of the smooth states; relaxing ones are ramps."""
+        """Return acceleration, jerk and snap, and the derivatives of the smooth states; relaxing ones are ramps.
+
+        Jerk and snap come from the gradient and the Hessian, which do not wait for the acceleration: a processor
+        works them out beside it.
+        """
         d = self.d
-        acceleration = self.moving * self.acceleration
+        moving = self.moving if d.state_names else 1.0  # what remembers nothing is not stepped at rest
         smooth = [self.rates[i] for i in self.smooth]
         along = ca.vertcat(d.position, d.velocity, d.time, *(d.states[i] for i in (*self.smooth, *self.relaxing)))
-        flow = ca.vertcat(d.velocity, acceleration, 1.0, *smooth, self.ramps)
-        series = []
-        for first in (acceleration, *smooth):
-            second = ca.jtimes(first, along, flow)
-            series += [first, second, ca.jtimes(second, along, flow)]
-        return series
+        firsts = [moving * self.acceleration, *smooth]
+        flow = ca.vertcat(d.velocity, firsts[0], 1.0, *smooth, self.ramps)
+        gradients = [ca.gradient(first, along) for first in firsts]
+        seconds = [ca.dot(gradient, flow) for gradient in gradients]
+        bend = ca.vertcat(firsts[0], seconds[0], 0.0, *seconds[1:], ca.SX(len(self.relaxing), 1))
+        thirds = [ca.dot(gradient, bend) + ca.bilin(ca.jacobian(gradient, along), flow, flow) for gradient in gradients]
+        return [value for three in zip(firsts, seconds, thirds, strict=True) for value in three]
 
     def _relaxation(self) -> list[Any]:
+        """Return A and B of each relaxing state's ż = A − B z."""
         found = []
         for i in self.relaxing:
-            state = self.d.states[i]
-            slope = -ca.gradient(self.rates[i], state)
-            found += [self.rates[i] + slope * state, slope]
+            rate, state = self.rates[i], self.d.states[i]
+            found += [ca.substitute(rate, state, 0.0), -ca.gradient(rate, state)]
         return found
 
 
@@ -155,13 +193,19 @@ def _merged(texts: list[str]) -> list[str]:
 
 
 def _engine(text: str) -> Any:
-    """Compile LLVM assembly; the engine that is returned owns the machine code."""
+    """Compile LLVM assembly together with the stepping rule; the engine that is returned owns the machine code."""
     import llvmlite.binding as llvm
 
-    machine = _machine()
-    module = llvm.parse_assembly(text)
-    module.verify()
-    engine = llvm.create_mcjit_compiler(module, machine())
+    machine = _machine()()
+    module = llvm.parse_assembly(rule())
+    module.link_in(llvm.parse_assembly(text))
+    for function in module.functions:
+        if not function.is_declaration and function.name not in (ENTRY, "servolens_slopes"):
+            function.linkage = "internal"
+    tuning = llvm.create_pipeline_tuning_options(speed_level=2)
+    builder = llvm.create_pass_builder(machine, tuning)
+    builder.getModulePassManager().run(module, builder)
+    engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine
 

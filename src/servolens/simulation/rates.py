@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
 """The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
 MOST_SUBSTEPS = 400
-SLOPES = 5
 PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
 """Positions, speeds and values of the states at which the rates are looked at, SI."""
 
@@ -43,14 +41,12 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
 
     code = native(structure)
     smooth, relaxing = code.sizes
-    pointer = ctypes.POINTER(ctypes.c_double)
-    slopes = ctypes.CFUNCTYPE(None, pointer, pointer, pointer)(int(code.addresses[SLOPES]))
     n = 2 + smooth + relaxing
     exact = np.array([2 + i for i, place in enumerate(code.order) if place >= smooth], dtype=np.intp)
 
     def jacobian(x: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
         out = np.empty(n * n)
-        slopes(*(array.ctypes.data_as(pointer) for array in (x, p, out)))
+        code.slopes(x.ctypes.data, p.ctypes.data, out.ctypes.data)
         return out.reshape(n, n).T
 
     @lru_cache(maxsize=1024)

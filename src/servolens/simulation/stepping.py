@@ -1,63 +1,72 @@
-"""One axis, stepped through its samples: the text of the compiled kernel.
+"""One axis, stepped through its samples: the rule that all compiled simulations share.
 
-This module is not imported: its text is compiled by numba once for all plants, and calls the machine code that
-:mod:`servolens.simulation.native` makes of a plant's equation of motion.
+Numba turns this module into LLVM's language once; :mod:`servolens.simulation.native` joins that with a plant's equation
+of motion, and LLVM makes one piece of machine code of both. The functions declared below are the plant's part.
 
 A step is a Taylor series: third order where the motion is smooth; it is halved while its last term is more than a
 hundred-thousandth of the travel (a kick of the voltage may change the damping within a sample). Each velocity
 reversal is found as the root of the series and the step is split there, so that the order holds across it (second
 order at least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves only if the push
-exceeds the level, and until then its position does not change by one bit.
+exceeds the level, and until then its position does not change by one bit. Where a force has a kink (a contact closes,
+a limit is met) the step is split as well.
 
 What the effects remember is carried along: a second mass or an integral by its own series; a state that relaxes
 (ż = A − B z: a filter, a bristle) exactly for an A/B that changes linearly, however fast it is. Within a piece the
-series of the motion sees such a state as the ramp that has the same mean and the same first moment as its exponential
-(second order).
+series of the motion sees such a state as the ramp that has the same mean and the same first moment as its exponential.
+Where A and B change with the motion, their values at the end of a piece come from a first pass over it.
 
-The arrays: `f` holds the addresses of the machine code; `x` is [y, v, t, u, d, moving, smooth states, relaxing states,
-their ramps]; `out` takes results; `keep` holds the relaxing states, A and B at the beginning of a piece.
+The arrays: `x` is [y, v, t, u, d, moving, smooth states, relaxing states, their ramps]; `p` holds the plant's
+parameters; a series is [acceleration, jerk, snap, then three derivatives of each smooth state].
 """
 
-# ruff: noqa: C901, PLR0913, PLR0915 - one compiled loop; calls are split where numba inlines them
+# ruff: noqa: C901, PLR0913, PLR0915 - one compiled loop; calls are split where they are inlined
 from __future__ import annotations
 
+import ctypes
 import math
+import os
 from typing import Any
 
-import numpy as np
-from numba import float64, int64, njit, types
+from numba import cfunc, float64, int64, njit, types
 from numba.extending import intrinsic
 
-_IN = types.Array(float64, 1, "C", readonly=True)
-_TALL = types.Array(int64, 1, "C", readonly=True)
-_OUT = float64[::1]
+from servolens.simulation import elementary
+from servolens.simulation.elementary import OPTIONS, exponential
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SMOOTH, SHORTEST, MOST_PIECES = 1.2e-4, 1e-3, 4096
 Y, V, T, U, D, MOVING, STATES = 0, 1, 2, 3, 4, 5, 6
-TAYLOR, BREAKAWAY, RELAXATION, SHOWN, BEGINNING = 0, 1, 2, 3, 4
 FARTHEST = 1e6
+
+_NUMBERS = types.CPointer(float64)
+
+
+def _number_of(what: str) -> Any:
+    return types.ExternalFunction(f"servolens_{what}", int64())
+
+
+def _plant(name: str) -> Any:
+    return types.ExternalFunction(f"servolens_{name}", types.int64(_NUMBERS, _NUMBERS, _NUMBERS))
+
+
+NUMBERS = ("parameters", "smooth", "relaxing", "drifts", "kinks", "shows")
+FUNCTIONS = ("taylor", "breakaway", "relaxation", "kinked", "shown", "beginning")
+parameters, smooth_states, relaxing_states, drifts, kinks, shows = map(_number_of, NUMBERS)
+taylor, breakaway, relaxation, kinked, shown, beginning = map(_plant, FUNCTIONS)
 
 
 @intrinsic
-def call(context: Any, address: Any, x: Any, p: Any, out: Any) -> Any:
-    """Call the machine code at `address` with the data of three arrays."""
+def numbers(context: Any, size: Any) -> Any:
+    """Return room for `size` numbers on the stack."""
     from llvmlite import ir
 
     def code(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        pointer = ir.DoubleType().as_pointer()
-        function = ir.FunctionType(ir.VoidType(), [pointer, pointer, pointer])
-        data = [
-            target.make_array(kind)(target, builder, value).data
-            for kind, value in zip(signature.args[1:], arguments[1:], strict=True)
-        ]
-        builder.call(builder.inttoptr(arguments[0], function.as_pointer()), data)
-        return target.get_dummy_value()
+        return builder.alloca(ir.DoubleType(), size=arguments[0])
 
-    return types.void(types.int64, x, p, out), code
+    return _NUMBERS(types.int64), code
 
 
-@njit(forceinline=True, error_model="numpy")
+@njit(**OPTIONS)
 def reversal_time(c0: float, c1: float, c2: float, c3: float, h: float) -> float:
     """Root in (0, h] of c0 + c1 τ + c2 τ² + c3 τ³, which changes sign there: Newton kept inside its bracket."""
     low, high = 0.0, h
@@ -79,222 +88,244 @@ def reversal_time(c0: float, c1: float, c2: float, c3: float, h: float) -> float
     return tau
 
 
-@njit(forceinline=True, error_model="numpy")
-def averages(b: float) -> tuple[float, float]:
-    """φ₁ = (1 − e⁻ᵇ)/b and φ₂ = (1 − φ₁)/b."""
-    if abs(b) < 0.02:
-        return (
-            1.0 - b * (0.5 - b * (SIXTH - b * (TWENTYFOURTH - b / 120.0))),
-            0.5 - b * (SIXTH - b * (TWENTYFOURTH - b * (1.0 / 120.0 - b / 720.0))),
-        )
-    first = -math.expm1(-b) / b
-    return first, (1.0 - first) / b
+@njit(**OPTIONS)
+def averages(x: float) -> tuple[float, float, float, float]:
+    """φ₁ = (1 − e⁻ˣ)/x and φₖ₊₁ = (1/k! − φₖ)/x, up to φ₄; where that cancels, from the series of φ₄ downwards."""
+    if abs(x) < 0.125:
+        fourth = 1.0 / 39916800.0 - x / 479001600.0
+        fourth = 1.0 / 40320.0 - x * (1.0 / 362880.0 - x * (1.0 / 3628800.0 - x * fourth))
+        fourth = TWENTYFOURTH - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5040.0 - x * fourth)))
+        third = SIXTH - x * fourth
+        second = HALF - x * third
+        return 1.0 - x * second, second, third, fourth
+    inverse = 1.0 / x
+    first = (1.0 - exponential(-x)) * inverse
+    second = (1.0 - first) * inverse
+    third = (HALF - second) * inverse
+    return first, second, third, (SIXTH - third) * inverse
 
 
-@njit(forceinline=True, error_model="numpy")
-def ramp(x: Any, keep: Any, z: int, nz: int, h: float) -> None:
-    """Write the ramps over `h` seconds of the relaxing states, which stand in `x` from `z` on."""
+@njit(**OPTIONS)
+def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, h: float) -> None:
+    """Write the ramps over `h` seconds of the relaxing states into `x`, their values at the end into `after`.
+
+    `kept` are their values at the beginning, `begin` and `end` hold A and B of each.
+    """
     for i in range(nz):
-        start, a, b = keep[3 * i], keep[3 * i + 1], keep[3 * i + 2]
-        if b > 0.0:
-            first, second = averages(b * h)
-            target = a / b
-            x[z + i] = target + (start - target) * (6.0 * second - 2.0 * first)
-            x[z + nz + i] = (start - target) * (6.0 * first - 12.0 * second) / h
-        else:
-            x[z + i] = start
-            x[z + nz + i] = a - b * start
-
-
-@njit(forceinline=True, error_model="numpy")
-def remember(f: Any, x: Any, p: Any, out: Any, keep: Any, ns: int, nz: int, h: float) -> None:
-    """Carry the states over `h` seconds; `out` holds the smooth ones' series, `x` the motion at the end."""
-    for i in range(ns):
-        k = 3 + 3 * i
-        x[STATES + i] += h * (out[k] + h * (HALF * out[k + 1] + h * SIXTH * out[k + 2]))
-    if nz == 0:
-        return
-    z = STATES + ns
-    for i in range(nz):
-        x[z + i] += h * x[z + nz + i]
-    call(f[RELAXATION], x, p, out)
-    for i in range(nz):
-        start, a0, b0 = keep[3 * i], keep[3 * i + 1], keep[3 * i + 2]
-        a1, b1 = out[2 * i], out[2 * i + 1]
+        a0, b0, a1, b1 = begin[2 * i], begin[2 * i + 1], end[2 * i], end[2 * i + 1]
         b = 0.5 * (b0 + b1)
-        first, second = averages(b * h)
-        if b0 > 0.0 and b1 > 0.0:
-            early, late = b * a0 / b0, b * a1 / b1
-        elif b0 > 0.0:
-            early = late = b * a0 / b0
-        elif b1 > 0.0:
-            early = late = b * a1 / b1
-        else:
-            early, late = a0, a1
-        x[z + i] = start * (1.0 - b * h * first) + h * ((first - second) * early + second * late)
+        early, late, bend = a0, a1, 0.0
+        if b0 > 0.0 or b1 > 0.0:
+            target = a0 / b0 if b0 > 0.0 else a1 / b1
+            early, late = b * target, b * (a1 / b1 if b1 > 0.0 else target)
+            bend = 0.5 * h * (b1 - b0) * (kept[i] - target)  # B is not the same all the time
+        first, second, third, fourth = averages(b * h)
+        early, gain = h * early, h * (late - early)
+        mean = kept[i] * first + early * second + gain * third + bend * (second - 2.0 * third)
+        moment = kept[i] * second + early * third + gain * fourth + bend * (2.0 * third - 6.0 * fourth)
+        x[z + i] = 6.0 * moment - 2.0 * mean
+        x[z + nz + i] = (6.0 * mean - 12.0 * moment) / h
+        after[z + i] = kept[i] * (1.0 - b * h * first) + early * first + gain * second
 
 
-@njit(forceinline=True, error_model="numpy")
-def advance(f: Any, x: Any, p: Any, out: Any, keep: Any, ns: int, nz: int, h: float) -> None:
+@njit(**OPTIONS)
+def first_kink(before: Any, after: Any, nk: int) -> float:
+    """Return the share of a piece after which the first of the kinks' functions changes its sign; 1 if none does."""
+    share = 1.0
+    for i in range(nk):
+        if before[i] * after[i] < 0.0 and abs(after[i]) > SHORTEST * abs(before[i]):
+            share = min(share, before[i] / (before[i] - after[i]))
+    return share
+
+
+@njit(**OPTIONS)
+def advance(x: Any, p: Any, h: float) -> None:
     """Carry the axis in `x` over `h` seconds under the held input."""
-    left = h
+    ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     z = STATES + ns
+    e, series = numbers(z + 2 * nz), numbers(3 + 3 * ns)
+    kept, begin, end = numbers(nz), numbers(2 * nz), numbers(2 * nz)
+    before, after = numbers(nk), numbers(nk)
+    left = h
     for _ in range(MOST_PIECES):
         y, v = x[Y], x[V]
         x[MOVING] = 1.0
         if v == 0.0:
             x[D] = 1.0
-            call(f[BREAKAWAY], x, p, out)
-            if out[0] < 0.0:
+            breakaway(x, p, series)
+            if series[0] < 0.0:
                 x[D] = -1.0
-                call(f[BREAKAWAY], x, p, out)
-            if out[0] * x[D] <= out[1]:
+                breakaway(x, p, series)
+            if series[0] * x[D] <= series[1]:
                 if ns + nz == 0:
                     return
                 x[MOVING] = 0.0
-        elif v > 0.0:
-            x[D] = 1.0
         else:
-            x[D] = -1.0
+            x[D] = 1.0 if v > 0.0 else -1.0
         if nz > 0:
-            call(f[RELAXATION], x, p, out)
-            for i in range(nz):
-                keep[3 * i] = x[z + i]
-                keep[3 * i + 1] = out[2 * i]
-                keep[3 * i + 2] = out[2 * i + 1]
-            ramp(x, keep, z, nz, left)
-        call(f[TAYLOR], x, p, out)
-        part = left
-        while abs(out[2]) * part * part * part > SMOOTH * (abs(out[0]) * part + 2.0 * abs(v)) and part > SHORTEST * h:
-            part *= 0.5
-            if nz > 0:
-                ramp(x, keep, z, nz, part)
-                call(f[TAYLOR], x, p, out)
-        a, j, s = out[0], out[1], out[2]
-        d = x[D]
-        after = v + part * (a + part * (HALF * j + part * SIXTH * s))
-        if x[MOVING] == 0.0:
-            tau, after = part, 0.0
-        elif after * d > 0.0:
-            tau = part
-            x[Y] = y + part * (v + part * (HALF * a + part * (SIXTH * j + part * TWENTYFOURTH * s)))
-        elif v == 0.0 and a * d <= 0.0:
-            if ns + nz == 0:
-                return
-            tau, after = part, 0.0
-        elif after != after:
-            x[Y] = math.nan
-            return
-        else:
-            if v == 0.0:
-                tau = reversal_time(a, HALF * j, SIXTH * s, 0.0, part)
+            relaxation(x, p, begin)
+        for i in range(nz):
+            kept[i] = x[z + i]
+            end[2 * i], end[2 * i + 1] = begin[2 * i], begin[2 * i + 1]
+        if nk > 0:
+            kinked(x, p, before)
+        d, part, again = x[D], left, nz > 0
+        e[U], e[D] = x[U], d
+        while True:
+            relax(x, e, kept, begin, end, z, nz, part)
+            taylor(x, p, series)
+            a, j, s = series[0], series[1], series[2]
+            last = abs(s) * part * part * part
+            if last > SMOOTH * (abs(a) * part + 2.0 * abs(v)) and part > SHORTEST * h:
+                part *= 0.5
+                continue
+            tau, speed = part, (v + part * a) + part * part * (HALF * j + part * SIXTH * s)
+            if x[MOVING] == 0.0 or (v == 0.0 and a * d <= 0.0):
+                speed = 0.0
+                e[Y] = y
             else:
-                tau = reversal_time(v, a, HALF * j, SIXTH * s, part)
-            after = 0.0
-            x[Y] = y + tau * (v + tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s)))
-        x[V] = after
-        x[T] += tau
-        if ns + nz > 0:
-            remember(f, x, p, out, keep, ns, nz, tau)
+                if not speed * d > 0.0:
+                    if speed != speed:
+                        x[Y] = math.nan
+                        return
+                    speed = 0.0
+                    leaves = v == 0.0  # then the root at 0 is divided out
+                    c0, c1 = (a, HALF * j) if leaves else (v, a)
+                    c2, c3 = (SIXTH * s, 0.0) if leaves else (HALF * j, SIXTH * s)
+                    tau = reversal_time(c0, c1, c2, c3, part)
+                e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
+            e[V], e[T] = speed, x[T] + tau
+            for i in range(ns):
+                k = 3 + 3 * i
+                change = series[k] + tau * (HALF * series[k + 1] + tau * SIXTH * series[k + 2])
+                e[STATES + i] = x[STATES + i] + tau * change
+            if again and (drifts() != 0 or tau < part):
+                part, again = tau, False
+                relax(x, e, kept, begin, end, z, nz, tau)
+                relaxation(e, p, end)
+                continue
+            if nk > 0:
+                kinked(e, p, after)
+                share = first_kink(before, after, nk)
+                if share < 1.0 and tau > SHORTEST * h:
+                    part = max(share * tau, SHORTEST * h)
+                    continue
+            break
+        if nz > 0 and tau < part:
+            relax(x, e, kept, begin, end, z, nz, tau)
+        for i in range(z + nz):
+            x[i] = e[i]
         if tau == left:
             return
         left -= tau
 
 
-@njit(
-    int64(_TALL, int64, int64, _IN, _IN, _IN, _IN, _IN, _IN, float64, int64, _OUT, _OUT, _OUT, _OUT),
-    cache=True,
-    nogil=True,
-    error_model="numpy",
-)
 def run(
-    f: Any,
-    ns: int,
-    nz: int,
+    n: int,
+    substeps: int,
+    delay: float,
     time: Any,
     held: Any,
     reference: Any,
     loop: Any,
     start: Any,
-    p: Any,
-    delay: float,
-    substeps: int,
-    position: Any,
-    velocity: Any,
-    voltage: Any,
-    measured: Any,
+    values: Any,
+    results: Any,
 ) -> int:
-    """Fill `position`, `velocity`, `voltage` and `measured` at each sample; return how many were done.
+    """Fill `results`: n positions, velocities, voltages and measured positions in turn; return how many were done.
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, resolution, period [s]).
     Without a closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input
     reaches the actuator `delay` seconds late; before the record the first one was applied.
     """
+    ns, nz = smooth_states(), relaxing_states()
+    p = numbers(parameters())  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
+    for i in range(parameters()):
+        p[i] = values[i]
     closed, kp, kd, share = loop[0] != 0.0, loop[1], loop[2], loop[3]
     window, on_error, own_velocity = int(loop[4]), loop[5] != 0.0, loop[6] != 0.0
     ratio, resolution, period = int(loop[7]), loop[8], loop[9]
-    x, out = np.zeros(STATES + ns + 2 * nz), np.empty(3 + 3 * ns + 2 * nz)
-    keep = np.empty(3 * nz)
-    x[Y], x[V] = start[0], start[1]
-    derivative = 0.0
-    asked = 0.0
-    n = time.size
+    velocities, voltages, measured = n, 2 * n, 3 * n
+    x, seen = numbers(STATES + ns + 2 * nz), numbers(3)
+    x[Y], x[V], x[T], x[U], x[D], x[MOVING] = start[0], start[1], time[0], held[0], 1.0, 1.0
+    for i in range(2 * nz):
+        x[STATES + ns + i] = 0.0
+    if closed:
+        x[U] += kp * (reference[0] - x[Y])
+    states = numbers(ns + nz)
+    beginning(x, p, states)
+    for i in range(ns + nz):
+        x[STATES + i] = states[i]
+    derivative = asked = 0.0
     late, due = 0, 0.0
     if delay > 0.0 and n > 1:
         nominal = (time[n - 1] - time[0]) / (n - 1)
         late = int(delay / nominal * (1.0 + 1e-12))
         due = max(delay / nominal - late, 0.0)
+    next_period = 0
     for k in range(n):
-        speed = x[V]
-        seen = x[Y]
-        position[k] = seen
-        if k == 0 and ns + nz > 0:
-            x[T], x[D] = time[0], 1.0
-            x[U] = held[0] + (kp * (reference[0] - seen) if closed else 0.0)
-            call(f[BEGINNING], x, p, out)
-            for i in range(ns + nz):
-                x[STATES + i] = out[i]
-        if f[SHOWN] != 0:
-            call(f[SHOWN], x, p, out)
-            seen, speed, position[k] = out[0], out[1], out[2]
-        velocity[k] = speed
+        seen[0], seen[1], seen[2] = x[Y], x[V], x[Y]
+        if shows() != 0:
+            shown(x, p, seen)
+        position = seen[0]
+        results[k], results[velocities + k] = seen[2], seen[1]
         if resolution > 0.0:
-            seen = math.floor(seen / resolution + 0.5) * resolution
-        measured[k] = seen
+            position = math.floor(position / resolution + 0.5) * resolution
+        results[measured + k] = position
+        u = held[k]
         if closed:
-            if k % ratio == 0:
-                error = reference[k] - seen
+            if k == next_period:
+                next_period += ratio
                 if own_velocity:
-                    raw = speed
+                    raw = seen[1]
                 else:
-                    before = max(k - window * ratio, 0)
-                    raw = (seen - measured[before]) / (window * period)
+                    past = max(k - window * ratio, 0)
+                    raw = (position - results[measured + past]) / (window * period)
                     if on_error:
-                        raw -= (reference[k] - reference[before]) / (window * period)
+                        raw -= (reference[k] - reference[past]) / (window * period)
                 derivative += share * (raw - derivative)
-                asked = kp * error - kd * derivative
+                asked = kp * (reference[k] - position) - kd * derivative
             u = asked + held[k]
-        else:
-            u = held[k]
-        voltage[k] = u
+        results[voltages + k] = u
         if not abs(x[Y]) < FARTHEST:
-            return int(k)
+            return k
         if k + 1 == n:
             break
         whole = time[k + 1] - time[k]
-        old = voltage[max(k - late - 1, 0)]
-        new = voltage[max(k - late, 0)]
-        first = due * whole if old != new else 0.0
-        if first > 0.0:
-            pieces = math.ceil(due * substeps)
-            x[U] = old
-            for i in range(pieces):
-                x[T] = time[k] + i * (first / pieces)
-                advance(f, x, p, out, keep, ns, nz, first / pieces)
-        pieces = math.ceil((1.0 - first / whole) * substeps - 1e-9)
-        h = (whole - first) / pieces
-        x[U] = new
-        for i in range(pieces):
-            x[T] = time[k] + first + i * h
-            advance(f, x, p, out, keep, ns, nz, h)
-    return int(n)
+        new = results[voltages + max(k - late, 0)]
+        first = 0.0
+        if due > 0.0:
+            x[U] = results[voltages + max(k - late - 1, 0)]
+            if x[U] != new:
+                first = due * whole
+        begin = time[k]
+        span = first if first > 0.0 else whole
+        while True:
+            steps = math.ceil(span / whole * substeps - 1e-9)
+            h = span / steps
+            if first == 0.0:
+                x[U] = new
+            for i in range(steps):
+                x[T] = begin + i * h
+                advance(x, p, h)
+            if first == 0.0:
+                break
+            begin, span, first = begin + first, whole - first, 0.0
+    return n
+
+
+def compiled_rule() -> dict[str, Any]:
+    """Return numba's forms of what is here by name; they are there to be read and cannot run without a plant's part."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    place = ctypes.cast(ctypes.CDLL("ucrtbase" if os.name == "nt" else None).exp, ctypes.c_void_p).value
+    for name in (*NUMBERS, *FUNCTIONS):
+        llvm.add_symbol(f"servolens_{name}", place)  # numba wants an address
+    real = cfunc(float64(float64), **OPTIONS)
+    return {
+        "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 7), **OPTIONS)(run),
+        "exp": real(elementary.exponential.py_func),
+        "sin": real(elementary.sine.py_func),
+        "cos": real(elementary.cosine.py_func),
+    }
