@@ -66,7 +66,7 @@ GAINS = {"speed_servo": 4.0}
 RUNS = ((40.0, 0.0, (0.1, 0.0, 0.1)), (100.0, 5.0, (0.1, 0.0, -0.05)))
 """Kp, Kd, and the levels that are visited [m]."""
 EACH, NOISE, ENCODER, SEED = 0.8, 1e-5, 1e-5, 20261122
-REPEATS, AT_ONCE = 20, 10
+REPEATS, AT_ONCE = 40, 10
 CHANCE = 0.01
 """Probability of a share, were the truth 95 %, below which a parameter is marked."""
 
