@@ -33,8 +33,8 @@ from servolens.effects import CoulombFriction
 from servolens.plant import Plant
 from servolens.record import Controller
 from servolens.simulation import simulate_loop
-from servolens.simulation.kernel import kernel
-from servolens.simulation.loop import substeps_for
+from servolens.simulation.native import native
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -141,10 +141,12 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
         print("  no gcc here: the comparison with C is left out")
         return []
     substeps, n = substeps_for(CART, PERIOD), grid.size
-    mine, theirs = [np.empty(n) for _ in range(4)], [np.empty(n) for _ in range(4)]
+    mine, theirs = [np.empty((3, n)), np.empty(n)], [np.empty(n) for _ in range(4)]
     settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, PERIOD])
     start, held, numbers = np.zeros(2), np.zeros(n), np.array(CART.values)
-    compiled = kernel(CART.structure)
+    compiled, done = native(CART.structure).run, ctypes.c_int64()
+    given = (grid, held, levels, settings, start, numbers, *mine)
+    own = (ctypes.byref(done), None, n, substeps, 0.0, *(array.ctypes.data for array in given))
     with tempfile.TemporaryDirectory() as folder:
         by_hand = _c_loop(Path(folder))
         pointers = [ctypes.c_void_p(a.ctypes.data) for a in (grid, levels, *theirs)]
@@ -152,13 +154,13 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
         arguments = (ctypes.c_long(n), *pointers[:2], *scalars, ctypes.c_long(substeps), *pointers[2:])
         ours, c, whole = alternate(
             [
-                lambda: compiled(grid, held, levels, settings, start, numbers, substeps, *mine),
+                lambda: compiled(*own),
                 lambda: by_hand(*arguments),
                 lambda: simulate_loop(CART, LOOP, grid, levels),
             ],
             seconds=3.0,
         )
-    assert np.allclose(mine[0], theirs[0], atol=1e-12, rtol=0)
+    assert np.allclose(mine[0][0], theirs[0], atol=1e-12, rtol=0)
     assert _distance(theirs[0], fine) < 1e-6
     return [
         Figure(

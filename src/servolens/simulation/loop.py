@@ -212,18 +212,18 @@ def _run(
     if not (held.size == reference.size == time.size):
         raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
     code = native(plant.structure, continuous=bool(gains))
-    results = np.empty((4, time.size))
+    results, measured = np.empty((3, time.size)), np.empty(time.size)
     signals = (time, held, reference, np.array(settings), np.array(start, dtype=np.float64))
     parameters = np.array([*plant.values, *gains])
     done = ctypes.c_int64()
-    addresses = [array.ctypes.data for array in (*signals, parameters, results)]
+    addresses = [array.ctypes.data for array in (*signals, parameters, results, measured)]
     code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *addresses)
     if done.value < time.size:
         raise NumericalError(
             f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "
             "the loop is unstable with these gains"
         )
-    position, velocity, voltage, measured = results
+    position, velocity, voltage = results
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 

@@ -73,7 +73,7 @@ def _native(structure: tuple[type[Effect], ...], continuous: bool) -> Native:
     texts += [number_text(f"servolens_{name}", number) for name, number in equations.numbers().items()]
     engine = _engine("\n".join(_merged(texts)))
     number, real, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-    run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 7)
+    run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 8)
     slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
     return Native(
         run=run(engine.get_function_address(ENTRY)),
@@ -124,7 +124,6 @@ class _Equations:
 
     def numbers(self) -> dict[str, int]:
         """Return the constants that the stepping rule asks for by these names."""
-        d = self.d
         drifts = ca.depends_on(ca.vertcat(0, *self._relaxation()), self.motion)
         return {
             "parameters": self.inputs[1].numel(),
@@ -132,7 +131,6 @@ class _Equations:
             "relaxing": len(self.relaxing),
             "drifts": int(drifts),
             "kinks": len(self.edges),
-            "shows": int(not (ca.is_equal(d.shown, d.position) and ca.is_equal(d.output, d.position))),
         }
 
     def _edges(self) -> list[Any]:

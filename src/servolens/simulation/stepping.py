@@ -19,7 +19,7 @@ The arrays: `x` is [y, v, t, u, d, moving, smooth states, relaxing states, their
 parameters; a series is [acceleration, jerk, snap, then three derivatives of each smooth state].
 """
 
-# ruff: noqa: C901, PLR0913, PLR0915 - one compiled loop; calls are split where they are inlined
+# ruff: noqa: C901, PLR0913 - one compiled loop, and every array is an argument
 from __future__ import annotations
 
 import ctypes
@@ -27,7 +27,7 @@ import math
 import os
 from typing import Any
 
-from numba import cfunc, float64, int64, njit, types
+from numba import cfunc, config, float64, int64, njit, types
 from numba.extending import intrinsic
 
 from servolens.simulation import elementary
@@ -49,9 +49,9 @@ def _plant(name: str) -> Any:
     return types.ExternalFunction(f"servolens_{name}", types.int64(_NUMBERS, _NUMBERS, _NUMBERS))
 
 
-NUMBERS = ("parameters", "smooth", "relaxing", "drifts", "kinks", "shows")
+NUMBERS = ("parameters", "smooth", "relaxing", "drifts", "kinks")
 FUNCTIONS = ("taylor", "breakaway", "relaxation", "kinked", "shown", "beginning")
-parameters, smooth_states, relaxing_states, drifts, kinks, shows = map(_number_of, NUMBERS)
+parameters, smooth_states, relaxing_states, drifts, kinks = map(_number_of, NUMBERS)
 taylor, breakaway, relaxation, kinked, shown, beginning = map(_plant, FUNCTIONS)
 
 
@@ -139,85 +139,158 @@ def first_kink(before: Any, after: Any, nk: int) -> float:
 
 
 @njit(**OPTIONS)
-def advance(x: Any, p: Any, h: float) -> None:
+def shorten(begin: Any, end: Any, nz: int, share: float) -> None:
+    """Set A and B at the end of a piece to those after a `share` of it."""
+    for i in range(2 * nz):
+        end[i] = begin[i] + share * (end[i] - begin[i])
+
+
+@njit(**OPTIONS)
+def choose_direction(x: Any, p: Any, out: Any) -> None:
+    """Set the direction in which the axis moves, at rest that of the push, and whether it moves at all."""
+    x[MOVING] = 1.0
+    x[D] = 1.0 if x[V] >= 0.0 else -1.0
+    if x[V] == 0.0:
+        breakaway(x, p, out)
+        if out[0] < 0.0:
+            x[D] = -1.0
+            breakaway(x, p, out)
+        if out[0] * x[D] <= out[1]:
+            x[MOVING] = 0.0
+
+
+@njit(**OPTIONS)
+def is_rough(series: Any, v: float, h: float) -> bool:
+    """Whether `h` is so long that the last term of the series matters."""
+    last: bool = abs(series[2]) * h * h * h > SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+    return last
+
+
+@njit(**OPTIONS)
+def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
+    """Write into `e` where the axis is after `h` seconds or at its reversal; return the time that this takes."""
+    y, v, d = x[Y], x[V], x[D]
+    a, j, s = series[0], series[1], series[2]
+    tau, speed = h, (v + h * a) + h * h * (HALF * j + h * SIXTH * s)
+    if x[MOVING] == 0.0 or (v == 0.0 and a * d <= 0.0):
+        speed = 0.0
+        e[Y] = y
+    else:
+        if not speed * d > 0.0 and speed == speed:
+            at_rest = v == 0.0  # then the root at 0 is divided out
+            c0, c1 = (a, HALF * j) if at_rest else (v, a)
+            c2, c3 = (SIXTH * s, 0.0) if at_rest else (HALF * j, SIXTH * s)
+            tau = reversal_time(c0, c1, c2, c3, h)
+            speed = 0.0
+        e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
+    e[V], e[T], e[U], e[D], e[MOVING] = speed, x[T] + tau, x[U], d, x[MOVING]
+    for i in range(ns):
+        k = 3 + 3 * i
+        change = series[k] + tau * (HALF * series[k + 1] + tau * SIXTH * series[k + 2])
+        e[STATES + i] = x[STATES + i] + tau * change
+    return tau
+
+
+@njit(**OPTIONS)
+def advance(x: Any, p: Any, room: Any, h: float) -> None:
     """Carry the axis in `x` over `h` seconds under the held input."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
-    z = STATES + ns
-    e, series = numbers(z + 2 * nz), numbers(3 + 3 * ns)
-    kept, begin, end = numbers(nz), numbers(2 * nz), numbers(2 * nz)
-    before, after = numbers(nk), numbers(nk)
-    left = h
+    z, left = STATES + ns, h
+    e, series, kept, begin, end, before, after = room
     for _ in range(MOST_PIECES):
-        y, v = x[Y], x[V]
-        x[MOVING] = 1.0
-        if v == 0.0:
-            x[D] = 1.0
-            breakaway(x, p, series)
-            if series[0] < 0.0:
-                x[D] = -1.0
-                breakaway(x, p, series)
-            if series[0] * x[D] <= series[1]:
-                if ns + nz == 0:
-                    return
-                x[MOVING] = 0.0
-        else:
-            x[D] = 1.0 if v > 0.0 else -1.0
-        if nz > 0:
-            relaxation(x, p, begin)
+        choose_direction(x, p, series)
+        if ns + nz == 0 and x[MOVING] == 0.0:
+            return
+        relaxation(x, p, begin)
+        kinked(x, p, before)
         for i in range(nz):
             kept[i] = x[z + i]
-            end[2 * i], end[2 * i + 1] = begin[2 * i], begin[2 * i + 1]
-        if nk > 0:
-            kinked(x, p, before)
-        d, part, again = x[D], left, nz > 0
-        e[U], e[D] = x[U], d
+        for i in range(2 * nz):
+            end[i] = begin[i]
+        part, again = left, nz > 0
         while True:
             relax(x, e, kept, begin, end, z, nz, part)
             taylor(x, p, series)
-            a, j, s = series[0], series[1], series[2]
-            last = abs(s) * part * part * part
-            if last > SMOOTH * (abs(a) * part + 2.0 * abs(v)) and part > SHORTEST * h:
+            if is_rough(series, x[V], part) and part > SHORTEST * h:
                 part *= 0.5
+                shorten(begin, end, nz, 0.5)
                 continue
-            tau, speed = part, (v + part * a) + part * part * (HALF * j + part * SIXTH * s)
-            if x[MOVING] == 0.0 or (v == 0.0 and a * d <= 0.0):
-                speed = 0.0
-                e[Y] = y
-            else:
-                if not speed * d > 0.0:
-                    if speed != speed:
-                        x[Y] = math.nan
-                        return
-                    speed = 0.0
-                    leaves = v == 0.0  # then the root at 0 is divided out
-                    c0, c1 = (a, HALF * j) if leaves else (v, a)
-                    c2, c3 = (SIXTH * s, 0.0) if leaves else (HALF * j, SIXTH * s)
-                    tau = reversal_time(c0, c1, c2, c3, part)
-                e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
-            e[V], e[T] = speed, x[T] + tau
-            for i in range(ns):
-                k = 3 + 3 * i
-                change = series[k] + tau * (HALF * series[k + 1] + tau * SIXTH * series[k + 2])
-                e[STATES + i] = x[STATES + i] + tau * change
+            tau = move(x, series, ns, part, e)
+            if nz > 0 and tau < part:
+                shorten(begin, end, nz, tau / part)
+                relax(x, e, kept, begin, end, z, nz, tau)
             if again and (drifts() != 0 or tau < part):
                 part, again = tau, False
-                relax(x, e, kept, begin, end, z, nz, tau)
                 relaxation(e, p, end)
                 continue
-            if nk > 0:
-                kinked(e, p, after)
-                share = first_kink(before, after, nk)
-                if share < 1.0 and tau > SHORTEST * h:
-                    part = max(share * tau, SHORTEST * h)
-                    continue
-            break
-        if nz > 0 and tau < part:
-            relax(x, e, kept, begin, end, z, nz, tau)
+            kinked(e, p, after)
+            share = first_kink(before, after, nk)
+            if share == 1.0 or tau <= SHORTEST * h:
+                break
+            part = max(share * tau, SHORTEST * h)
+            shorten(begin, end, nz, part / tau)
         for i in range(z + nz):
             x[i] = e[i]
-        if tau == left:
+        if tau == left or x[V] != x[V]:
             return
         left -= tau
+
+
+@njit(**OPTIONS)
+def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any) -> None:
+    """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long."""
+    count, nz = smooth_states() + relaxing_states(), relaxing_states()
+    x[Y], x[V], x[T], x[U], x[D], x[MOVING] = start[0], start[1], time, command, 1.0, 1.0
+    for i in range(count + nz):
+        x[STATES + i] = 0.0
+    beginning(x, p, states)
+    for i in range(count):
+        x[STATES + i] = states[i]
+
+
+@njit(**OPTIONS)
+def lateness(delay: float, time: Any, n: int) -> tuple[int, float]:
+    """Return by how many whole samples the input comes late, and by what share of one more."""
+    if not (delay > 0.0 and n > 1):
+        return 0, 0.0
+    samples = delay / ((time[n - 1] - time[0]) / (n - 1))
+    late = int(samples * (1.0 + 1e-12))
+    return late, max(samples - late, 0.0)
+
+
+@njit(**OPTIONS)
+def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop: Any, derivative: Any) -> float:
+    """Return what the digital PD asks for at sample `k`, and carry its filtered derivative along."""
+    window, ratio, period = int(loop[4]), int(loop[7]), loop[9]
+    if loop[6] != 0.0:
+        raw = speed
+    else:
+        past = max(k - window * ratio, 0)
+        raw = (seen - measured[past]) / (window * period)
+        if loop[5] != 0.0:
+            raw -= (reference[k] - reference[past]) / (window * period)
+    derivative[0] += loop[3] * (raw - derivative[0])
+    voltage: float = loop[1] * (reference[k] - seen) - loop[2] * derivative[0]
+    return voltage
+
+
+@njit(**OPTIONS)
+def hold(
+    x: Any, p: Any, room: Any, begin: float, span: float, first: float, old: float, new: float, substeps: int
+) -> None:
+    """Carry the axis over one sample of `span` seconds; the input is `old` for its `first` seconds, then `new`."""
+    length = first if first > 0.0 else span
+    x[U] = old if first > 0.0 else new
+    while True:
+        steps = math.ceil(length / span * substeps - 1e-9)
+        h = length / steps
+        for i in range(steps):
+            x[T] = begin + i * h
+            advance(x, p, room, h)
+        if first == 0.0:
+            return
+        begin, length, first = begin + first, span - first, 0.0
+        x[U] = new
 
 
 def run(
@@ -231,86 +304,44 @@ def run(
     start: Any,
     values: Any,
     results: Any,
+    measured: Any,
 ) -> int:
-    """Fill `results`: n positions, velocities, voltages and measured positions in turn; return how many were done.
+    """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, resolution, period [s]).
     Without a closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input
     reaches the actuator `delay` seconds late; before the record the first one was applied.
     """
-    ns, nz = smooth_states(), relaxing_states()
-    p = numbers(parameters())  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
+    ns, nz, nk = smooth_states(), relaxing_states(), kinks()
+    size = STATES + ns + 2 * nz
+    p, x, states, output, derivative = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(1)
+    room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
-        p[i] = values[i]
-    closed, kp, kd, share = loop[0] != 0.0, loop[1], loop[2], loop[3]
-    window, on_error, own_velocity = int(loop[4]), loop[5] != 0.0, loop[6] != 0.0
-    ratio, resolution, period = int(loop[7]), loop[8], loop[9]
-    velocities, voltages, measured = n, 2 * n, 3 * n
-    x, seen = numbers(STATES + ns + 2 * nz), numbers(3)
-    x[Y], x[V], x[T], x[U], x[D], x[MOVING] = start[0], start[1], time[0], held[0], 1.0, 1.0
-    for i in range(2 * nz):
-        x[STATES + ns + i] = 0.0
-    if closed:
-        x[U] += kp * (reference[0] - x[Y])
-    states = numbers(ns + nz)
-    beginning(x, p, states)
-    for i in range(ns + nz):
-        x[STATES + i] = states[i]
-    derivative = asked = 0.0
-    late, due = 0, 0.0
-    if delay > 0.0 and n > 1:
-        nominal = (time[n - 1] - time[0]) / (n - 1)
-        late = int(delay / nominal * (1.0 + 1e-12))
-        due = max(delay / nominal - late, 0.0)
-    next_period = 0
+        p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
+    closed, ratio, resolution = loop[0] != 0.0, int(loop[7]), loop[8]
+    set_out(x, p, states, time[0], held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0), start)
+    derivative[0], voltage, wait = 0.0, 0.0, 0
+    late, due = lateness(delay, time, n)
     for k in range(n):
-        seen[0], seen[1], seen[2] = x[Y], x[V], x[Y]
-        if shows() != 0:
-            shown(x, p, seen)
-        position = seen[0]
-        results[k], results[velocities + k] = seen[2], seen[1]
+        output[0], output[1], output[2] = x[Y], x[V], x[Y]
+        shown(x, p, output)
+        seen = output[0]
         if resolution > 0.0:
-            position = math.floor(position / resolution + 0.5) * resolution
-        results[measured + k] = position
-        u = held[k]
-        if closed:
-            if k == next_period:
-                next_period += ratio
-                if own_velocity:
-                    raw = seen[1]
-                else:
-                    past = max(k - window * ratio, 0)
-                    raw = (position - results[measured + past]) / (window * period)
-                    if on_error:
-                        raw -= (reference[k] - reference[past]) / (window * period)
-                derivative += share * (raw - derivative)
-                asked = kp * (reference[k] - position) - kd * derivative
-            u = asked + held[k]
-        results[voltages + k] = u
+            seen = math.floor(seen / resolution + 0.5) * resolution
+        results[k], results[n + k], measured[k] = output[2], output[1], seen
+        if closed and wait == 0:
+            voltage = asked(k, seen, output[1], reference, measured, loop, derivative)
+            wait = ratio
+        wait -= 1
+        results[2 * n + k] = voltage + held[k]
         if not abs(x[Y]) < FARTHEST:
             return k
         if k + 1 == n:
             break
-        whole = time[k + 1] - time[k]
-        new = results[voltages + max(k - late, 0)]
-        first = 0.0
-        if due > 0.0:
-            x[U] = results[voltages + max(k - late - 1, 0)]
-            if x[U] != new:
-                first = due * whole
-        begin = time[k]
-        span = first if first > 0.0 else whole
-        while True:
-            steps = math.ceil(span / whole * substeps - 1e-9)
-            h = span / steps
-            if first == 0.0:
-                x[U] = new
-            for i in range(steps):
-                x[T] = begin + i * h
-                advance(x, p, h)
-            if first == 0.0:
-                break
-            begin, span, first = begin + first, whole - first, 0.0
+        span = time[k + 1] - time[k]
+        new = results[2 * n + max(k - late, 0)]
+        old = results[2 * n + max(k - late - 1, 0)] if due > 0.0 else new
+        hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps)
     return n
 
 
@@ -322,10 +353,14 @@ def compiled_rule() -> dict[str, Any]:
     place = ctypes.cast(ctypes.CDLL("ucrtbase" if os.name == "nt" else None).exp, ctypes.c_void_p).value
     for name in (*NUMBERS, *FUNCTIONS):
         llvm.add_symbol(f"servolens_{name}", place)  # numba wants an address
-    real = cfunc(float64(float64), **OPTIONS)
-    return {
-        "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 7), **OPTIONS)(run),
-        "exp": real(elementary.exponential.py_func),
-        "sin": real(elementary.sine.py_func),
-        "cos": real(elementary.cosine.py_func),
-    }
+    vectorises, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # loops over the states end up as straight code
+    try:
+        real = cfunc(float64(float64), **OPTIONS)
+        return {
+            "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 8), **OPTIONS)(run),
+            "exp": real(elementary.exponential.py_func),
+            "sin": real(elementary.sine.py_func),
+            "cos": real(elementary.cosine.py_func),
+        }
+    finally:
+        config.LOOP_VECTORIZE = vectorises
