@@ -6,7 +6,7 @@ large again as the true ones and from those the effect proposes itself. A parame
 missed, and so does a fit that fails.
 
 A share of n repetitions is itself uncertain by 22/√n percent (one standard deviation). A parameter is marked if its
-share would be so far from 95 % in one of a hundred such studies only: with 100 repetitions below 89 % or at 100 %.
+share would be so far from 95 % in one of a hundred such studies only: with 100 repetitions at 88 % and below.
 Among all these parameters chance alone marks about one.
 
 ``python benchmarks/fit_coverage.py --repeats 400 backlash cogging`` looks closer at some.
