@@ -231,7 +231,7 @@ def advance(x: Any, p: Any, room: Any, h: float) -> None:
             shorten(begin, end, nz, part / tau)
         for i in range(z + nz):
             x[i] = e[i]
-        if tau == left or x[V] != x[V]:
+        if tau == left:
             return
         left -= tau
 
@@ -282,7 +282,7 @@ def hold(
     length = first if first > 0.0 else span
     x[U] = old if first > 0.0 else new
     while True:
-        steps = math.ceil(length / span * substeps - 1e-9)
+        steps = substeps if length == span else math.ceil(length / span * substeps - 1e-9)
         h = length / steps
         for i in range(steps):
             x[T] = begin + i * h
