@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,10 @@ if TYPE_CHECKING:
 
     from servolens.record import Controller, Record
 
-__all__ = ["controller_voltage", "law_columns", "samples_a_period"]
+__all__ = ["controller_voltage", "law_columns", "samples_a_period", "with_history"]
+
+FORGOTTEN = 1e-3
+"""Share of the derivative's memory that no longer matters."""
 
 
 def controller_voltage(record: Record) -> NDArray[np.float64]:
@@ -49,6 +53,33 @@ def controller_voltage(record: Record) -> NDArray[np.float64]:
     error, derivative = law_columns(record)
     voltage = controller.kp * error - controller.kd * derivative
     return voltage if record.feedforward is None else voltage + record.feedforward
+
+
+def with_history(record: Record) -> Record:
+    """Return the record with what its controller remembered from before the first sample, as feedforward.
+
+    For a log that begins in motion: the past that the law lacks (see :func:`controller_voltage`) is read off the logged
+    voltage of the first samples. Unchanged where no voltage is logged.
+
+    Parameters
+    ----------
+    record : Record
+        With reference, controller and voltage.
+
+    Raises
+    ------
+    InputError
+        As :func:`controller_voltage`.
+    """
+    if record.voltage is None:
+        return record
+    controller, asked = _controller(record), controller_voltage(record)
+    remembered = controller.derivative_window * samples_a_period(controller, record.sample_time)
+    if controller.derivative_filter < 1.0:
+        remembered += math.ceil(math.log(FORGOTTEN) / math.log(1.0 - controller.derivative_filter))
+    added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
+    added[:remembered] += (record.voltage - asked)[:remembered]
+    return record.with_({"feedforward": added})
 
 
 def law_columns(record: Record) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -22,7 +22,7 @@ def within(cls: type[E], **values: float) -> E:
 
 def pitches(seen: Seen) -> list[float]:
     """Return lengths that repeat along the travel, so dense that none lies more than a fifth of a period off."""
-    most = min(seen.travel / max(6 * seen.noise, 1e-12), 80.0)
+    most = min(seen.travel / max(6 * seen.noise, 1e-12), 150.0)
     periods = np.arange(0.5, max(most, 0.6), 0.4)
     return [float(seen.travel / count) for count in periods]
 

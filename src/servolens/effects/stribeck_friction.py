@@ -67,6 +67,7 @@ class StribeckFriction(DryFriction):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[StribeckFriction]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for share in (0.01, 0.05, 0.2):
-            size = 0.05 * seen.push
-            yield within(cls, level=size, static_excess=size, stribeck_speed=share * seen.speed)
+        size = 0.05 * seen.push
+        for excess in (size, -0.5 * size):
+            for share in (0.01, 0.05, 0.2):
+                yield within(cls, level=size, static_excess=excess, stribeck_speed=share * seen.speed)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
+from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.identification.door import check_names, together
 from servolens.identification.doubts import doubts
@@ -33,6 +34,8 @@ __all__ = ["EffectsFit", "fit_effects", "fit_runs", "last_word"]
 
 STARTS, SHORT = 3, 6
 """Starts of each effect that are tried by simulation, and with how many iterations."""
+MOST_TRIED = 16_000
+"""Samples on which starts are tried."""
 
 
 @final
@@ -79,7 +82,7 @@ class EffectsFit:
 
     @property
     def rms_error(self) -> float:
-        """Root mean square of simulated minus measured position [m or rad]."""
+        """Root mean square of what was compared: position [m or rad], or the command where that was asked for."""
         return self.refinement.rms_error
 
     @property
@@ -145,10 +148,10 @@ def fit_effects(
     return last_word(start, runs, asked)
 
 
-def fit_runs(records: Sequence[Record], driven: str) -> list[Run]:
+def fit_runs(records: Sequence[Record], driven: str, options: FitOptions) -> list[Run]:
     """Return the runs to which a plant is fitted: ``"closed_loop"``, ``"voltage"`` or ``"stretches"``."""
     if driven == "closed_loop":
-        return [*closed_runs(records)]
+        return [*closed_runs(records, options)]
     return [*voltage_runs(records, stretches=driven == "stretches")]
 
 
@@ -157,7 +160,7 @@ def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) ->
     noise = max(noise_level(record) for record in records)
     driven: str = first_choice(records, options)
     refined = _refined(start, records, options, driven, noise)
-    if options.driven == "auto" and driven == "closed_loop":
+    if options.driven == "auto" and driven == "closed_loop" and options.compared == "position":
         refined, driven = _by_voltage(refined, records, options, noise)
     return EffectsFit(
         model=Model(
@@ -184,7 +187,7 @@ def first_choice(records: Sequence[Record], options: FitOptions) -> Literal["clo
         If a closed loop is asked for and a record has no reference or no gains.
     """
     lacking = [record.name for record in records if record.reference is None or record.controller is None]
-    if options.driven == "closed_loop" and lacking:
+    if (options.driven == "closed_loop" or options.compared == "voltage") and lacking:
         raise InputError(f"{lacking[0]}: closing the loop needs reference, kp and kd")
     return "voltage" if lacking or options.driven == "voltage" else "closed_loop"
 
@@ -210,68 +213,118 @@ def _by_voltage(
 
 
 def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, driven: str, noise: float) -> Refinement:
-    """Refine; once more with coarse sensitivities where that does not reach the noise."""
-    runs = fit_runs(records, driven)
+    """Refine; once more with coarse sensitivities where that does not reach the noise or contacts crumple the error."""
+    runs = fit_runs(records, driven, options)
     found = minimise_error(start, runs, options, noise=noise)
-    if found.rms_error <= DOWN_TO_NOISE * noise:
+    contacts = any(issubclass(cls, Transmission) for cls in start.structure)
+    if found.rms_error <= DOWN_TO_NOISE * noise and not contacts:
         return found
     again = minimise_error(start, runs, options, noise=noise, coarse=True)
     return again if again.rms_error < found.rms_error else found
 
 
 def _start(records: tuple[Record, ...], wanted: Plant, options: FitOptions) -> Plant:
-    """Return the plant from which the final search begins: effects take their best starts one after the other."""
-    screen = Screen.of(motion_segments(records))
-    bare, _ = screen.solve(())
-    plant = replace(wanted, gain=bare.gain, damping=bare.damping, effects=())
+    """Return the plant from which the final search begins: with all effects as given, or each at its best start."""
+    trial = _Trial.of(records, options)
+    bare, _ = trial.screen.solve(())
+    given = replace(wanted, gain=bare.gain, damping=max(bare.damping, 0.0))
+    best, least = trial.led_furthest(given, [given, *_solved(given, trial.screen)])
+    if not wanted.effects or least <= DOWN_TO_NOISE * trial.noise:
+        return best
+    plant = replace(given, effects=())
     for effect in wanted.effects:
-        plant = _added(plant, effect, screen, records, options)
-    return plant
+        plant, error = _added(plant, effect, trial)
+    return plant if error < least else best
 
 
-def _added(plant: Plant, effect: Effect, screen: Screen, records: tuple[Record, ...], options: FitOptions) -> Plant:
-    """Return `plant` with `effect` at the start from which a few steps of refinement lead furthest."""
-    noise = max(noise_level(record) for record in records)
-    runs = fit_runs(records, first_choice(records, options))
-    smooth = bool(regressor(type(effect)).sizes)
-    names = set(plant.with_effect(effect).parameters)
-    known = replace(
-        options,
-        held=tuple(name for name in options.held if name in names),
-        local=(),
-        priors={name: prior for name, prior in (options.priors or {}).items() if name in names},
-    )
-    kept = {name: getattr(effect, name.partition(".")[2]) for name in known.held if name.startswith(effect.name)}
-    best, least = plant.with_effect(effect), np.inf
-    for start in _candidates(plant, effect, screen, runs):
-        values = {name.partition(".")[2]: value for name, value in kept.items()}
-        trial = replace(start, effects=(*start.effects[:-1], replace(start.effects[-1], **values)))
-        try:
-            found = minimise_error(trial, runs, known, noise=noise, iterations=SHORT, coarse=not smooth)
-        except (InputError, NumericalError):
-            continue
-        if found.rms_error < least:
-            best, least = found.plant, found.rms_error
-        if least <= noise:
-            break
-    return best
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Trial:
+    """What starts are tried on: part of the data, a few steps of refinement."""
 
+    records: tuple[Record, ...]
+    runs: Sequence[Run]
+    screen: Screen
+    options: FitOptions
+    noise: float
 
-def _candidates(plant: Plant, effect: Effect, screen: Screen, runs: Sequence[Run]) -> list[Plant]:
-    """Return the likeliest plants to start from: by the integral equation where it holds the effect, else simulated."""
-    if regressor(type(effect)).sizes:
-        found = []
-        for start in screen.best_starts(plant, effect, STARTS):
-            found.append(plant.with_effect(start))
+    @classmethod
+    def of(cls, records: tuple[Record, ...], options: FitOptions) -> _Trial:
+        part = _excerpt(records)
+        return cls(
+            records=part,
+            runs=fit_runs(part, first_choice(part, options), options),
+            screen=Screen.of(motion_segments(records)),
+            options=options,
+            noise=max(noise_level(record) for record in records),
+        )
+
+    def led_furthest(self, given: Plant, starts: Sequence[Plant], *, coarse: bool = False) -> tuple[Plant, float]:
+        """Return where a few steps lead furthest, and the error there; parameters that are held stay as in `given`."""
+        best, least = given, np.inf
+        for start in starts:
             try:
-                solved, _ = screen.solve(found[-1].effects)
+                found = minimise_error(
+                    self._held(start, given),
+                    self.runs,
+                    self._known(given),
+                    noise=self.noise,
+                    iterations=SHORT,
+                    coarse=coarse,
+                )
             except (InputError, NumericalError):
                 continue
-            found.append(replace(found[-1], gain=solved.gain, damping=max(solved.damping, 0.0)))
-        return found
-    trials = [plant.with_effect(start) for start in screen.proposals(plant, effect)]
-    ranked = sorted(((error_of(trial, runs), i) for i, trial in enumerate(trials)))
+            if found.rms_error < least:
+                best, least = found.plant, found.rms_error
+            if least <= self.noise:
+                break
+        return best, least
+
+    def _known(self, plant: Plant) -> FitOptions:
+        """Return the options as far as they are about `plant`."""
+        names = plant.parameters
+        held = tuple(name for name in self.options.held if name in names)
+        priors = {name: prior for name, prior in self.options.priors.items() if name in names}
+        return replace(self.options, held=held, local=(), priors=priors)
+
+    def _held(self, start: Plant, given: Plant) -> Plant:
+        names = list(given.parameters)
+        values = list(start.values)
+        for i, name in enumerate(names):
+            if name in self.options.held:
+                values[i] = given.values[i]
+        return start.with_values(values)
+
+
+def _excerpt(records: tuple[Record, ...]) -> tuple[Record, ...]:
+    """Return the beginnings of long records: enough to tell a good start from a bad one."""
+    most = max(MOST_TRIED // len(records), 2)
+    return tuple(r if len(r) <= most else r.slice(float(r.time[0]), float(r.time[most - 1])) for r in records)
+
+
+def _added(plant: Plant, effect: Effect, trial: _Trial) -> tuple[Plant, float]:
+    """Return `plant` with `effect` at the start from which a few steps of refinement lead furthest."""
+    smooth = bool(regressor(type(effect)).sizes)
+    return trial.led_furthest(plant.with_effect(effect), _candidates(plant, effect, trial), coarse=not smooth)
+
+
+def _candidates(plant: Plant, effect: Effect, trial: _Trial) -> list[Plant]:
+    """Return the likeliest plants to start from: by the integral equation where it holds the effect, else simulated."""
+    if regressor(type(effect)).sizes:
+        starts = [plant.with_effect(start) for start in trial.screen.best_starts(plant, effect, STARTS)]
+        return [candidate for start in starts for candidate in (start, *_solved(start, trial.screen))]
+    trials = [plant.with_effect(start) for start in trial.screen.proposals(plant, effect)]
+    ranked = sorted(((error_of(plant, trial.runs), i) for i, plant in enumerate(trials)))
     return [trials[i] for _, i in ranked[:STARTS]]
+
+
+def _solved(plant: Plant, screen: Screen) -> list[Plant]:
+    """Return `plant` with what the integral equation says, if it says something."""
+    try:
+        solved, _ = screen.solve(plant.effects)
+    except (InputError, NumericalError):
+        return []
+    return [replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)]
 
 
 def _reasons(refined: Refinement, options: FitOptions) -> dict[str, str]:

@@ -28,6 +28,7 @@ FINE, COARSE = 1e-4, 5e-2
 crumple."""
 CRUMPLED = 1.5
 """Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
+UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 WORTH_THREADS = 200_000
 """Substeps of all simulations of one linearisation from which on they are shared among threads."""
 
@@ -168,7 +169,8 @@ class Problem:
         sets = []
         for centre, plan in zip(centres, plans, strict=True):
             residual = next(found)
-            assert residual is not None  # noqa: S101 - the point has a finite cost
+            if residual is None:
+                raise NumericalError(UNSTABLE)
             slopes = np.zeros((residual.size, self.free.size + centre.start.size))
             for k, up, down in plan:
                 sides = [(trial, r) for trial, r in ((up, next(found)), (down, next(found))) if r is not None]

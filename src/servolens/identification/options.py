@@ -6,6 +6,8 @@ from collections.abc import Mapping  # noqa: TC003 - dataclass fields are looked
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, final
 
+from servolens.errors import InputError
+
 if TYPE_CHECKING:
     from servolens.identification.integral import Prior
 
@@ -30,6 +32,12 @@ class FitOptions:
     driven : {"auto", "closed_loop", "voltage"}
         Whether the runs are simulated in closed loop from the reference, or driven by the voltage; ``"auto"`` begins
         in closed loop where it can and lets the voltage have the last word where the model then reaches the noise.
+    compared : {"position", "voltage"}
+        What of a closed loop is compared. A stiff loop hides in its position what its voltage shows; with ``"voltage"``
+        all runs are simulated in closed loop.
+    begin : {"rest", "motion"}
+        Whether the records begin at rest; with ``"motion"`` each record's initial position and velocity are free, and
+        the controller's memory of the time before is read off the logged voltage.
     """
 
     held: tuple[str, ...] = ()
@@ -37,3 +45,11 @@ class FitOptions:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     loss: Literal["squares", "huber"] = "squares"
     driven: Literal["auto", "closed_loop", "voltage"] = "auto"
+    compared: Literal["position", "voltage"] = "position"
+    begin: Literal["rest", "motion"] = "rest"
+
+    def __post_init__(self) -> None:
+        if self.compared == "voltage" and self.driven == "voltage":
+            raise InputError(
+                "a run that is driven by the voltage cannot be compared by it; choose driven='closed_loop'"
+            )

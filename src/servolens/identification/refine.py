@@ -142,7 +142,7 @@ def refine_closed_loop(
         Standard deviation of the position's noise, against which the priors are weighed.
     """
     steps = [step for record in records for step in settled_steps(record)]
-    runs: list[Run] = [ClosedRun(step, 0, len(step), 0) for step in steps]
+    runs: list[Run] = [ClosedRun(step, 0) for step in steps]
     return minimise_error(plant, runs, FitOptions(held=tuple(held), priors=priors or {}), noise=noise)
 
 
@@ -234,8 +234,6 @@ def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bo
 
 def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
     """Return the result of a search that ended at `point`."""
-    if not np.isfinite(point.cost):
-        raise NumericalError("the plant to start from cannot be simulated on these records: its loop is unstable")
     blocks, _, information = problem.linearised_widely(point)
     inside = (point.values > problem.low) & (point.values < problem.high) & (np.diag(information) > 0)
     covariance = np.full((len(problem.names), len(problem.names)), np.nan)

@@ -103,7 +103,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
         If the fit itself cannot be repeated.
     """
     index = _fitted(fit, name)
-    runs = fit_runs(fit.records, fit.driven)
+    runs = fit_runs(fit.records, fit.driven, fit.options)
     best, spec = fit.plant.values[index], fit.plant.parameters[name]
     unit = _variance_unit(fit, index)
     least = _squares(fit.refinement)
@@ -158,7 +158,7 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
     """
     if repeats < 2:
         raise InputError(f"repeats must be at least 2, got {repeats}")
-    runs = fit_runs(fit.records, fit.driven)
+    runs = fit_runs(fit.records, fit.driven, fit.options)
     names = [name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived)]
     index = [list(fit.plant.parameters).index(name) for name in names]
     measured = [run.measured for run in runs]

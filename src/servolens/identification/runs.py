@@ -6,8 +6,11 @@ from typing import TYPE_CHECKING, Protocol, final
 
 import numpy as np
 
-from servolens.identification.segments import Segment, applied_voltage, motion_segments
+from servolens.control_law import with_history
+from servolens.errors import InputError
+from servolens.identification.segments import Segment, applied_voltage, motion_segments, noise_level
 from servolens.identification.smoothing import smooth
+from servolens.record import Controller
 from servolens.simulation.loop import simulate_loop, simulate_voltage, without_gaps
 
 if TYPE_CHECKING:
@@ -15,11 +18,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.identification.options import FitOptions
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["ClosedRun", "Run", "VoltageRun", "closed_runs", "voltage_runs"]
+__all__ = ["ClosedRun", "Run", "TetheredRun", "VoltageRun", "closed_runs", "initial_velocity", "tether", "voltage_runs"]
 
+_NO_SHIFTS: tuple[float, ...] = ()
 LEAD = 40
 """Most samples of rest before a step that a window begins with."""
 MOVES = 6.0
@@ -36,7 +41,7 @@ class Run(Protocol):
     group : int
         Number of the record it stems from.
     measured : ndarray, shape (n,)
-        Position [m or rad].
+        Position [m or rad], or voltage where that is compared.
     sample_time : float
         Longest interval between samples [s].
     start : ndarray, shape (s,)
@@ -57,24 +62,38 @@ class Run(Protocol):
 
 @final
 class ClosedRun:
-    """A stretch of a record in closed loop, from rest at its measured position.
+    """A record in closed loop from the reference.
 
     The sensor's rounding is left out, so that the response is smooth in the parameters.
+
+    Parameters
+    ----------
+    record : Record
+        With reference and controller; with the voltage if that is compared.
+    group : int
+        Number of the record.
+    compared : {"position", "voltage"}
+        What is compared.
+    in_motion : bool
+        Whether the record begins in motion; else at rest at the mean of the samples before its first edge.
     """
 
-    def __init__(self, record: Record, first: int, stop: int, group: int, *, rest: int = 1) -> None:
-        time = record.time[first:stop]
-        self.group, self.measured = group, record.position[first:stop]
-        self._time, self._index = without_gaps(time)
-        held = np.searchsorted(time, self._time + 0.5 * record.sample_time, side="right") - 1
-        assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - closed_runs
-        self._reference = np.ascontiguousarray(record.reference[first:stop][held])
-        self._added = None if record.feedforward is None else record.feedforward[first:stop][held]
+    def __init__(self, record: Record, group: int, *, compared: str = "position", in_motion: bool = False) -> None:
+        if in_motion:
+            record = with_history(record)
+        self.group, self._compared = group, compared
+        self.measured = _needed(record.voltage) if compared == "voltage" else record.position
+        self._time, self._index = without_gaps(record.time)
+        held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
+        self._reference = np.ascontiguousarray(_needed(record.reference)[held])
+        self._added = None if record.feedforward is None else record.feedforward[held]
+        assert record.controller is not None  # noqa: S101 - closed_runs
         self._controller = record.controller
-        self._begin = (float(np.mean(self.measured[: max(rest, 1)])), 0.0)
         self.sample_time = float(np.max(np.diff(self._time)))
-        self.start = np.empty(0)
-        self.shifts: tuple[float, ...] = ()
+        self._begin = (float(np.mean(record.position[: rest(record)])), 0.0)
+        self.start, self.shifts = np.empty(0), _NO_SHIFTS
+        if in_motion:
+            self.start, self.shifts = _moving(record.time, record.position)
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -84,10 +103,11 @@ class ClosedRun:
             self._time,
             self._reference,
             feedforward=self._added,
-            start=self._begin,
+            start=(float(start[0]), float(start[1])) if start.size else self._begin,
             substeps=substeps,
         )
-        return run.measured if self._index is None else run.measured[self._index]
+        seen = run.voltage if self._compared == "voltage" else run.measured
+        return seen if self._index is None else seen[self._index]
 
 
 @final
@@ -100,15 +120,9 @@ class VoltageRun:
     def __init__(self, segment: Segment, group: int, window: int = 21, *, rest: int = 0) -> None:
         self.group, self.measured, self.segment = group, segment.position, segment
         self.sample_time = float(np.max(np.diff(segment.time)))
-        value, slope = smooth(segment.time, segment.position, min(window, segment.time.size))
-        travel = SHIFT * max(float(np.ptp(segment.position)), 1e-9)
-        duration = max(float(segment.time[-1] - segment.time[0]), 1e-3)
+        self.start, self.shifts = _moving(segment.time, segment.position, window)
         if rest:
-            self.start = np.array([np.mean(segment.position[:rest])])
-            self.shifts: tuple[float, ...] = (travel,)
-        else:
-            self.start = np.array([value[0], slope[0]])
-            self.shifts = (travel, travel / duration)
+            self.start, self.shifts = np.array([np.mean(segment.position[:rest])]), self.shifts[:1]
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -116,9 +130,60 @@ class VoltageRun:
         return simulate_voltage(plant, self.segment.time, self.segment.voltage, start=begin, substeps=substeps).measured
 
 
-def closed_runs(records: Sequence[Record]) -> list[ClosedRun]:
-    """Return each record in closed loop, from rest."""
-    return [ClosedRun(record, 0, len(record), group, rest=rest(record)) for group, record in enumerate(records)]
+@final
+class TetheredRun:
+    """A record driven by its voltage and weakly tied to its measured position.
+
+    The tether is a PD loop on the difference, slow beside what is to be seen, so that errors do not grow over a whole
+    record; what it makes of the noise is negligible.
+    """
+
+    def __init__(self, record: Record, group: int, tether: Controller) -> None:
+        self.group, self.measured = group, record.position
+        self._time, self._index = without_gaps(record.time)
+        held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
+        self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
+        self._position = np.ascontiguousarray(record.position[held])
+        self._tether = tether
+        self._begin = (float(np.mean(self.measured[: rest(record)])), 0.0)
+        self.sample_time = float(np.max(np.diff(self._time)))
+        self.start, self.shifts = np.empty(0), _NO_SHIFTS
+
+    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        run = simulate_loop(
+            plant,
+            self._tether,
+            self._time,
+            self._position,
+            feedforward=self._voltage,
+            start=self._begin,
+            substeps=substeps,
+        )
+        return run.measured if self._index is None else run.measured[self._index]
+
+
+def tether(plant: Plant, rate: float) -> Controller:
+    """Return a critically damped tether of `rate` [1/s] for an axis about like `plant`."""
+    kp, kd = rate * rate / plant.gain, max(2.0 * rate - plant.damping, 0.0) / plant.gain
+    return Controller(kp=kp, kd=kd, derivative_on="error")
+
+
+def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRun]:
+    """Return each record in closed loop.
+
+    Raises
+    ------
+    InputError
+        If the voltage is to be compared and a record has none.
+    """
+    for record in records:
+        if options.compared == "voltage" and record.voltage is None:
+            raise InputError(f"{record.name}: no voltage is logged, so it cannot be compared; compare the position")
+    in_motion = options.begin == "motion"
+    return [
+        ClosedRun(record, group, compared=options.compared, in_motion=in_motion) for group, record in enumerate(records)
+    ]
 
 
 def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: int = 21) -> list[VoltageRun]:
@@ -130,16 +195,41 @@ def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: 
     for group, record in enumerate(records):
         if not stretches and _begins_at_rest(record):
             whole = _segment(record, applied_voltage(record), 0, len(record))
-            runs.append(VoltageRun(whole, group, window, rest=max(rest(record), 1)))
+            runs.append(VoltageRun(whole, group, window, rest=rest(record)))
         else:
             runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
     return runs
 
 
 def rest(record: Record) -> int:
-    """Return the number of samples before the first edge of the reference, at most 40: there the axis rests."""
+    """Return how many samples the axis rests at the record's beginning before the reference changes, 1 to 40.
+
+    At rest: the position stays within six standard deviations of its noise and two encoder steps.
+    """
     edges = record.edges()
-    return min(int(edges[0]), LEAD) if edges.size else 0
+    count = min(int(edges[0]), LEAD) if edges.size else 1
+    still = 6.0 * noise_level(record) + 2.0 * (record.encoder_resolution or 0.0)
+    return count if float(np.ptp(record.position[:count])) <= still else 1
+
+
+def initial_velocity(record: Record) -> float:
+    """Return the velocity at the first sample, of a cubic through the first twelve [m/s or rad/s]."""
+    count = min(12, len(record))
+    return float(np.polyfit(record.time[:count] - record.time[0], record.position[:count], min(3, count - 1))[-2])
+
+
+def _moving(
+    time: NDArray[np.float64], position: NDArray[np.float64], window: int = 21
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:
+    """Return initial position and velocity, and by how much to move them for their sensitivities."""
+    value, slope = smooth(time, position, min(window, time.size))
+    travel = SHIFT * max(float(np.ptp(position)), 1e-9)
+    return np.array([value[0], slope[0]]), (travel, travel / max(float(time[-1] - time[0]), 1e-3))
+
+
+def _needed(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    assert signal is not None  # noqa: S101 - checked where the runs are made
+    return signal
 
 
 def _begins_at_rest(record: Record) -> bool:
