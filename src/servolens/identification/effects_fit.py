@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.door import check_names, together
 from servolens.identification.doubts import doubts
 from servolens.identification.options import FitOptions
-from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, error_of, minimise_error
+from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, error_of, lead, minimise_error
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import closed_runs, voltage_runs
 from servolens.identification.segments import motion_segments, noise_level
@@ -144,8 +144,16 @@ def fit_effects(
         command_unit=runs[0].command_unit,
     )
     check_names((*(asked.priors or {}), *asked.held, *asked.local), plant.parameters)
-    start = _start(runs, plant, asked)
-    return last_word(start, runs, asked)
+    trial = _Trial.of(runs, asked)
+    joint, least = _all_at_once(plant, trial)
+    fit = last_word(joint, runs, asked) if least < np.inf else None
+    if fit is not None and (not effects or fit.rms_error <= DOWN_TO_NOISE * fit.noise):
+        return fit
+    one_by_one, error = _one_by_one(plant, trial)
+    if fit is not None and error >= least:
+        return fit
+    other = last_word(one_by_one, runs, asked)
+    return other if fit is None or _better(other, fit) else fit
 
 
 def fit_runs(records: Sequence[Record], driven: str, options: FitOptions) -> list[Run]:
@@ -223,18 +231,27 @@ def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, dri
     return again if again.rms_error < found.rms_error else found
 
 
-def _start(records: tuple[Record, ...], wanted: Plant, options: FitOptions) -> Plant:
-    """Return the plant from which the final search begins: with all effects as given, or each at its best start."""
-    trial = _Trial.of(records, options)
+def _better(fit: EffectsFit, other: EffectsFit) -> bool:
+    """Tell whether `fit` explains the data better; one that reaches the noise driven by the voltage always does."""
+    at_noise = (fit.driven != "closed_loop", other.driven != "closed_loop")
+    return fit.rms_error < other.rms_error if at_noise[0] == at_noise[1] else at_noise[0]
+
+
+def _all_at_once(wanted: Plant, trial: _Trial) -> tuple[Plant, float]:
+    """Return where the plant with all effects as given leads, and the error there."""
     bare, _ = trial.screen.solve(())
     given = replace(wanted, gain=bare.gain, damping=max(bare.damping, 0.0))
-    best, least = trial.led_furthest(given, [given, *_solved(given, trial.screen)])
-    if not wanted.effects or least <= DOWN_TO_NOISE * trial.noise:
-        return best
-    plant = replace(given, effects=())
+    return trial.led_furthest(given, [given, *_solved(given, trial.screen)])
+
+
+def _one_by_one(wanted: Plant, trial: _Trial) -> tuple[Plant, float]:
+    """Return where the plant leads if its effects take their best starts one after the other."""
+    bare, _ = trial.screen.solve(())
+    plant = replace(wanted, gain=bare.gain, damping=max(bare.damping, 0.0), effects=())
+    error = np.inf
     for effect in wanted.effects:
         plant, error = _added(plant, effect, trial)
-    return plant if error < least else best
+    return plant, error
 
 
 @final
@@ -264,7 +281,7 @@ class _Trial:
         best, least = given, np.inf
         for start in starts:
             try:
-                found = minimise_error(
+                found, error = lead(
                     self._held(start, given),
                     self.runs,
                     self._known(given),
@@ -274,8 +291,8 @@ class _Trial:
                 )
             except (InputError, NumericalError):
                 continue
-            if found.rms_error < least:
-                best, least = found.plant, found.rms_error
+            if error < least:
+                best, least = found, error
             if least <= self.noise:
                 break
         return best, least

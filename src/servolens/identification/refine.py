@@ -39,6 +39,7 @@ __all__ = [
     "Refinement",
     "closed_loop_rms",
     "error_of",
+    "lead",
     "minimise_error",
     "refine",
     "refine_closed_loop",
@@ -211,6 +212,22 @@ def minimise_error(
         point.cost = problem.cost(point)
         point, converged = _descend(problem, point, iterations)
     return _finished(problem, point, converged=converged)
+
+
+def lead(
+    plant: Plant, runs: Sequence[Run], options: FitOptions, *, noise: float, iterations: int, coarse: bool
+) -> tuple[Plant, float]:
+    """Return where a few iterations lead, and the root mean square error there; parameters as :func:`minimise_error`.
+
+    Raises
+    ------
+    NumericalError
+        If `plant` cannot be simulated on the runs.
+    """
+    problem = Problem(plant, runs, options, noise)
+    problem.share = COARSE if coarse else FINE
+    point, _ = _descend(problem, problem.start(), iterations)
+    return problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples))
 
 
 def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bool]:

@@ -109,8 +109,9 @@ def robust_covariance(
     meat = prior.copy()
     for score in scores:
         meat += score.T @ score
-        for lag in range(1, _bandwidth(score) + 1):
-            weight = 1.0 - lag / (_bandwidth(score) + 1.0)
+        bandwidth = _bandwidth(score)
+        for lag in range(1, bandwidth + 1):
+            weight = 1.0 - lag / (bandwidth + 1.0)
             cross = score[lag:].T @ score[:-lag]
             meat += weight * (cross + cross.T)
     inverse = np.linalg.inv(information)
