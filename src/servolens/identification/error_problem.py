@@ -99,6 +99,7 @@ class Problem:
         self.outlier, self.share = np.inf, FINE
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
+        self.most_substeps = np.inf
 
     def start(self) -> Point:
         """Return where the search begins."""
@@ -122,6 +123,15 @@ class Problem:
         parts = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
         losses = [np.inf if r is None else self._loss(r) for r in parts]
         return sum(losses) + self._prior_cost(point.values)
+
+    def too_stiff(self, point: Point) -> bool:
+        """Tell whether a run would need more substeps than are granted."""
+        if not np.isfinite(self.most_substeps):
+            return False
+        return any(
+            substeps_for(self.plant_at(point.values, i), run.sample_time) > self.most_substeps
+            for i, run in enumerate(self.runs)
+        )
 
     def spread(self, point: Point) -> float:
         """Return the robust standard deviation of the residuals, from their median size."""
@@ -247,7 +257,7 @@ class Problem:
             for start, block in zip(point.starts, blocks, strict=True)
         ]
         trial = Point(values, starts)
-        trial.cost = self.cost(trial)
+        trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
         return trial
 
     def linearised_widely(self, point: Point) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:

@@ -215,18 +215,30 @@ def minimise_error(
 
 
 def lead(
-    plant: Plant, runs: Sequence[Run], options: FitOptions, *, noise: float, iterations: int, coarse: bool
+    plant: Plant,
+    runs: Sequence[Run],
+    options: FitOptions,
+    *,
+    noise: float,
+    iterations: int,
+    coarse: bool,
+    most_substeps: float = np.inf,
 ) -> tuple[Plant, float]:
     """Return where a few iterations lead, and the root mean square error there; parameters as :func:`minimise_error`.
+
+    Plants that need more than `most_substeps` in a sample are not gone through.
 
     Raises
     ------
     NumericalError
-        If `plant` cannot be simulated on the runs.
+        If `plant` cannot be simulated on the runs, or only so.
     """
     problem = Problem(plant, runs, options, noise)
-    problem.share = COARSE if coarse else FINE
-    point, _ = _descend(problem, problem.start(), iterations)
+    problem.share, problem.most_substeps = (COARSE if coarse else FINE), most_substeps
+    start = problem.start()
+    if problem.too_stiff(start):
+        raise NumericalError("the plant to start from is too stiff to be worth its time")
+    point, _ = _descend(problem, start, iterations)
     return problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples))
 
 

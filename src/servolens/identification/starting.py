@@ -11,6 +11,7 @@ import numpy as np
 from servolens.effects import Seen
 from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
+from servolens.identification.ranking import Thinned, waves
 from servolens.identification.regressors import regressor
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
@@ -57,17 +58,20 @@ class Screen:
         The stretches.
     velocity : tuple of ndarray
         Theirs, smoothed.
+    thinned : Thinned
+        A few thousand samples of them, on which many proposals are compared.
     """
 
     segments: tuple[Segment, ...]
     velocity: tuple[NDArray[np.float64], ...]
+    thinned: Thinned
 
     @classmethod
     def of(cls, segments: Sequence[Segment]) -> Screen:
         """Differentiate the positions of `segments`."""
         window = smoothing_window(piece_duration(segments), segments[0].record.sample_time)
         velocity = [smooth(s.time, s.position, min(window, s.time.size))[1] for s in segments]
-        return cls(segments=tuple(segments), velocity=tuple(velocity))
+        return cls(segments=tuple(segments), velocity=tuple(velocity), thinned=Thinned.of(segments, velocity))
 
     def solve(self, effects: Sequence[Effect]) -> tuple[Plant, float]:
         """Return the plant whose sizes solve the integral equation, and the root mean square of its residual.
@@ -93,15 +97,20 @@ class Screen:
         """
         proposed = self.proposals(plant, effect)
         others = tuple(e for e in plant.effects if e.name != effect.name)
-        ranked = []
-        for proposal in proposed:
+        ranked = self.thinned.ranked(others, self.thinned.proposals(proposed))
+        promising = [proposal for _, proposal in ranked[:count]]
+        if effect not in promising:
+            promising.append(effect)
+        found = []
+        for proposal in promising:
             try:
                 solved, error = self.solve((*others, proposal))
             except (InputError, NumericalError):
                 continue
-            ranked.append((error, solved.effects[-1]))
-        ranked.sort(key=lambda pair: pair[0])
-        return [found for _, found in ranked[:count]] or proposed[:1]
+            if all(solved.effects[-1] != other for _, other in found):
+                found.append((error, solved.effects[-1]))
+        found.sort(key=lambda pair: pair[0])
+        return [effect for _, effect in found[:count]] or proposed[:1]
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
         """Return `effect` and what it proposes itself beside `plant`."""
@@ -112,20 +121,12 @@ class Screen:
         time = segment.record.time[segment.first : segment.first + segment.time.size]
         rows = []
         for effect in effects:
-            for variant in _waves(effect):
+            for variant in waves(effect):
                 law = regressor(type(effect))
                 if law.sizes:
                     shapes = [getattr(variant, name) for name in law.shapes]
                     rows.append(law.columns(time, segment.position, self.velocity[i], *shapes))
         return np.vstack(rows) if rows else np.empty((0, segment.time.size))
-
-
-def _waves(effect: Effect) -> tuple[Effect, ...]:
-    """Return the effect at phases 0 and π/2, if it has a phase: then two sizes give amplitude and phase."""
-    if effect.wave is None:
-        return (effect,)
-    phase = effect.wave[1]
-    return (replace(effect, **{phase: 0.0}), replace(effect, **{phase: np.pi / 2}))
 
 
 def _sized(effect: Effect, sizes: list[float]) -> Effect:

@@ -1,0 +1,136 @@
+"""Hundreds of proposals for one force at once: what each leaves of the integral equation on a few thousand samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.identification.regressors import regressor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+    from servolens.identification.segments import Segment
+
+__all__ = ["Proposals", "Thinned", "waves"]
+
+SAMPLES = 2500
+"""Samples that are kept, more or less."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Proposals:
+    """Forces of one class and their double integrals, shape (all sizes, n), initial states projected out."""
+
+    effects: tuple[Effect, ...]
+    columns: NDArray[np.float64]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thinned:
+    """Every few samples of all stretches of motion, one after the other; integrated by trapezoids.
+
+    Attributes
+    ----------
+    first : ndarray of int, shape (stretches,)
+        Sample at which each stretch begins.
+    steps : ndarray, shape (n,)
+        Time since the sample before [s]; 0 at the beginning of a stretch.
+    line : ndarray, shape (n,)
+        Time about its mean in each stretch, scaled to length one there.
+    time, position, voltage, velocity : ndarray, shape (n,)
+        As in the records.
+    """
+
+    first: NDArray[np.intp]
+    steps: NDArray[np.float64]
+    line: NDArray[np.float64]
+    time: NDArray[np.float64]
+    position: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, segments: Sequence[Segment], velocity: Sequence[NDArray[np.float64]]) -> Thinned:
+        """Thin `segments`, whose smoothed velocities are given."""
+        stride = max(sum(s.time.size for s in segments) // SAMPLES, 1)
+        times = [s.time[::stride] for s in segments]
+        centred = [t - t.mean() for t in times]
+        return cls(
+            first=np.cumsum([0, *(t.size for t in times[:-1])]),
+            steps=np.concatenate([np.diff(t, prepend=t[0]) for t in times]),
+            line=np.concatenate([t / max(float(np.linalg.norm(t)), 1e-300) for t in centred]),
+            time=np.concatenate([s.record.time[s.first : s.first + s.time.size : stride] for s in segments]),
+            position=np.concatenate([s.position[::stride] for s in segments]),
+            voltage=np.concatenate([s.voltage[::stride] for s in segments]),
+            velocity=np.concatenate([v[::stride] for v in velocity]),
+        )
+
+    def proposals(self, effects: Sequence[Effect]) -> Proposals:
+        """Return forces of one class ready to be ranked beside any others."""
+        return Proposals(tuple(effects), self._freed(self._twice(self._forces(effects))))
+
+    def ranked(self, others: Sequence[Effect], proposals: Proposals) -> list[tuple[float, Effect]]:
+        """Return the proposals with the square error that each one leaves beside `others`, the best first.
+
+        All sizes are solved for, of `others` too.
+        """
+        swept = self._once(self.position[None])
+        known = np.concatenate((swept, self._twice(self.voltage[None]), self._twice(self._forces(others))))
+        basis = np.linalg.qr(self._freed(known).T)[0]
+        target = self._freed(self.position[None])[0]
+        target = target - basis @ (basis.T @ target)
+        columns = proposals.columns - (proposals.columns @ basis) @ basis.T
+        along, total, left = columns @ target, float(target @ target), []
+        width = columns.shape[0] // max(len(proposals.effects), 1)
+        for i, effect in enumerate(proposals.effects):
+            own = slice(i * width, (i + 1) * width)
+            sizes = np.linalg.lstsq(columns[own] @ columns[own].T, along[own], rcond=1e-9)[0]
+            left.append((total - float(sizes @ along[own]), effect))
+        return sorted(left, key=lambda pair: pair[0])
+
+    def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
+        """Return the forces per unit of each size, a row each."""
+        rows = [np.empty((0, self.time.size))]
+        for effect in effects:
+            law = regressor(type(effect))
+            for variant in waves(effect) if law.sizes else ():
+                shapes = [getattr(variant, name) for name in law.shapes]
+                rows.append(law.columns(self.time, self.position, self.velocity, *shapes))
+        return np.concatenate(rows)
+
+    def _once(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Integrate each row over each stretch."""
+        parts = np.zeros(rows.shape)
+        parts[:, 1:] = 0.5 * self.steps[1:] * (rows[:, 1:] + rows[:, :-1])
+        summed = np.cumsum(parts, axis=1)
+        return np.asarray(summed - self._spread(summed[:, self.first]))
+
+    def _twice(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._once(self._once(rows))
+
+    def _freed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Take a straight line off each row in each stretch: its initial position and velocity."""
+        counts = np.diff(self.first, append=self.time.size)
+        means = np.add.reduceat(rows, self.first, axis=1) / counts
+        slopes = np.add.reduceat(rows * self.line, self.first, axis=1)
+        return np.asarray(rows - self._spread(means) - self.line * self._spread(slopes))
+
+    def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Repeat one value a stretch over its samples."""
+        return np.repeat(values, np.diff(self.first, append=self.time.size), axis=1)
+
+
+def waves(effect: Effect) -> tuple[Effect, ...]:
+    """Return the effect at phases 0 and π/2, if it has a phase: then two sizes give amplitude and phase."""
+    if effect.wave is None:
+        return (effect,)
+    phase = effect.wave[1]
+    return (replace(effect, **{phase: 0.0}), replace(effect, **{phase: np.pi / 2}))
