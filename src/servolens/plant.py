@@ -6,6 +6,7 @@ Per unit of moving mass: ``ÿ = gain·a(V) − damping·ẏ − Σ forces − D�
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
 from servolens.effects import Drive, Effect, Parameter, TimeShift, Transmission, effect_class
@@ -67,7 +68,7 @@ class Plant:
         if self.length_unit not in ("m", "rad"):
             raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
         object.__setattr__(self, "effects", tuple(self.effects))
-        _check_together(self.effects)
+        _check_together(self.structure)
         for effect in self.effects:
             if isinstance(effect, Drive):
                 object.__setattr__(self, "gain", effect.gain)
@@ -87,10 +88,7 @@ class Plant:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """The parameters by qualified name (``"gain"``, ``"coulomb_friction.level"``), in the order of `values`."""
-        named = {spec.name: spec for spec in BASE_PARAMETERS}
-        for effect in self.effects:
-            named |= {f"{effect.name}.{spec.name}": spec for spec in effect.parameters()}
-        return named
+        return dict(_named(self.structure))
 
     @property
     def derived(self) -> tuple[str, ...]:
@@ -121,6 +119,10 @@ class Plant:
         others = tuple(e for e in self.effects if e.name != effect.name)
         return replace(self, effects=(*others, effect))
 
+    def without_effect(self, name: str) -> Plant:
+        """Return the plant without the effect called `name`, if it has it."""
+        return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
+
     def effect(self, name: str) -> Effect | None:
         """Return the effect called `name`, or None."""
         return next((e for e in self.effects if e.name == name), None)
@@ -143,9 +145,18 @@ class Plant:
         return cls(**parameters)
 
 
-def _check_together(effects: tuple[Effect, ...]) -> None:
+@lru_cache(maxsize=1024)
+def _named(structure: tuple[type[Effect], ...]) -> dict[str, Parameter]:
+    named = {spec.name: spec for spec in BASE_PARAMETERS}
+    for effect in structure:
+        named |= {f"{effect.name}.{spec.name}": spec for spec in effect.parameters()}
+    return named
+
+
+@lru_cache(maxsize=1024)
+def _check_together(structure: tuple[type[Effect], ...]) -> None:
     """Refuse effects that no axis can have together."""
-    names = [effect.name for effect in effects]
+    names = [effect.name for effect in structure]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"plant: {twice[0]} appears twice; an effect can be there once")
@@ -154,6 +165,6 @@ def _check_together(effects: tuple[Effect, ...]) -> None:
         (Drive, "each takes the place of the motor's own force"),
         (TimeShift, "their times only add up"),
     ):
-        alike = [effect.name for effect in effects if isinstance(effect, kind)]
+        alike = [effect.name for effect in structure if issubclass(effect, kind)]
         if len(alike) > 1:
             raise InputError(f"plant: {' and '.join(alike)} cannot be there together: {why}; keep one")

@@ -26,6 +26,7 @@ class AsymmetricFriction(DryFriction):
     sentence = "Dry friction has one level when the axis moves up and another when it moves down."
     latex = r"\left(\frac{F_+ + F_-}{2}\,\operatorname{sgn} v + \frac{F_+ - F_-}{2}\right)"
     absent_at: ClassVar[dict[str, float]] = {"level_positive": 0.0, "level_negative": 0.0}
+    generalises = ("coulomb_friction",)
     looks_like = (
         "The axis stops short of its target on both sides, but by a different distance after moves up and moves down."
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC
 from dataclasses import dataclass, field, fields
+from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
@@ -153,6 +154,8 @@ class Effect(ABC):
         Parameter values at which the effect changes nothing; empty if it always changes something.
     wave : tuple of str, optional
         Names of amplitude and phase of a force ``amplitude·sin(… + phase)``: both can be solved for.
+    generalises : tuple of str
+        Names of effects that this one is at some of its values: beside it they are not wanted.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
@@ -163,6 +166,7 @@ class Effect(ABC):
     absent_at: ClassVar[dict[str, float]] = {}
     states: ClassVar[tuple[State, ...]] = ()
     wave: ClassVar[tuple[str, str] | None] = None
+    generalises: ClassVar[tuple[str, ...]] = ()
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     for_the_gain: ClassVar[str] = ""
@@ -174,7 +178,7 @@ class Effect(ABC):
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Return the parameters in the order of declaration."""
-        return tuple(Parameter(name=f.name, **f.metadata) for f in fields(cls))
+        return _parameters(cls)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Self]:
@@ -188,7 +192,7 @@ class Effect(ABC):
     @property
     def values(self) -> tuple[float, ...]:
         """The parameters' values, SI, in the order of declaration."""
-        return tuple(getattr(self, f.name) for f in fields(self))
+        return tuple(getattr(self, spec.name) for spec in _parameters(type(self)))
 
     @property
     def absent(self) -> bool:
@@ -199,3 +203,8 @@ class Effect(ABC):
     def symbols(cls, values: Any) -> SimpleNamespace:
         """Give `values` (symbols or numbers, in the order of declaration) their parameters' names."""
         return SimpleNamespace(**{f.name: values[i] for i, f in enumerate(fields(cls))})
+
+
+@cache
+def _parameters(cls: type[Effect]) -> tuple[Parameter, ...]:
+    return tuple(Parameter(name=f.name, **f.metadata) for f in fields(cls))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -29,6 +29,8 @@ crumple."""
 CRUMPLED = 1.5
 """Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
+MOST_PLANTS = 256
+"""Plants that are remembered."""
 WORTH_THREADS = 200_000
 """Substeps of all simulations of one linearisation from which on they are shared among threads."""
 
@@ -100,6 +102,8 @@ class Problem:
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
         self.most_substeps = np.inf
+        self.one_sided = False
+        self._plants: dict[bytes, Plant] = {}
 
     def start(self) -> Point:
         """Return where the search begins."""
@@ -109,6 +113,15 @@ class Problem:
 
     def plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
         """Return the plant of run `i`."""
+        key = values[self.columns[i]].tobytes() + (i if self.local else 0).to_bytes(4)
+        found = self._plants.get(key)
+        if found is None:
+            if len(self._plants) > MOST_PLANTS:
+                self._plants.clear()
+            found = self._plants[key] = self._plant_at(values, i)
+        return found
+
+    def _plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
         full = np.array(self.plant.values)
         full[self.free[self.columns[i]]] = values[self.columns[i]]
         return self.plant.with_values(full.tolist())
@@ -182,24 +195,25 @@ class Problem:
             if residual is None:
                 raise NumericalError(UNSTABLE)
             slopes = np.zeros((residual.size, self.free.size + centre.start.size))
-            for k, up, down in plan:
-                sides = [(trial, r) for trial, r in ((up, next(found)), (down, next(found))) if r is not None]
+            for k, *pair in plan:
+                sides = [(trial, r) for trial, r in [(trial, next(found)) for trial in pair] if r is not None]
                 (a, high), (b, low) = (*sides, (centre, residual), (centre, residual))[:2]
                 if a.at(k) != b.at(k):
                     slopes[:, k] = (high - low) / (a.at(k) - b.at(k))
             sets.append((residual, slopes[:, : self.free.size], slopes[:, self.free.size :]))
         return sets
 
-    def _moves(self, centre: _Trial, i: int) -> list[tuple[int, _Trial, _Trial]]:
-        """Return, for each unknown of run `i`, its number among parameters and initial state, and two trials."""
-        plan = []
+    def _moves(self, centre: _Trial, i: int) -> list[Any]:
+        """Return, for each unknown of run `i`, its number among parameters and initial state, and one or two trials."""
+        plan: list[Any] = []
         for k in self.columns[i]:
             up, down = self._moved(centre.values, k)
-            plan.append((k, centre._replace(values=up), centre._replace(values=down)))
+            sides = ((up if up[k] != centre.values[k] else down),) if self.one_sided else (up, down)
+            plan.append((k, *(centre._replace(values=side) for side in sides)))
         for k, h in enumerate(self.runs[i].shifts):
             shift = h * (np.arange(centre.start.size) == k)
             above, below = centre._replace(start=centre.start + shift), centre._replace(start=centre.start - shift)
-            plan.append((self.free.size + k, above, below))
+            plan.append((self.free.size + k, above) if self.one_sided else (self.free.size + k, above, below))
         return plan
 
     def _moved(self, values: NDArray[np.float64], k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

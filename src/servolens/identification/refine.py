@@ -226,7 +226,7 @@ def lead(
 ) -> tuple[Plant, float]:
     """Return where a few iterations lead, and the root mean square error there; parameters as :func:`minimise_error`.
 
-    Plants that need more than `most_substeps` in a sample are not gone through.
+    Differences are one-sided unless `coarse`. Plants that need more than `most_substeps` in a sample are left out.
 
     Raises
     ------
@@ -235,6 +235,7 @@ def lead(
     """
     problem = Problem(plant, runs, options, noise)
     problem.share, problem.most_substeps = (COARSE if coarse else FINE), most_substeps
+    problem.one_sided = not coarse
     start = problem.start()
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")

@@ -29,6 +29,8 @@ LEAD = 40
 """Most samples of rest before a step that a window begins with."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
+SMOOTHED = 41
+"""Samples over which the position to which a run is tied is smoothed."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -143,11 +145,13 @@ class TetheredRun:
         self._time, self._index = without_gaps(record.time)
         held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
         self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
-        self._position = np.ascontiguousarray(record.position[held])
+        smoothed = smooth(record.time, record.position, min(SMOOTHED, len(record)))[0]
+        self._position = np.ascontiguousarray(smoothed[held])
         self._tether = tether
-        self._begin = (float(np.mean(self.measured[: rest(record)])), 0.0)
         self.sample_time = float(np.max(np.diff(self._time)))
-        self.start, self.shifts = np.empty(0), _NO_SHIFTS
+        self.start, self.shifts = _moving(record.time, record.position)
+        if rest(record) > 1:
+            self.start = np.array([np.mean(self.measured[: rest(record)]), 0.0])
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -157,7 +161,7 @@ class TetheredRun:
             self._time,
             self._position,
             feedforward=self._voltage,
-            start=self._begin,
+            start=(float(start[0]), float(start[1])),
             substeps=substeps,
         )
         return run.measured if self._index is None else run.measured[self._index]

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.effects import Effect
+    from servolens.identification.ranking import Proposals
     from servolens.identification.segments import Segment
 
 __all__ = ["Screen", "seen_in"]
@@ -97,11 +98,16 @@ class Screen:
         """
         proposed = self.proposals(plant, effect)
         others = tuple(e for e in plant.effects if e.name != effect.name)
-        ranked = self.thinned.ranked(others, self.thinned.proposals(proposed))
-        promising = [proposal for _, proposal in ranked[:count]]
-        if effect not in promising:
-            promising.append(effect)
-        found = []
+        return self.best(others, self.thinned.proposals(proposed), count, also=effect) or proposed[:1]
+
+    def best(
+        self, others: Sequence[Effect], proposals: Proposals, count: int, *, also: Effect | None = None
+    ) -> list[Effect]:
+        """Return the best of the `proposals` for one force beside `others`, and `also`, with sizes solved for."""
+        promising = [proposal for _, proposal in self.thinned.ranked(others, proposals)[:count]]
+        if also is not None and also not in promising:
+            promising.append(also)
+        found: list[tuple[float, Effect]] = []
         for proposal in promising:
             try:
                 solved, error = self.solve((*others, proposal))
@@ -110,11 +116,15 @@ class Screen:
             if all(solved.effects[-1] != other for _, other in found):
                 found.append((error, solved.effects[-1]))
         found.sort(key=lambda pair: pair[0])
-        return [effect for _, effect in found[:count]] or proposed[:1]
+        return [effect for _, effect in found[:count]]
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
         """Return `effect` and what it proposes itself beside `plant`."""
-        return [effect, *islice(type(effect).starts(seen_in(self.segments, plant)), MOST_STARTS)]
+        return [effect, *self.proposals_of(plant, type(effect))]
+
+    def proposals_of(self, plant: Plant, cls: type[Effect]) -> list[Effect]:
+        """Return what the effect `cls` proposes itself beside `plant`."""
+        return [*islice(cls.starts(seen_in(self.segments, plant)), MOST_STARTS)]
 
     def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
         segment = self.segments[i]

@@ -1,0 +1,198 @@
+"""What hypotheses are tried on: every record driven by its voltage, weakly tied to what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.effects import effect_class
+from servolens.errors import InputError, NumericalError
+from servolens.identification.options import FitOptions
+from servolens.identification.refine import error_of, lead, minimise_error
+from servolens.identification.regressors import regressor
+from servolens.identification.runs import TetheredRun, tether, voltage_runs
+from servolens.identification.segments import motion_segments, noise_level
+from servolens.identification.starting import Screen
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+    from servolens.identification.integral import Prior
+    from servolens.identification.ranking import Proposals
+    from servolens.identification.runs import Run
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["Hypothesis", "Trials"]
+
+STARTS = 3
+"""Proposals of an effect from which it is fitted."""
+FIRST, SECOND, LAST = 3, 8, 30
+"""Iterations from every start, from the best of them, and for a hypothesis that is worth it."""
+MOST_SUBSTEPS = 24
+LOOSE = 0.5
+"""Rate of the tether over that of the loops."""
+RUNS_AWAY = 1.15
+"""Times the error with the tether from which on an axis is held to run away without it."""
+REACHED = 1.02
+"""Times the noise at which a start needs no rival."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A plant fitted to the training records, and what it leaves there.
+
+    Attributes
+    ----------
+    plant : Plant
+        The best of its structure.
+    error : float
+        Root mean square error of the records driven by their voltage [m or rad].
+    residuals : tuple of ndarray
+        Simulated minus measured position, of a hypothesis that was judged without the tether; else none.
+    """
+
+    plant: Plant
+    error: float
+    residuals: tuple[NDArray[np.float64], ...] = ()
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects, in the order in which they were found."""
+        return tuple(effect.name for effect in self.plant.effects)
+
+    @property
+    def free(self) -> int:
+        """How many parameters were fitted."""
+        return len(self.plant.parameters) - len(self.plant.derived)
+
+
+@final
+class Trials:
+    """Training records made ready to try many hypotheses.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Runs of the same axis, each with its voltage or with what it is computed from.
+    priors : mapping of str to Prior
+        Knowledge from elsewhere, by qualified parameter name.
+    """
+
+    def __init__(self, records: Sequence[Record], priors: Mapping[str, Prior]) -> None:
+        self.records, self.priors = tuple(records), priors
+        self.noise = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
+        self.screen = Screen.of(motion_segments(records))
+        self.samples = sum(len(record) for record in records)
+        bare, _ = self.screen.solve(())
+        self.start = replace(
+            bare,
+            damping=max(bare.damping, 0.0),
+            length_unit=records[0].length_unit,
+            command_unit=records[0].command_unit,
+        )
+        self.tether = tether(self.start, LOOSE * _loop_rate(self.start, records))
+        self.runs: list[Run] = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
+        self._free: list[Run] | None = None
+        self._proposals: dict[str, Proposals] = {}
+
+    def score(self, hypothesis: Hypothesis) -> float:
+        """Return −2 log-likelihood plus the price of its parameters; the least is the best."""
+        return self.samples * (hypothesis.error / self.noise) ** 2 + hypothesis.free * float(np.log(self.samples))
+
+    def fitted(self, plant: Plant, iterations: int = LAST) -> Hypothesis | None:
+        """Return `plant` fitted; None where it cannot be simulated."""
+        try:
+            found, error = lead(
+                plant,
+                self.runs,
+                self._known(plant),
+                noise=self.noise,
+                iterations=iterations,
+                coarse=False,
+                most_substeps=MOST_SUBSTEPS,
+            )
+        except (InputError, NumericalError):
+            return None
+        return Hypothesis(found, error)
+
+    def judged(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` fitted to the records driven by the voltage alone, where that can be.
+
+        Only then is the residual of the right plant the sensor's noise and nothing else. An axis that runs away by
+        itself stays tied.
+        """
+        if hypothesis.residuals:
+            return hypothesis
+        if self._free is None:
+            self._free = [*voltage_runs(self.records)]
+        free = self._refined(hypothesis.plant, self._free)
+        if free is not None and free.error <= RUNS_AWAY * hypothesis.error:
+            return free
+        return self._refined(hypothesis.plant, self.runs) or hypothesis
+
+    def _refined(self, plant: Plant, runs: Sequence[Run]) -> Hypothesis | None:
+        try:
+            found = minimise_error(plant, runs, self._known(plant), noise=self.noise)
+        except (InputError, NumericalError):
+            return None
+        return Hypothesis(found.plant, found.rms_error, found.residuals)
+
+    def _known(self, plant: Plant) -> FitOptions:
+        names = plant.parameters
+        return FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
+
+    def extended(self, hypothesis: Hypothesis, name: str) -> Hypothesis | None:
+        """Return `hypothesis` with the effect `name` beside its own, fitted from the effect's best starts.
+
+        None where the two do not go together.
+        """
+        plant = hypothesis.plant
+        cls = effect_class(name)
+        if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
+            return None
+        for special in cls.generalises:
+            plant = plant.without_effect(special)
+        try:
+            starts = self._starts(plant, cls)
+        except (InputError, NumericalError):
+            return None
+        best: Hypothesis | None = None
+        for start in starts:
+            found = self.fitted(start, FIRST)
+            if found is not None and (best is None or found.error < best.error):
+                best = found
+            if best is not None and best.error < REACHED * self.noise:
+                return best
+        return None if best is None else self.fitted(best.plant, SECOND)
+
+    def _starts(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+        proposals = self.screen.proposals_of(plant, cls)
+        if not regressor(cls).sizes:
+            tried = [plant.with_effect(effect) for effect in proposals]
+            ranked = sorted((error_of(candidate, self.runs), i) for i, candidate in enumerate(tried))
+            return [tried[i] for _, i in ranked[:STARTS]]
+        if cls.name not in self._proposals:
+            self._proposals[cls.name] = self.screen.thinned.proposals(proposals)
+        starts = []
+        for effect in self.screen.best(plant.effects, self._proposals[cls.name], STARTS):
+            alone = plant.with_effect(effect)
+            starts.append(alone)
+            try:
+                solved, _ = self.screen.solve(alone.effects)
+            except (InputError, NumericalError):
+                continue
+            starts.append(replace(alone, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects))
+        return starts
+
+
+def _loop_rate(plant: Plant, records: Sequence[Record]) -> float:
+    """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
+    rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
+    return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))
