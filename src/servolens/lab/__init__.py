@@ -11,9 +11,12 @@ simulator of servolens, so that agreement of the two means something. Used by th
 
 from servolens.lab.bench import step_record, step_records
 from servolens.lab.campaigns import TABLE_ONE_GAINS, paper_campaign, table_one
+from servolens.lab.foreign import FOREIGN
+from servolens.lab.hidden import HiddenCampaign, hidden_campaign
 from servolens.lab.truth import LM1, LM2, LM3, NLM1, NLM2, NLM3, Truth
 
 __all__ = [
+    "FOREIGN",
     "LM1",
     "LM2",
     "LM3",
@@ -21,7 +24,9 @@ __all__ = [
     "NLM2",
     "NLM3",
     "TABLE_ONE_GAINS",
+    "HiddenCampaign",
     "Truth",
+    "hidden_campaign",
     "paper_campaign",
     "step_record",
     "step_records",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servolens.lab.command import Signal
+    from servolens.lab.oddity import Oddity
     from servolens.lab.truth import Truth
 
     State = tuple[Any, ...]
@@ -70,12 +71,17 @@ class Axis:
         Longest integration step [s].
     angle : float
         Largest product of step and quickest rate.
+    oddity : Oddity, optional
+        What the axis does beyond the effects of the truth.
     """
 
-    def __init__(self, truth: Truth, m: Any, longest: float, angle: float) -> None:
+    def __init__(self, truth: Truth, m: Any, longest: float, angle: float, oddity: Oddity | None = None) -> None:
         own = {name: SimpleNamespace(**values) for name, values in truth.effects.items()}
         self.m, self._gain, self._damping, self._angle = m, truth.gain, truth.damping, angle
         self._forces, self._frictions = _functions(own, "force"), _functions(own, "friction")
+        if oddity is not None:
+            self._forces += [(oddity.force, SimpleNamespace())]
+            self._frictions += [(oddity.friction, SimpleNamespace())]
         self._servo, self._limit = own.get("speed_servo"), own.get("force_limit")
         self._dahl = own["presliding"] if _slips(own) else None
         self._joint, self._load_share = _joint(own)
@@ -84,7 +90,7 @@ class Axis:
         self.lag = own["sensor_lag"].time_constant if "sensor_lag" in own else 0.0
         self.has_load, self.has_contact = self._joint is not None, "backlash" in own
         moving_in_time = {"actuator_lag", "gain_drift", "periodic_disturbance", "sensor_lag", "speed_servo"}
-        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own)
+        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own) or oddity is not None
         paces = [pace(p) for name, p in own.items() if (pace := LAWS[name].pace) is not None]
         quickest = max([abs(truth.damping), *paces]) / self._share
         self._step = min(longest, angle / quickest) if quickest > 0.0 else longest

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.lab.oddity import Oddity
     from servolens.record import Controller
 
 __all__ = ["Bench", "Run", "run_many", "run_one"]
@@ -44,6 +45,8 @@ class Bench:
     start: float
     encoder: float
     voltage_limit: float | None
+    substep: float = SUBSTEP
+    angle: float = ANGLE
 
 
 class Run(NamedTuple):
@@ -54,10 +57,11 @@ class Run(NamedTuple):
     velocity: NDArray[np.float64]
 
 
-def run_one(truth: Truth, bench: Bench, noises: NDArray[np.float64] | None) -> Run:
-    """Return one run; `noises` of shape (n,)."""
+def run_one(truth: Truth, bench: Bench, noises: NDArray[np.float64] | None, oddity: Oddity | None = None) -> Run:
+    """Return one run; `noises` of shape (n,). An oddity is what no effect of the truth does."""
     each = [0.0] * bench.time.size if noises is None else noises.tolist()
-    return Run(*(np.array(signal) for signal in _close(truth, bench, each, bench.start, FLOATS, advance_one)))
+    signals = _close(truth, bench, each, bench.start, FLOATS, advance_one, oddity)
+    return Run(*(np.array(signal) for signal in signals))
 
 
 def run_many(truth: Truth, bench: Bench, noises: NDArray[np.float64]) -> Run:
@@ -69,12 +73,22 @@ def run_many(truth: Truth, bench: Bench, noises: NDArray[np.float64]) -> Run:
 
 
 def _close(
-    truth: Truth, bench: Bench, noises: Any, start: Any, m: Any, advance: Callable[..., Any]
+    truth: Truth,
+    bench: Bench,
+    noises: Any,
+    start: Any,
+    m: Any,
+    advance: Callable[..., Any],
+    oddity: Oddity | None = None,
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Run the loop through its samples; a sample is a float for one run, an array for many."""
     truth, time, step = _limited(truth, bench), bench.time.tolist(), bench.encoder
     h = time[1] - time[0]
-    axis, chain, controller = Axis(truth, m, SUBSTEP, ANGLE), Chain(truth, m, h), DigitalPD(bench.controller, h)
+    axis, chain, controller = (
+        Axis(truth, m, bench.substep, bench.angle, oddity),
+        Chain(truth, m, h),
+        DigitalPD(bench.controller, h),
+    )
     reference = bench.reference.tolist()
     added = [0.0] * len(time) if bench.feedforward is None else bench.feedforward.tolist()
     body = axis.body(start)
@@ -82,16 +96,18 @@ def _close(
     voltage: list[Any] = []
     velocity: list[Any] = []
     for k, (t, noise) in enumerate(zip(time, noises, strict=True)):
-        seen = body.shown + noise
+        place, moving = axis.output(body.state)
+        shown = body.shown if oddity is None else oddity.shows(t, body.shown, place, moving)
+        seen = shown + noise
         if step:
             seen = m.floor(seen / step + 0.5) * step
-        moving = axis.output(body.state)[1]
         asked = controller.ask(k, reference[k], seen, moving) + added[k]
         position.append(seen)
         velocity.append(moving)
         voltage.append(asked)
+        felt = asked if oddity is None else oddity.turns(t, asked, place)
         try:
-            for since, length, signal in chain.apply(t, asked):
+            for since, length, signal in chain.apply(t, felt):
                 body = advance(axis, since, length, body, signal)
         except (OverflowError, ValueError):  # sin(inf) and exp(1e3) of plain floats
             _check_bounds(np.inf, t)

@@ -1,0 +1,173 @@
+"""How much of an effect there must be for it to stand out as asked: sizes, tried on one scene."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from servolens.errors import NumericalError
+from servolens.lab.foreign import FOREIGN
+from servolens.lab.linear_view import Seen, linear_error
+from servolens.lab.loop import run_one
+from servolens.lab.sizes import SIZES
+from servolens.lab.truth import Truth
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.lab.loop import Bench, Run
+    from servolens.lab.oddity import Oddity
+    from servolens.lab.scene import Scene
+
+    Array = NDArray[np.float64]
+
+__all__ = ["Found", "Look", "Search", "law", "noises", "sane_run"]
+
+CLOSE = 0.12
+"""Distance of the logarithm of visibility at which the search for a size ends."""
+MOST_SIZES = 8
+"""Sizes that are tried."""
+REACH, UNREST, MOTION = 3.0, 0.15, 0.4
+"""A run is no use beyond so many steps, with so large a standing oscillation, with so small a share of its travel."""
+
+
+class Look(NamedTuple):
+    """How visible effects of some sizes are, and the training runs that show it."""
+
+    sizes: dict[str, float]
+    visibility: float
+    runs: tuple[Run, ...]
+
+
+class Found(NamedTuple):
+    """What was settled on, the visibility of each effect by itself, and how far those are from what was wanted."""
+
+    look: Look
+    shares: dict[str, float]
+    distance: float
+
+
+@final
+class Search:
+    """The search for the sizes of effects on one scene, each by itself."""
+
+    def __init__(self, scene: Scene, key: tuple[int, int], closed: bool) -> None:
+        self._scene, self._key, self._closed = scene, key, closed
+
+    def hide(self, names: Sequence[str], wanted: Sequence[float]) -> Found | None:
+        """Return the scene with the effects as visible as wanted, or as near as it gets; None if it is no use."""
+        looks = [self._turn(name, target) for name, target in zip(names, wanted, strict=True)]
+        good = [look for look in looks if look is not None]
+        if len(good) < len(names):
+            return None
+        sizes = {name: size for look in good for name, size in look.sizes.items()}
+        joint = good[0] if len(names) == 1 else self._look(sizes)
+        if joint is None:
+            return None
+        distances = [abs(_gap(look, target)) for look, target in zip(good, wanted, strict=True)]
+        shares = {name: look.visibility for name, look in zip(names, good, strict=True)}
+        return Found(joint, shares, max(distances, default=0.0))
+
+    def _turn(self, name: str, target: float) -> Look | None:
+        """Return the size at which an effect is as visible as wanted, or nearest to it; None if the loop bears none."""
+        table = FOREIGN if name in FOREIGN else SIZES
+        limits = low, high = table[name].low, table[name].high
+        guess = table[name].per_mille * target * self._scene.floor / (1e-3 * self._scene.step)
+        size = min(max(guess, low), high)
+        best: Look | None = None
+        below: tuple[float, float | None] = (low, None)
+        above: tuple[float, float | None] = (high, None)
+        for _ in range(MOST_SIZES):
+            look = self._look({name: size})
+            if look is None:  # the loop does not bear so much of it
+                above, size = (size, None), math.sqrt(below[0] * size)
+                continue
+            gap = _gap(look, target)
+            best = look if best is None or abs(gap) < abs(_gap(best, target)) else best
+            if abs(gap) < CLOSE:
+                break
+            below, above = ((size, gap), above) if gap < 0.0 else (below, (size, gap))
+            before, size = size, _next_size(below, above, size, gap, limits)
+            if abs(math.log(size / before)) < 0.01:
+                break
+        return best
+
+    def _look(self, sizes: dict[str, float]) -> Look | None:
+        """Measure the training runs, with noise; None if one is of no use."""
+        scene = self._scene
+        truth, odd = law(scene, self._key, sizes)
+        runs = []
+        for i, bench in enumerate(scene.training):
+            run = sane_run(truth, bench, noises(scene, self._key, i), odd(i), scene.step)
+            if run is None:
+                return None
+            runs.append(run)
+        seen = [
+            Seen(bench.controller, scene.sample_time, run.position, bench.reference if self._closed else run.voltage,
+                 self._closed)
+            for bench, run in zip(scene.training, runs, strict=True)
+        ]  # fmt: skip
+        rms = linear_error(seen, scene.gain, scene.damping)[0]
+        return Look(sizes, math.sqrt(max(rms**2 - scene.floor**2, 0.0)) / scene.floor, tuple(runs))
+
+
+def _gap(look: Look, target: float) -> float:
+    """Return the distance from a visibility, as a logarithm; one below the noise is too small by much."""
+    return math.log(max(look.visibility, 0.1 * target) / target)
+
+
+def _next_size(
+    below: tuple[float, float | None],
+    above: tuple[float, float | None],
+    size: float,
+    gap: float,
+    limits: tuple[float, float],
+) -> float:
+    """Return the size to try next: between two by their errors, else as if the error grew with the size."""
+    (low, under), (high, over) = below, above
+    if under is not None and over is not None:
+        share = min(max(under / (under - over), 0.1), 0.9)
+        return float(low * (high / low) ** share)
+    new = min(max(size * math.exp(-gap), limits[0]), limits[1])
+    return math.sqrt(low * high) if not low <= new <= high else new
+
+
+def law(scene: Scene, key: tuple[int, int], sizes: Mapping[str, float]) -> tuple[Truth, Callable[[int], Oddity | None]]:
+    """Return the truth with effects of these sizes, and run → the foreign law of that run."""
+    values, odd = {}, None
+    for name, size in sizes.items():
+        if name in FOREIGN:
+            odd = name
+            continue
+        dice = np.random.default_rng([*key, 1, sorted(SIZES).index(name)])
+        values[name] = SIZES[name].shape(scene, dice)(size)
+    damping = scene.damping - (values["speed_servo"]["proportional"] if "speed_servo" in values else 0.0)
+    truth = Truth(gain=scene.gain, damping=damping, effects=values)
+    if odd is None:
+        return truth, lambda _: None
+    law, size = FOREIGN[odd], sizes[odd]
+    return truth, lambda i: law.make(scene, size, np.random.default_rng([*key, 3]), np.random.default_rng([*key, 4, i]))
+
+
+def noises(scene: Scene, key: tuple[int, int], i: int) -> Array:
+    """Return the noise of a run at each sample [m or rad]; held-out runs are counted after the training runs."""
+    bench = (*scene.training, *scene.heldout)[i]
+    return scene.noise * np.random.default_rng([*key, 2, i]).standard_normal(bench.time.size)
+
+
+def sane_run(truth: Truth, bench: Bench, noises: Array, oddity: Oddity | None, step: float) -> Run | None:
+    """Return a run of an axis that moved, came to rest before each new level, and did not run away; else None."""
+    try:
+        run = run_one(truth, bench, noises, oddity)
+    except NumericalError:
+        return None
+    position = run.position
+    if not np.abs(position).max() < REACH * step or np.ptp(position) < MOTION * np.ptp(bench.reference):
+        return None
+    ends = [*(np.flatnonzero(np.diff(bench.reference)) + 1).tolist(), position.size]
+    last = [position[end - max(end // 20, 20) : end] for end in ends if end > 200]
+    return run if all(np.ptp(part) < UNREST * step for part in last) else None
