@@ -36,7 +36,10 @@ BOUNDS = 1e6
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bench:
-    """What surrounds the axis: the loop, its reference and feedforward at each sample, the sensor, a stated limit."""
+    """What surrounds the axis: the loop, its reference and feedforward at each sample, the sensor, a stated limit.
+
+    And how finely it is integrated, where that is not as usual: see :data:`SUBSTEP` and :data:`ANGLE`.
+    """
 
     controller: Controller
     time: NDArray[np.float64]
@@ -45,8 +48,8 @@ class Bench:
     start: float
     encoder: float
     voltage_limit: float | None
-    substep: float = SUBSTEP
-    angle: float = ANGLE
+    substep: float | None = None
+    angle: float | None = None
 
 
 class Run(NamedTuple):
@@ -85,7 +88,7 @@ def _close(
     truth, time, step = _limited(truth, bench), bench.time.tolist(), bench.encoder
     h = time[1] - time[0]
     axis, chain, controller = (
-        Axis(truth, m, bench.substep, bench.angle, oddity),
+        Axis(truth, m, bench.substep or SUBSTEP, bench.angle or ANGLE, oddity),
         Chain(truth, m, h),
         DigitalPD(bench.controller, h),
     )
