@@ -4,27 +4,33 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from servolens.effects import CATALOGUE
+import numpy as np
+
+from servolens.diagnosis.trials import LAST, SECOND
+from servolens.effects import CATALOGUE, CoulombFriction, DryFriction, effect_class
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from servolens.diagnosis.trials import Hypothesis, Trials
+    from servolens.effects import Effect
+    from servolens.plant import Plant
 
 __all__ = ["Search", "search"]
 
-MOST_CAUSES = 4
-BEAM = 3
-"""Hypotheses that are extended further."""
+MOST_CAUSES, MOST_ROUNDS = 4, 4
+"""Effects that are added; times that what was found is reconsidered."""
+BEAM, FAR, CLOSE = 3, 2.0, 1.25
+"""Hypotheses that are extended further, up to this many times the least error; within a family that many times."""
 WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
-POLISHED, ALIKE = 1.3, 1.1
-"""Times the least error up to which a hypothesis is fitted to the end, and judged without a tether."""
+REFITTED, POLISHED, ALIKE = 8, 1.3, 1.1
+"""How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
 NEAR = 3.0
-"""Times the noise from which on hypotheses are judged so."""
+"""Times the noise from which on hypotheses are judged without a tether."""
 
 
 @final
@@ -35,13 +41,16 @@ class Search:
     Attributes
     ----------
     path : tuple of Hypothesis
-        The best with no effect, one, two …, up to the one chosen.
-    tried : tuple of tuple of Hypothesis
-        All of each size that were fitted, the best first.
+        The best with no effect, one, two …; the last is the one chosen.
+    tried : tuple of Hypothesis
+        All that were fitted, in the order of trial.
+    rivals : tuple of tuple of Hypothesis
+        For each cause of the one chosen, what stands with another effect in its place, the best first.
     """
 
     path: tuple[Hypothesis, ...]
-    tried: tuple[tuple[Hypothesis, ...], ...]
+    tried: tuple[Hypothesis, ...]
+    rivals: tuple[tuple[Hypothesis, ...], ...]
 
     @property
     def chosen(self) -> Hypothesis:
@@ -55,40 +64,146 @@ def search(
     enough: Callable[[Hypothesis], bool],
     tell: Callable[[str, float], None] = lambda _, __: None,
 ) -> Search:
-    """Return the least set of effects that explains the training records, and what else was tried."""
-    path, beam = [base], [base]
-    tried: list[tuple[Hypothesis, ...]] = [(base,)]
-    while len(path) <= MOST_CAUSES and not enough(path[-1]):
-        found = _extensions(trials, beam, lambda share: tell(f"{len(path)}", share))
-        tried.append(tuple(found))
-        if not found or trials.score(found[0]) > trials.score(path[-1]) - WORTH:
-            break
-        path.append(found[0])
-        beam = found[:BEAM]
-    return Search(tuple(path), tuple(tried))
+    """Return the least set of effects that explains the training records, and what else was tried.
+
+    Parameters
+    ----------
+    trials : Trials
+        The records.
+    base : Hypothesis
+        Gain and damping alone.
+    enough : callable
+        Tells whether a hypothesis leaves nothing to be explained.
+    tell : callable
+        Is told what is done and the share of it that is.
+    """
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        explorer = _Explorer(trials, pool, tell)
+        path, beam = [base], [base]
+        while len(path) <= MOST_CAUSES and not enough(path[-1]):
+            jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
+            found = explorer.explore(jobs, f"effect {len(path)}")
+            if not found or trials.score(found[0]) > trials.score(path[-1]) - WORTH:
+                break
+            path.append(found[0])
+            beam = _beam(found)
+        for _ in range(MOST_ROUNDS):
+            path, rivals, settled = _reconsidered(path, explorer)
+            if settled:
+                break
+    return Search(tuple(path), tuple(explorer.known), rivals)
 
 
-def _extensions(trials: Trials, beam: Sequence[Hypothesis], tell: Callable[[float], None]) -> list[Hypothesis]:
-    """Return every hypothesis of the beam with every effect, the best first and those fitted to the end."""
-    jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
-    done = 0
+@final
+class _Explorer:
+    """Fits hypotheses and remembers them."""
 
-    def one(job: tuple[Hypothesis, str]) -> Hypothesis | None:
-        nonlocal done
-        found = trials.extended(*job)
-        done += 1
-        tell(done / len(jobs))
+    def __init__(self, trials: Trials, pool: ThreadPoolExecutor, tell: Callable[[str, float], None]) -> None:
+        self.trials, self.pool, self.tell = trials, pool, tell
+        self.known: list[Hypothesis] = []
+
+    def explore(self, jobs: Sequence[tuple[Hypothesis, str]], what: str) -> list[Hypothesis]:
+        """Return each job's hypothesis extended by its effect, the best first; the most promising fitted further."""
+        done = 0
+
+        def one(job: tuple[Hypothesis, str]) -> Hypothesis | None:
+            nonlocal done
+            found = self.trials.extended(*job)
+            done += 1
+            self.tell(what, done / len(jobs))
+            return found
+
+        found = sorted((h for h in self.pool.map(one, jobs) if h), key=_error)
+        for count, share, iterations in ((REFITTED, np.inf, SECOND), (REFITTED, POLISHED, LAST)):
+            again = self._fitted([h.plant for h in found[:count] if h.error <= share * found[0].error], iterations)
+            found = sorted([*again, *found[len(again) :]], key=_error)
+        found = self.judged(found)
+        self.known += found
         return found
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        found = [h for h in pool.map(one, jobs) if h is not None]
-        found.sort(key=lambda h: h.error)
-        close = [h for h in found if h.error <= POLISHED * found[0].error]
-        polished = sorted((h for h in pool.map(lambda h: trials.fitted(h.plant), close) if h), key=lambda h: h.error)
-        if polished and polished[0].error <= NEAR * trials.noise:
-            near = [h for h in polished if h.error <= ALIKE * polished[0].error]
-            polished = [*pool.map(trials.judged, near), *polished[len(near) :]]
-    return sorted([*polished, *found[len(close) :]], key=trials.score)
+    def judged(self, found: list[Hypothesis]) -> list[Hypothesis]:
+        """Return `found` by score, the best judged without a tether where the noise is near."""
+        if not found or found[0].error > NEAR * self.trials.noise:
+            return found
+        close = [h for h in found if h.error <= ALIKE * found[0].error]
+        return sorted([*self.pool.map(self.trials.judged, close), *found[len(close) :]], key=self.trials.score)
+
+    def best(self, plants: Sequence[Plant]) -> Hypothesis | None:
+        """Return the best of `plants`, fitted; None if there is none."""
+        found = self.judged(sorted(self._fitted(plants, LAST), key=_error))
+        return found[0] if found else None
+
+    def instead(self, chosen: Hypothesis, cause: str) -> list[Hypothesis]:
+        """Return what stands with another effect in the place of `cause`, the best first."""
+        others = frozenset(chosen.causes) - {cause}
+        names = [name for name in CATALOGUE if name not in chosen.causes]
+        wanted = {frozenset((*others, name)) for name in names}
+        known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
+        if len(known) < len(names) // 2:
+            without = self._fitted([chosen.plant.without_effect(cause)], SECOND)
+            self.explore([(h, name) for h in without for name in names], f"instead of {cause}")
+            known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
+        return sorted(known.values(), key=self.trials.score)
+
+    def _fitted(self, plants: Sequence[Plant], iterations: int) -> list[Hypothesis]:
+        return [h for h in self.pool.map(lambda plant: self.trials.fitted(plant, iterations), plants) if h]
+
+
+def _reconsidered(
+    path: list[Hypothesis], explorer: _Explorer
+) -> tuple[list[Hypothesis], tuple[tuple[Hypothesis, ...], ...], bool]:
+    """Take each cause out again, or put another in its place; return path, rivals, and whether nothing changed."""
+    score, chosen = explorer.trials.score, path[-1]
+    if not chosen.causes:
+        return path, (), True
+    simpler = explorer.best([chosen.plant.without_effect(name) for name in chosen.causes])
+    if len(path) > 2 and simpler is not None and score(simpler) < score(chosen) + WORTH:
+        return [*path[: len(simpler.causes)], simpler], (), False
+    special = explorer.best([*_specialised(chosen.plant)])
+    if special is not None and score(special) <= score(chosen):
+        return [*path[:-1], special], (), False
+    rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
+    better = min((h for found in rivals for h in found), key=score, default=chosen)
+    if score(better) < score(chosen) - 1e-6:
+        return [*path[:-1], better], rivals, False
+    return path, rivals, True
+
+
+def _specialised(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with one effect replaced by one that it generalises."""
+    for effect in plant.effects:
+        for name in effect.generalises:
+            special = effect_class(name)
+            values = {spec.name: spec.low for spec in special.parameters()}
+            common = {key: getattr(effect, key) for key in values if hasattr(effect, key)}
+            level = {} if common else dict.fromkeys(values, float(np.mean(effect.values)))
+            yield replace(plant, effects=tuple(e for e in plant.effects if e is not effect)).with_effect(
+                special(**{**values, **common, **level})
+            )
+
+
+def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the best that are not much worse than the first; of each family the simplest of those that come close."""
+    families: dict[frozenset[str], list[Hypothesis]] = {}
+    for hypothesis in found:
+        if hypothesis.error <= FAR * found[0].error:
+            families.setdefault(frozenset(_family(effect) for effect in hypothesis.plant.effects), []).append(
+                hypothesis
+            )
+    chosen = []
+    for members in families.values():
+        least = min(h.error for h in members)
+        chosen.append(min((h for h in members if h.error <= CLOSE * least), key=lambda h: (h.free, h.error)))
+    return chosen[:BEAM]
+
+
+def _family(effect: Effect) -> str:
+    """Return what the effect is a kind of, where several are alike."""
+    return next(iter(effect.generalises), CoulombFriction.name if isinstance(effect, DryFriction) else effect.name)
+
+
+def _error(hypothesis: Hypothesis) -> float:
+    return hypothesis.error
 
 
 def _distinct(jobs: list[tuple[Hypothesis, str]]) -> list[tuple[Hypothesis, str]]:

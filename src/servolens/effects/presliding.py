@@ -27,6 +27,7 @@ class Presliding(Force):
     latex = r"f,\ \dot f = \sigma v\,(1 - \frac{f}{F}\operatorname{sgn} v)"
     absent_at: ClassVar[dict[str, float]] = {"level": 0.0}
     states = (State("force", "{x}/s^2", relaxes=True),)
+    generalises = ("coulomb_friction",)
     looks_like = (
         "At rest the axis gives way elastically by a small travel and springs back; "
         "small steps ring or end short, and reversals show a rounded corner instead of a stop."
