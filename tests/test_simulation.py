@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
+from servolens.effects import CoulombFriction, Saturation, SensorLag, VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
@@ -48,6 +48,19 @@ def test_continuous_loop_equals_the_damped_oscillator() -> None:
     w = np.sqrt(k - c**2 / 4)
     expected = 0.1 * (1 - np.exp(-c * time / 2) * (np.cos(w * time) + c / (2 * w) * np.sin(w * time)))
     np.testing.assert_allclose(run.position, expected, rtol=0, atol=3e-8)
+
+
+def test_continuous_loop_feeds_back_and_reports_what_the_lagging_sensor_shows() -> None:
+    kp, kd, lag, time = 60.0, 2.0, 0.01, grid(0.5)
+    lagging = LINEAR.with_effect(SensorLag(time_constant=lag))
+    run = simulate_continuous(lagging, kp, kd, time, np.full(time.size, 0.1), substeps=8)
+    b, c = LINEAR.gain, LINEAR.damping
+    rates = np.array([[0, 1, 0, 0], [0, -c - b * kd, -b * kp, b * kp * 0.1], [1 / lag, 0, -1 / lag, 0], [0, 0, 0, 0]])
+    y, v, shown, _ = np.array([expm(rates * t) @ [0, 0, 0, 1] for t in time]).T
+    np.testing.assert_allclose(run.position, y, rtol=0, atol=3e-8)
+    np.testing.assert_allclose(run.measured, shown, rtol=0, atol=3e-8)
+    np.testing.assert_allclose(run.voltage, kp * (0.1 - shown) - kd * v, rtol=0, atol=1e-5)
+    assert np.abs(kp * (y - shown)).max() > 0.1  # volts: what the true position would give is something else
 
 
 GENTLE = Plant(gain=1.9, damping=4.0, effects=(VelocityDecayDamping(alpha1=4.0, alpha2=2.0),))

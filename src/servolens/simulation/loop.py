@@ -177,6 +177,8 @@ def simulate_continuous(
 ) -> Simulation:
     """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples.
 
+    Fed back are the position as the sensor shows it and the true velocity of the load.
+
     Raises
     ------
     InputError
@@ -191,7 +193,7 @@ def simulate_continuous(
     count = substeps or substeps_for(plant, step, extra=float(loop))
     settings = [0.0] * 7 + [1.0, 0.0, 1.0]
     result = _run(plant, grid, held, held, settings, start, count, gains=(kp, kd))
-    voltage = ideal_pd(kp, kd, held, result.position, result.velocity)
+    voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured
     )
