@@ -29,7 +29,7 @@ WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
 REFITTED, POLISHED, ALIKE = 8, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
-NEAR = 3.0
+NEAR = 10.0
 """Times the noise from which on hypotheses are judged without a tether."""
 
 
@@ -51,6 +51,16 @@ class Search:
     path: tuple[Hypothesis, ...]
     tried: tuple[Hypothesis, ...]
     rivals: tuple[tuple[Hypothesis, ...], ...]
+
+    def rivals_of(self, cause: str) -> tuple[Hypothesis, ...]:
+        """Return what stands with another effect in the place of `cause`, the best first."""
+        place = dict(zip(self.chosen.causes, self.rivals, strict=False))
+        return place.get(cause, ())
+
+    @property
+    def singles(self) -> tuple[Hypothesis, ...]:
+        """Hypotheses with one effect, the best first."""
+        return tuple(sorted((h for h in self.tried if len(h.causes) == 1), key=_error))
 
     @property
     def chosen(self) -> Hypothesis:

@@ -10,7 +10,7 @@ import numpy as np
 from servolens.effects import effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
-from servolens.identification.refine import error_of, lead, minimise_error
+from servolens.identification.refine import error_of, lead
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import TetheredRun, tether, voltage_runs
 from servolens.identification.segments import motion_segments, noise_level
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Hypothesis", "Trials"]
+__all__ = ["LAST", "LOOSE", "SECOND", "Hypothesis", "Trials", "loop_rate"]
 
 STARTS = 3
 """Proposals of an effect from which it is fitted."""
@@ -98,7 +98,7 @@ class Trials:
             length_unit=records[0].length_unit,
             command_unit=records[0].command_unit,
         )
-        self.tether = tether(self.start, LOOSE * _loop_rate(self.start, records))
+        self.tether = tether(self.start, LOOSE * loop_rate(self.start, records))
         self.runs: list[Run] = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
         self._free: list[Run] | None = None
         self._proposals: dict[str, Proposals] = {}
@@ -109,19 +109,8 @@ class Trials:
 
     def fitted(self, plant: Plant, iterations: int = LAST) -> Hypothesis | None:
         """Return `plant` fitted; None where it cannot be simulated."""
-        try:
-            found, error = lead(
-                plant,
-                self.runs,
-                self._known(plant),
-                noise=self.noise,
-                iterations=iterations,
-                coarse=False,
-                most_substeps=MOST_SUBSTEPS,
-            )
-        except (InputError, NumericalError):
-            return None
-        return Hypothesis(found, error)
+        found = self._led(plant, self.runs, iterations)
+        return None if found is None else Hypothesis(found.plant, found.error)
 
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` fitted to the records driven by the voltage alone, where that can be.
@@ -133,17 +122,26 @@ class Trials:
             return hypothesis
         if self._free is None:
             self._free = [*voltage_runs(self.records)]
-        free = self._refined(hypothesis.plant, self._free)
+        free = self._led(hypothesis.plant, self._free, LAST)
         if free is not None and free.error <= RUNS_AWAY * hypothesis.error:
             return free
-        return self._refined(hypothesis.plant, self.runs) or hypothesis
+        return self._led(hypothesis.plant, self.runs, LAST) or hypothesis
 
-    def _refined(self, plant: Plant, runs: Sequence[Run]) -> Hypothesis | None:
+    def _led(self, plant: Plant, runs: Sequence[Run], iterations: int) -> Hypothesis | None:
+        """Return `plant` fitted to the runs; None where it cannot be simulated."""
         try:
-            found = minimise_error(plant, runs, self._known(plant), noise=self.noise)
+            found = lead(
+                plant,
+                runs,
+                self._known(plant),
+                noise=self.noise,
+                iterations=iterations,
+                coarse=False,
+                most_substeps=MOST_SUBSTEPS,
+            )
         except (InputError, NumericalError):
             return None
-        return Hypothesis(found.plant, found.rms_error, found.residuals)
+        return Hypothesis(found.plant, found.error, found.residuals)
 
     def _known(self, plant: Plant) -> FitOptions:
         names = plant.parameters
@@ -193,7 +191,7 @@ class Trials:
         return starts
 
 
-def _loop_rate(plant: Plant, records: Sequence[Record]) -> float:
+def loop_rate(plant: Plant, records: Sequence[Record]) -> float:
     """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
     rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
     return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))

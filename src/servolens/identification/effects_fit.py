@@ -281,7 +281,7 @@ class _Trial:
         best, least = given, np.inf
         for start in starts:
             try:
-                found, error = lead(
+                found, error, _ = lead(
                     self._held(start, given),
                     self.runs,
                     self._known(given),

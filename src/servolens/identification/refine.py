@@ -9,7 +9,7 @@ bears what the model lacks (sticking above all) without drifting away.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AT_NOISE",
     "DOWN_TO_NOISE",
+    "Lead",
     "Refinement",
     "closed_loop_rms",
     "error_of",
@@ -93,6 +94,14 @@ class Refinement:
     residuals: tuple[NDArray[np.float64], ...]
     converged: bool
     status: str
+
+
+class Lead(NamedTuple):
+    """Where a search leads: the plant, its root mean square error, and simulated minus measured of each run."""
+
+    plant: Plant
+    error: float
+    residuals: tuple[NDArray[np.float64], ...]
 
 
 def refine(
@@ -223,8 +232,8 @@ def lead(
     iterations: int,
     coarse: bool,
     most_substeps: float = np.inf,
-) -> tuple[Plant, float]:
-    """Return where a few iterations lead, and the root mean square error there; parameters as :func:`minimise_error`.
+) -> Lead:
+    """Return where a few iterations lead; parameters as :func:`minimise_error`.
 
     Differences are one-sided unless `coarse`. Plants that need more than `most_substeps` in a sample are left out.
 
@@ -240,7 +249,8 @@ def lead(
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")
     point, _ = _descend(problem, start, iterations)
-    return problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples))
+    residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
+    return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
 
 
 def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bool]:

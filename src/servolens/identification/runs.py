@@ -150,8 +150,8 @@ class TetheredRun:
         self._tether = tether
         self.sample_time = float(np.max(np.diff(self._time)))
         self.start, self.shifts = _moving(record.time, record.position)
-        if rest(record) > 1:
-            self.start = np.array([np.mean(self.measured[: rest(record)]), 0.0])
+        if _begins_at_rest(record):
+            self.start, self.shifts = np.array([np.mean(self.measured[: rest(record)])]), self.shifts[:1]
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -161,16 +161,15 @@ class TetheredRun:
             self._time,
             self._position,
             feedforward=self._voltage,
-            start=(float(start[0]), float(start[1])),
+            start=(float(start[0]), float(start[1]) if start.size > 1 else 0.0),
             substeps=substeps,
         )
         return run.measured if self._index is None else run.measured[self._index]
 
 
 def tether(plant: Plant, rate: float) -> Controller:
-    """Return a critically damped tether of `rate` [1/s] for an axis about like `plant`."""
-    kp, kd = rate * rate / plant.gain, max(2.0 * rate - plant.damping, 0.0) / plant.gain
-    return Controller(kp=kp, kd=kd, derivative_on="error")
+    """Return a tether of `rate` [rad/s] for an axis about like `plant`."""
+    return Controller(kp=rate * rate / plant.gain)
 
 
 def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRun]:

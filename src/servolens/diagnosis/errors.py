@@ -1,0 +1,69 @@
+"""How far plants are from records: in closed loop, as a person sees it, and on records held out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.diagnosis.trials import LOOSE, loop_rate
+from servolens.errors import NumericalError
+from servolens.identification.runs import ClosedRun, TetheredRun, tether
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.runs import Run
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["pooled", "residual", "rotated"]
+
+KEPT = 0.6
+"""Part of a single record that is fitted; the rest is held out."""
+
+
+def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
+    """Return simulated minus measured position, of the closer of two simulations.
+
+    In closed loop from the reference, as other gains are predicted; and driven by the logged voltage, loosely tied to
+    the measured position, which knows what the controller made of the noise: an axis that sticks is shaken loose by it.
+    Infinite where the simulation runs away.
+    """
+    runs: list[Run] = [TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record])))]
+    if record.reference is not None and record.controller is not None:
+        runs.append(ClosedRun(record, 0))
+    return min((_difference(plant, run) for run in runs), key=lambda r: float(r @ r))
+
+
+def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
+    try:
+        return run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
+    except NumericalError:
+        return np.full(run.measured.size, np.inf)
+
+
+def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
+    """Return the root mean square of all residuals together."""
+    if not all(np.isfinite(r).all() for r in residuals):
+        return float("inf")
+    return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+
+
+def rotated(records: Sequence[Record], fit: Callable[[Sequence[Record]], Plant]) -> list[NDArray[np.float64]]:
+    """Return each record's residual by the plant that `fit` finds without it.
+
+    A single record is parted: its beginning is fitted, the residual is that of its end.
+    """
+    if len(records) > 1:
+        return [
+            residual(fit([other for k, other in enumerate(records) if k != i]), record)
+            for i, record in enumerate(records)
+        ]
+    (record,) = records
+    cut = max(int(KEPT * len(record)), 2)
+    plant = fit([record.slice(float(record.time[0]), float(record.time[cut - 1]))])
+    return [residual(plant, record)[cut:]]

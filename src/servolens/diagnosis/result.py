@@ -1,0 +1,227 @@
+"""What a diagnosis says: verdict, causes, errors before and after, where the error is, and doubts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, final
+
+from servolens.effects import effect_class
+
+if TYPE_CHECKING:
+    from servolens.diagnosis.evidence import Instrument, Share
+    from servolens.diagnosis.next_experiment import Experiment
+    from servolens.effects import Effect
+    from servolens.findings import Finding
+    from servolens.model import Model, Quantity
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["Candidate", "Cause", "Diagnosis", "Errors", "RecordGain", "Verdict"]
+
+Verdict = Literal["healthy", "explained", "partly_explained", "unexplained"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Errors:
+    """Root mean square of simulated minus measured position [m or rad].
+
+    Attributes
+    ----------
+    rms_error : float
+        Over the training records.
+    heldout_rms_error : float or None
+        Over records, or parts of records, that took no part in the fit.
+    """
+
+    rms_error: float
+    heldout_rms_error: float | None
+
+    def to_json(self) -> dict[str, float | None]:
+        """Return the fields."""
+        return {"rms_error": self.rms_error, "heldout_rms_error": self.heldout_rms_error}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordGain:
+    """One record's r.m.s. error with gain and damping alone, and with the causes [m or rad].
+
+    Attributes
+    ----------
+    name : str
+        Of the record.
+    heldout : bool
+        Whether the record took no part in fit and choice.
+    before, after : float
+        Error.
+    noise : float
+        Standard deviation of the record's noise.
+    """
+
+    name: str
+    heldout: bool
+    before: float
+    after: float
+    noise: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """An effect that was tried beside gain and damping alone.
+
+    Attributes
+    ----------
+    effects : tuple of str
+        Names; the last is the one that was added.
+    error : float
+        What is left in the training records driven by their voltage [m or rad].
+    """
+
+    effects: tuple[str, ...]
+    error: float
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cause:
+    """An effect that the model lacked.
+
+    Attributes
+    ----------
+    effect : str
+        Its name.
+    quantities : dict of str to Quantity
+        Its parameters.
+    confidence : float
+        Between 0 and 1: how likely it is among what was tried, given what is left unexplained.
+    rivals : tuple of str
+        Effects that these data cannot tell from it.
+    train, heldout : tuple of float or None
+        R.m.s. error without and with it, those found before it included [m or rad].
+    """
+
+    effect: str
+    quantities: dict[str, Quantity]
+    confidence: float
+    rivals: tuple[str, ...]
+    train: tuple[float, float]
+    heldout: tuple[float, float] | None
+
+    @property
+    def kind(self) -> type[Effect]:
+        """The effect's class, which tells what it looks like and what to do about it."""
+        return effect_class(self.effect)
+
+    def to_json(self, unit: str) -> dict[str, Any]:
+        """Return the fields of a cause in ``servolens.diagnosis/1``."""
+        return {
+            "effect": self.effect,
+            "parameters": {name: quantity.to_json() for name, quantity in self.quantities.items()},
+            "confidence": self.confidence,
+            "rivals": list(self.rivals),
+            "gain": {
+                "train": list(self.train),
+                "heldout": None if self.heldout is None else list(self.heldout),
+                "unit": unit,
+            },
+            "sentence": self.kind.sentence,
+            "looks_like": self.kind.looks_like,
+            "remedy": self.kind.remedy,
+            "for_the_gain": self.kind.for_the_gain,
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Diagnosis:
+    """What the simulation gets wrong, why, and what the extended model gains.
+
+    Attributes
+    ----------
+    verdict : {"healthy", "explained", "partly_explained", "unexplained"}
+        Whether gain and damping suffice; else whether the causes explain the records down to their noise, in part, or
+        not at all.
+    causes : tuple of Cause
+        In the order in which they were found.
+    baseline, extended : Errors
+        Of gain and damping alone, and with the causes.
+    noise_floor : float
+        R.m.s. of the position's noise [m or rad].
+    remainder : float
+        What of the residual is smooth, and so no noise, with the causes [m or rad].
+    where : tuple of Share
+        Where the error of gain and damping alone lives.
+    instruments : tuple of Instrument
+        What damping, gain and a free force would have to do in time, and with what that goes.
+    gains : tuple of RecordGain
+        Record by record.
+    candidates : tuple of Candidate
+        Single effects by what they leave, the best first.
+    linear, model : Model
+        Gain and damping alone; with the causes.
+    rival_plants : dict of str to tuple of Plant
+        For each cause the plants with a rival in its place.
+    next_experiment : Experiment or None
+        What would tell the rivals apart; None where there are none.
+    findings : tuple of Finding
+        Doubts: about the logs first.
+    records, heldout : tuple of Record
+        The measurements.
+    """
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    baseline: Errors
+    extended: Errors
+    noise_floor: float
+    remainder: float
+    where: tuple[Share, ...]
+    instruments: tuple[Instrument, ...]
+    gains: tuple[RecordGain, ...]
+    candidates: tuple[Candidate, ...]
+    linear: Model
+    model: Model
+    rival_plants: dict[str, tuple[Plant, ...]]
+    next_experiment: Experiment | None
+    findings: tuple[Finding, ...]
+    records: tuple[Record, ...]
+    heldout: tuple[Record, ...]
+
+    @property
+    def plant(self) -> Plant:
+        """The plant with the causes."""
+        return self.model.plant
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.diagnosis/1`` without the file's header."""
+        unit = self.plant.length_unit
+        return {
+            "verdict": self.verdict,
+            "causes": [cause.to_json(unit) for cause in self.causes],
+            "baseline": self.baseline.to_json(),
+            "extended": self.extended.to_json(),
+            "noise_floor": self.noise_floor,
+            "remainder": self.remainder,
+            "unit": unit,
+            "where": [share.to_json() for share in self.where],
+            "instruments": [instrument.to_json() for instrument in self.instruments],
+            "records": [
+                {"name": g.name, "heldout": g.heldout, "before": g.before, "after": g.after, "noise": g.noise}
+                for g in self.gains
+            ],
+            "candidates": [{"effects": list(c.effects), "rms_error": c.error} for c in self.candidates],
+            "linear_model": self.linear.to_json(),
+            "model": self.model.to_json(),
+            "rival_models": {
+                name: [_model_json(plant) for plant in plants] for name, plants in self.rival_plants.items()
+            },
+            "next_experiment": None if self.next_experiment is None else self.next_experiment.to_json(),
+        }
+
+
+def _model_json(plant: Plant) -> dict[str, Any]:
+    from servolens.model import Model
+
+    return Model(plant=plant).to_json()

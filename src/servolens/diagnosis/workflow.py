@@ -1,0 +1,186 @@
+"""From measured records to what the model lacks: show, search, confirm on held-out records, judge."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.diagnosis.case import Case
+from servolens.diagnosis.errors import residual
+from servolens.diagnosis.evidence import error_shares
+from servolens.diagnosis.logs import apart, log_findings
+from servolens.diagnosis.result import Candidate, Cause, Diagnosis
+from servolens.diagnosis.search import search
+from servolens.findings import Finding
+from servolens.identification.door import together
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from servolens.diagnosis.case import Gains
+    from servolens.diagnosis.result import Verdict
+    from servolens.diagnosis.search import Search
+    from servolens.diagnosis.trials import Hypothesis
+    from servolens.identification.effects_fit import EffectsFit
+    from servolens.identification.integral import Prior
+    from servolens.model import Quantity
+    from servolens.record import Record
+
+__all__ = ["diagnose"]
+
+PARTLY = 0.7
+"""Times the error of gain and damping alone up to which causes explain it in part."""
+ALIKE = 10.0
+"""Difference of scores up to which these data cannot tell two effects apart."""
+MOST_CONFIDENT = 0.999
+
+
+def diagnose(
+    records: Record | Sequence[Record],
+    *,
+    heldout: Record | Sequence[Record] = (),
+    priors: Mapping[str, Prior] | None = None,
+    progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+) -> Diagnosis:
+    """Find what the model of gain and damping lacks, extend it, and measure the gain on held-out data.
+
+    Every effect of the catalogue is tried beside gain and damping, then beside the best of them, until what is left is
+    noise; each is taken out again, and replaced by every other. A cause counts only if the records held out agree.
+
+    Parameters
+    ----------
+    records : Record or sequence of Record
+        Runs of one axis, from which model and causes are found.
+    heldout : Record or sequence of Record
+        Other runs of it, on which they are tested. Without any, each record in turn is left out of the fit; a single
+        one is parted in time.
+    priors : mapping of str to Prior, optional
+        Knowledge from elsewhere, by qualified parameter name.
+    progress : callable
+        Is told (what, done, total).
+
+    Raises
+    ------
+    InputError
+        If there is no record, none moves, one is unfit, or they are of different kinds of axes.
+    NumericalError
+        If gain and damping alone cannot be fitted.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    >>> runs = [lab.step_record(cart, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
+    >>> diagnosis = diagnose(runs)
+    >>> diagnosis.verdict, [cause.effect for cause in diagnosis.causes]
+    ('explained', ['coulomb_friction'])
+    """
+    runs = together(records)
+    others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
+    together((*runs, *others))
+    findings = log_findings((*runs, *others))
+    case = Case.of(runs, others, dict(priors or {}))
+    found = search(case.trials, case.base, case.is_explained, lambda what, share: progress(what, int(100 * share), 100))
+    progress("Measuring the gain", 0, 0)
+    path, doubts = _confirmed(found.path, case)
+    fits = [case.fitted(hypothesis.plant) for hypothesis in (path[0], path[-1])][: len(path)]
+    gains = case.gains([fits[0].plant, *(h.plant for h in path[1:-1]), *(fit.plant for fit in fits[1:])])
+    verdict = _verdict(case, path[-1], gains)
+    causes = _causes(case, found, path, fits[-1], gains)
+    return Diagnosis(
+        verdict=verdict,
+        causes=causes,
+        baseline=gains.errors(0),
+        extended=gains.errors(-1),
+        noise_floor=case.trials.noise,
+        remainder=case.left(path[-1]),
+        where=error_shares(runs, [residual(fits[0].plant, run) for run in runs]),
+        instruments=(),
+        gains=gains.by_record(),
+        candidates=tuple(Candidate(effects=h.causes, error=h.error) for h in found.singles),
+        linear=fits[0].model,
+        model=fits[-1].model,
+        rival_plants={
+            cause.effect: tuple(h.plant for h in _rivals(case, found, path[-1], cause.effect))
+            for cause in causes
+            if cause.rivals
+        },
+        next_experiment=None,
+        findings=(*findings, *doubts, *fits[-1].findings, *_contradictions(case, path[-1], verdict)),
+        records=runs,
+        heldout=others,
+    )
+
+
+def _confirmed(path: tuple[Hypothesis, ...], case: Case) -> tuple[tuple[Hypothesis, ...], list[Finding]]:
+    """Take the last causes off the path that do not lower the error where they were not fitted."""
+    doubts = []
+    while len(path) > 1:
+        with_it, without = case.tested(path[-1].plant), case.tested(path[-2].plant)
+        if with_it < without or not np.isfinite(without):
+            break
+        lost = next(name for name in path[-1].causes if name not in path[-2].causes)
+        message = f"{lost} lowers the error of the training records only, not of those held out; it is left out."
+        doubts.append(Finding(code="not_confirmed", severity="note", message=message))
+        path = path[:-1]
+    return path, doubts
+
+
+def _verdict(case: Case, chosen: Hypothesis, gains: Gains) -> Verdict:
+    if case.is_explained(chosen):
+        return "explained" if chosen.causes else "healthy"
+    if not chosen.causes:
+        return "unexplained"
+    return "partly_explained" if gains.tested(-1) <= PARTLY * gains.tested(0) else "unexplained"
+
+
+def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsFit, gains: Gains) -> tuple[Cause, ...]:
+    """Return the causes in the order of the path, each with what it gained."""
+    chosen, causes = path[-1], []
+    explained = 1.0 - min(case.left(chosen) / max(case.base.error, 1e-300), 1.0) ** 2
+    for name in _in_order(path):
+        rivals = _rivals(case, found, chosen, name)
+        odds = sum(float(np.exp(-0.5 * max(case.trials.score(h) - case.trials.score(chosen), 0.0))) for h in rivals)
+        at = next(i for i, h in enumerate(path) if name in h.causes and all(name in g.causes for g in path[i:]))
+        causes.append(
+            Cause(
+                effect=name,
+                quantities=_own(fit, name),
+                confidence=round(min(explained / (1.0 + odds), MOST_CONFIDENT), 4),
+                rivals=tuple(dict.fromkeys(other for h in rivals for other in h.causes if other not in chosen.causes)),
+                train=(gains.train(at - 1), gains.train(at)),
+                heldout=(gains.tested(at - 1), gains.tested(at)),
+            )
+        )
+    return tuple(causes)
+
+
+def _in_order(path: Sequence[Hypothesis]) -> list[str]:
+    """Return the causes of the last hypothesis, those first that came first."""
+    seen = [name for hypothesis in path for name in hypothesis.causes if name in path[-1].causes]
+    return list(dict.fromkeys(seen))
+
+
+def _own(fit: EffectsFit, name: str) -> dict[str, Quantity]:
+    prefix = f"{name}."
+    return {key.removeprefix(prefix): q for key, q in fit.quantities.items() if key.startswith(prefix)}
+
+
+def _rivals(case: Case, found: Search, chosen: Hypothesis, cause: str) -> list[Hypothesis]:
+    """Return what stands as well with another effect in the place of `cause`, but for one that contains it."""
+    score = case.trials.score
+    return [
+        h
+        for h in found.rivals_of(cause)
+        if score(h) <= score(chosen) + ALIKE and not any(cause in effect.generalises for effect in h.plant.effects)
+    ]
+
+
+def _contradictions(case: Case, chosen: Hypothesis, verdict: Verdict) -> list[Finding]:
+    """Return what speaks against one axis in all records, where they are not explained together."""
+    if verdict in ("healthy", "explained") or len(case.records) < 2:
+        return []
+    alone = case.alone(chosen) or case.alone(case.base)
+    finding = None if alone is None else apart([h.plant for h in alone], [r.name for r in case.records])
+    return [] if finding is None else [finding]
