@@ -163,8 +163,9 @@ def test_what_does_not_exist_is_refused(asked, message):
 
 
 @pytest.mark.parametrize("closed", [True, False], ids=["reference", "voltage"])
-def test_the_linear_view_agrees_with_a_state_space_loop(closed):
-    gain, damping, h = 1.9, 6.0, 1e-3
+@pytest.mark.parametrize("damping", [6.0, 300.0], ids=["slow", "quick"])
+def test_the_linear_view_agrees_with_a_state_space_loop(closed, damping):
+    gain, h = 1.9, 1e-3
     loop = Controller(kp=60.0, kd=3.0, derivative_filter=0.4)
     a, b, *_ = cont2discrete(
         (np.array([[0, 1], [0, -damping]]), np.array([[0], [gain]]), np.eye(2), np.zeros((2, 1))), h

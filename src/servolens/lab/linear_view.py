@@ -6,6 +6,7 @@ the simulation that the campaigns are made to test.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -81,8 +82,17 @@ def linear_response(run: Seen, gain: float, damping: float) -> Array:
 
 def _pulse(gain: float, damping: float, h: float) -> tuple[Array, Array]:
     """Return numerator and denominator of P, in powers of z⁻¹."""
-    from scipy.linalg import expm
+    fade, glide, fall = math.exp(min(-damping * h, 50.0)), *_moments(damping * h)
+    place, speed = gain * h * h * fall, gain * h * glide
+    numerator = np.array([0.0, place, h * glide * speed - fade * place])
+    return numerator, np.convolve([1.0, -1.0], [1.0, -fade])
 
-    grown = expm(h * np.array([[0.0, 1.0, 0.0], [0.0, -damping, gain], [0.0, 0.0, 0.0]]))
-    glide, place, speed, fade = grown[0, 1], grown[0, 2], grown[1, 2], grown[1, 1]
-    return np.array([0.0, place, glide * speed - fade * place]), np.convolve([1.0, -1.0], [1.0, -fade])
+
+def _moments(z: float) -> tuple[float, float]:
+    """Return ``(1 − e^{−z})/z`` and ``(e^{−z} − 1 + z)/z²``, by their series where those cancel."""
+    if abs(z) < 0.1:
+        return sum((-z) ** k / math.factorial(k + 1) for k in range(10)), sum(
+            (-z) ** k / math.factorial(k + 2) for k in range(10)
+        )
+    lost = -math.expm1(min(-z, 50.0))
+    return lost / z, (z - lost) / (z * z)

@@ -23,7 +23,7 @@ __all__ = ["NOISES", "Scene", "draw_scene", "log_uniform"]
 
 NOISES = {"low": 1e-5, "medium": 3e-5, "high": 1e-4}
 """Standard deviation of the sensor's noise, as a share of the largest step."""
-PEAK_SHARE = 0.02
+PEAK_SHARE = 0.05
 """Largest product of the loops' frequency and an integration step."""
 ANGLE = 0.25
 """The same of whatever is quicker, a coupling or a contact: errors stay far below the noise."""
