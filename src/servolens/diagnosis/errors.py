@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.diagnosis.trials import LOOSE, loop_rate
 from servolens.errors import NumericalError
-from servolens.identification.runs import ClosedRun, TetheredRun, tether
+from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -27,13 +27,16 @@ KEPT = 0.6
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position, of the closer of two simulations.
+    """Return simulated minus measured position, of the closest of a few simulations.
 
-    In closed loop from the reference, as other gains are predicted; and driven by the logged voltage, loosely tied to
-    the measured position, which knows what the controller made of the noise: an axis that sticks is shaken loose by it.
-    Infinite where the simulation runs away.
+    In closed loop from the reference, as other gains are predicted; and driven by the logged voltage, which knows what
+    the controller made of the noise: an axis that sticks is shaken loose by it. One that runs away by itself is loosely
+    tied to the measured position. Infinite where the simulation leaves all bounds.
     """
     runs: list[Run] = [TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record])))]
+    whole = voltage_runs([record])
+    if len(whole) == 1 and whole[0].measured.size == len(record):
+        runs.append(whole[0])
     if record.reference is not None and record.controller is not None:
         runs.append(ClosedRun(record, 0))
     return min((_difference(plant, run) for run in runs), key=lambda r: float(r @ r))

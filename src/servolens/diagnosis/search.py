@@ -27,6 +27,8 @@ BEAM, FAR, CLOSE = 3, 2.0, 1.25
 """Hypotheses that are extended further, up to this many times the least error; within a family that many times."""
 WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
+LESS = 0.8
+"""Share of the squared error beyond the noise that another effect may leave."""
 REFITTED, POLISHED, ALIKE = 8, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
 NEAR = 10.0
@@ -93,7 +95,7 @@ def search(
         while len(path) <= MOST_CAUSES and not enough(path[-1]):
             jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
             found = explorer.explore(jobs, f"effect {len(path)}")
-            if not found or trials.score(found[0]) > trials.score(path[-1]) - WORTH:
+            if not found or not _worth_it(found[0], path[-1], trials):
                 break
             path.append(found[0])
             beam = _beam(found)
@@ -190,6 +192,12 @@ def _specialised(plant: Plant) -> Iterator[Plant]:
             yield replace(plant, effects=tuple(e for e in plant.effects if e is not effect)).with_effect(
                 special(**{**values, **common, **level})
             )
+
+
+def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials) -> bool:
+    """Tell whether another effect pays: by the noise, and by what it does to an error that is no noise."""
+    excess = [max(h.error**2 - trials.noise**2, 0.0) for h in (longer, shorter)]
+    return trials.score(longer) < trials.score(shorter) - WORTH and excess[0] <= LESS * excess[1]
 
 
 def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:

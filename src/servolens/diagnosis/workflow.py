@@ -87,6 +87,8 @@ def diagnose(
     fits = [case.fitted(hypothesis.plant) for hypothesis in (path[0], path[-1])][: len(path)]
     gains = case.gains([fits[0].plant, *(h.plant for h in path[1:-1]), *(fit.plant for fit in fits[1:])])
     verdict = _verdict(case, path[-1], gains)
+    if verdict == "unexplained":
+        path, fits, gains = path[:1], fits[:1], case.gains([fits[0].plant])
     causes = _causes(case, found, path, fits[-1], gains)
     return Diagnosis(
         verdict=verdict,

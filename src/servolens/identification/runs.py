@@ -29,8 +29,6 @@ LEAD = 40
 """Most samples of rest before a step that a window begins with."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
-SMOOTHED = 41
-"""Samples over which the position to which a run is tied is smoothed."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -145,8 +143,7 @@ class TetheredRun:
         self._time, self._index = without_gaps(record.time)
         held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
         self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
-        smoothed = smooth(record.time, record.position, min(SMOOTHED, len(record)))[0]
-        self._position = np.ascontiguousarray(smoothed[held])
+        self._position = np.ascontiguousarray(record.position[held])
         self._tether = tether
         self.sample_time = float(np.max(np.diff(self._time)))
         self.start, self.shifts = _moving(record.time, record.position)
