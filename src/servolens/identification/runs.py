@@ -27,6 +27,8 @@ __all__ = ["ClosedRun", "Run", "TetheredRun", "VoltageRun", "closed_runs", "init
 _NO_SHIFTS: tuple[float, ...] = ()
 LEAD = 40
 """Most samples of rest before a step that a window begins with."""
+VISIBLE = 20
+"""Samples over which a velocity that is tried moves the axis by its noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 SHIFT = 1e-4
@@ -148,7 +150,11 @@ class TetheredRun:
         self.sample_time = float(np.max(np.diff(self._time)))
         self.start, self.shifts = _moving(record.time, record.position)
         if _begins_at_rest(record):
-            self.start, self.shifts = np.array([np.mean(self.measured[: rest(record)])]), self.shifts[:1]
+            still, slow = rest(record), noise_level(record) / (VISIBLE * self.sample_time)
+            self.start = np.array([np.mean(self.measured[:still]), 0.0])
+            self.shifts = (self.shifts[0], max(self.shifts[1], slow))
+            if still > 1:
+                self.start, self.shifts = self.start[:1], self.shifts[:1]
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""

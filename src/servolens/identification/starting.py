@@ -104,15 +104,15 @@ class Screen:
         self, others: Sequence[Effect], proposals: Proposals, count: int, *, also: Effect | None = None
     ) -> list[Effect]:
         """Return the best of the `proposals` for one force beside `others`, and `also`, with sizes solved for."""
-        promising = [proposal for _, proposal in self.thinned.ranked(others, proposals)[:count]]
-        if also is not None and also not in promising:
-            promising.append(also)
         found: list[tuple[float, Effect]] = []
-        for proposal in promising:
+        ranked = [proposal for _, proposal in self.thinned.ranked(others, proposals)]
+        for proposal in (*ranked, *([] if also is None else [also])):
+            if len(found) >= count and proposal is not also:
+                continue
             try:
                 solved, error = self.solve((*others, proposal))
             except (InputError, NumericalError):
-                continue
+                continue  # sizes that are no plant: the next proposal takes its place
             if all(solved.effects[-1] != other for _, other in found):
                 found.append((error, solved.effects[-1]))
         found.sort(key=lambda pair: pair[0])
