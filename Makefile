@@ -10,10 +10,11 @@ DEV_STAMP := $(VENV)/.installed-dev
 SLOW ?=
 DEMO_ARGS ?=
 COVERAGE_ARGS ?=
+CONFUSION_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs coverage pictures bench examples clean help
+.PHONY: demo test check static format format-check lint types layers docs coverage confusion pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -49,6 +50,9 @@ docs: $(DEV_STAMP) ## the documentation, into site/
 coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model and by effect (minutes)
 	@$(BIN)/python benchmarks/coverage.py
 	@$(BIN)/python benchmarks/fit_coverage.py $(COVERAGE_ARGS)
+
+confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what else it names (an hour)
+	@$(BIN)/python benchmarks/confusion.py $(CONFUSION_ARGS)
 
 pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
 	@$(BIN)/python docs/pictures.py
