@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
+from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
 
 if TYPE_CHECKING:
@@ -218,6 +219,7 @@ class Diagnosis:
                 name: [_model_json(plant) for plant in plants] for name, plants in self.rival_plants.items()
             },
             "next_experiment": None if self.next_experiment is None else self.next_experiment.to_json(),
+            "experiments": [Logged.of(record).to_json() for record in self.records],
         }
 
 

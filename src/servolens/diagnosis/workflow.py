@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.logs import apart, log_findings
+from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import search
 from servolens.findings import Finding
@@ -90,7 +92,7 @@ def diagnose(
     if verdict == "unexplained":
         path, fits, gains = path[:1], fits[:1], case.gains([fits[0].plant])
     causes = _causes(case, found, path, fits[-1], gains)
-    return Diagnosis(
+    diagnosis = Diagnosis(
         verdict=verdict,
         causes=causes,
         baseline=gains.errors(0),
@@ -113,6 +115,9 @@ def diagnose(
         records=runs,
         heldout=others,
     )
+    sure = {cause.effect: cause.confidence for cause in causes}
+    proposal = proposed(diagnosis.plant, diagnosis.rival_plants, sure, runs, noise=diagnosis.noise_floor)
+    return replace(diagnosis, next_experiment=proposal)
 
 
 def _confirmed(path: tuple[Hypothesis, ...], case: Case) -> tuple[tuple[Hypothesis, ...], list[Finding]]:
