@@ -47,4 +47,5 @@ class GainDrift(Actuator):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[GainDrift]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        yield within(cls, rate=0.1 / max(seen.duration, 1e-9))
+        for change in (0.1, -0.1):
+            yield within(cls, rate=change / max(seen.duration, 1e-9))

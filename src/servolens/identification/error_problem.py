@@ -94,6 +94,7 @@ class Problem:
         lowest = {"damping": min(0.0, plant.damping)}  # a passive axis; only a start below stays there
         self.low = np.array([lowest.get(names[i], specs[i].low) for i in self.free])
         self.high = np.array([specs[i].high for i in self.free])
+        self.signed = (self.low < 0) & (self.high > 0) & (self.free > 1)
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.measured.size for run in runs)
@@ -264,6 +265,7 @@ class Problem:
         change = np.zeros(scale.size)
         change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
         reach = 0.5 * np.maximum(np.abs(point.values), np.where(self.free == 0, 0.0, self.scale))  # β keeps its sign
+        reach[self.signed] *= 4.0
         values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
         moved = values - point.values
         starts = [
