@@ -15,7 +15,7 @@ SAYS = {
     "quickstart": "nonlinear model: kd = 3.8",
     "python_control": "phase margin",
     "cu_rotary_arm": "average, not used (held out)",
-    "emps": "Moving mass with Coulomb friction: 95.",
+    "emps": "fitted                  test (held out)       1.7",
     "kawata_arm": "this arm is a linear plant",
     "kawata_cart": "the cause is another one",
     "own_effect": "read back: TravelFriction(level=0.2",
