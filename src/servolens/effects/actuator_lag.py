@@ -28,6 +28,8 @@ class ActuatorLag(Actuator):
     stage = 40
     absent_at: ClassVar[dict[str, float]] = {"time_constant": 0.0}
     states = (State("command", "{u}", relaxes=True),)
+    linear = True
+    twin = "sensor_lag"
     looks_like = (
         "The acceleration after a step of the command begins gently, not at once, and the loop rings more "
         "than its gains suggest, more so the higher they are."

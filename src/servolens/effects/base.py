@@ -156,6 +156,10 @@ class Effect(ABC):
         Names of amplitude and phase of a force ``amplitude·sin(… + phase)``: both can be solved for.
     generalises : tuple of str
         Names of effects that this one is at some of its values: beside it they are not wanted.
+    linear : bool
+        Whether an axis of gain and damping stays linear and time-invariant with it.
+    twin : str
+        Name of an effect with which a linear axis gives the same records; may be empty.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
@@ -167,6 +171,8 @@ class Effect(ABC):
     states: ClassVar[tuple[State, ...]] = ()
     wave: ClassVar[tuple[str, str] | None] = None
     generalises: ClassVar[tuple[str, ...]] = ()
+    linear: ClassVar[bool] = False
+    twin: ClassVar[str] = ""
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     for_the_gain: ClassVar[str] = ""

@@ -26,6 +26,7 @@ class Delay(TimeShift):
     sentence = "The command acts later than it was given."
     latex = r"a(t)=V(t-\tau)"
     absent_at: ClassVar[dict[str, float]] = {"time": 0.0}
+    linear = True
     looks_like = (
         "Everything happens as expected but a few samples late; the loop rings at high gains, and with more kd too."
     )

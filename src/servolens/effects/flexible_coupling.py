@@ -27,6 +27,7 @@ class FlexibleCoupling(Transmission):
     sentence = "The measured load is coupled to the motor by a spring and a damper."
     latex = r"k(x-y)+d(\dot x-\dot y)"
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
+    linear = True
     looks_like = (
         "The load swings on after the motor has stopped, at one frequency that the gains hardly move; "
         "with higher gains it grows into a hum."

@@ -27,6 +27,8 @@ class SensorLag(Sensor):
     latex = r"\tau\,\dot y_m = y - y_m"
     absent_at: ClassVar[dict[str, float]] = {"time_constant": 0.0}
     states = (State("position", "{x}", relaxes=True),)
+    linear = True
+    twin = "actuator_lag"
     looks_like = (
         "The measured position starts after the motor and the loop rings more than its gains suggest; "
         "with voltage and position alone it looks the same as a lag of the actuator."
