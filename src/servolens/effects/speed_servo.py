@@ -27,6 +27,7 @@ class SpeedServo(Drive):
     sentence = "The drive runs a PI speed loop of its own and takes the voltage as the speed to hold."
     latex = r"p\,(sV - v) + i\int(sV - v)\,dt"
     states = (State("position_error", "{x}"),)
+    linear = True
     looks_like = (
         "A constant voltage gives a constant speed that load and friction hardly change; "
         "steps end with little error even at low kp, and a hand cannot push the axis away."
