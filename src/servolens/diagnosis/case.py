@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.diagnosis.errors import pooled, residual, rotated
+from servolens.diagnosis.logs import apart
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.diagnosis.trials import Hypothesis, Trials
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.findings import Finding
     from servolens.identification.integral import Prior
     from servolens.plant import Plant
     from servolens.record import Record
@@ -108,8 +110,14 @@ class Case:
         """Return the r.m.s. error of `plant` where it was not fitted [m or rad]."""
         return self.gains([plant]).tested(0)
 
-    def alone(self, hypothesis: Hypothesis) -> list[Hypothesis] | None:
-        """Return `hypothesis` fitted to each record alone; None if it does not explain each so."""
+    def is_contradictory(self) -> bool:
+        """Tell whether gain and damping explain each record by itself, but with values that no single axis has."""
+        return not self.is_explained(self.base) and self.apart(self.base) is not None
+
+    def apart(self, hypothesis: Hypothesis) -> Finding | None:
+        """Return a finding if `hypothesis` explains each record by itself, but with values that no single axis has."""
+        if len(self.records) < 2:
+            return None
         found = []
         for record in self.records:
             try:
@@ -119,8 +127,8 @@ class Case:
             fit = trials.fitted(hypothesis.plant)
             if fit is None or remainder(trials.judged(fit).residuals, self.rounding) > LEFT * trials.noise:
                 return None
-            found.append(fit)
-        return found
+            found.append(fit.plant)
+        return apart(found, [record.name for record in self.records])
 
     def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:
         try:

@@ -10,10 +10,11 @@ import numpy as np
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
-from servolens.diagnosis.logs import apart, log_findings
+from servolens.diagnosis.in_time import instruments
+from servolens.diagnosis.logs import log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
-from servolens.diagnosis.search import search
+from servolens.diagnosis.search import Search, search
 from servolens.findings import Finding
 from servolens.identification.door import together
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Gains
     from servolens.diagnosis.result import Verdict
-    from servolens.diagnosis.search import Search
     from servolens.diagnosis.trials import Hypothesis
     from servolens.identification.effects_fit import EffectsFit
     from servolens.identification.integral import Prior
@@ -83,7 +83,10 @@ def diagnose(
     together((*runs, *others))
     findings = log_findings((*runs, *others))
     case = Case.of(runs, others, dict(priors or {}))
-    found = search(case.trials, case.base, case.is_explained, lambda what, share: progress(what, int(100 * share), 100))
+    if case.is_contradictory():  # nothing that one axis has can explain two
+        found = Search((case.base,), (), ())
+    else:
+        found = search(case.trials, case.base, case.is_explained, lambda what, of: progress(what, int(100 * of), 100))
     progress("Measuring the gain", 0, 0)
     path, doubts = _confirmed(found.path, case)
     fits = [case.fitted(hypothesis.plant) for hypothesis in (path[0], path[-1])][: len(path)]
@@ -100,7 +103,7 @@ def diagnose(
         noise_floor=case.trials.noise,
         remainder=case.left(path[-1]),
         where=error_shares(runs, [residual(fits[0].plant, run) for run in runs]),
-        instruments=(),
+        instruments=instruments(case.trials.screen, fits[0].plant),
         gains=gains.by_record(),
         candidates=tuple(Candidate(effects=h.causes, error=h.error) for h in found.singles),
         linear=fits[0].model,
@@ -155,12 +158,20 @@ def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsF
                 effect=name,
                 quantities=_own(fit, name),
                 confidence=round(min(explained / (1.0 + odds), MOST_CONFIDENT), 4),
-                rivals=tuple(dict.fromkeys(other for h in rivals for other in h.causes if other not in chosen.causes)),
+                rivals=_names(rivals, chosen, name),
                 train=(gains.train(at - 1), gains.train(at)),
                 heldout=(gains.tested(at - 1), gains.tested(at)),
             )
         )
     return tuple(causes)
+
+
+def _names(rivals: Sequence[Hypothesis], chosen: Hypothesis, cause: str) -> tuple[str, ...]:
+    """Return the names of the rivals of `cause`, and of what a linear axis never tells from it."""
+    names = [name for h in rivals for name in h.causes if name not in chosen.causes]
+    if all(effect.linear for effect in chosen.plant.effects):
+        names += [effect.twin for effect in chosen.plant.effects if effect.name == cause and effect.twin]
+    return tuple(dict.fromkeys(names))
 
 
 def _in_order(path: Sequence[Hypothesis]) -> list[str]:
@@ -188,6 +199,5 @@ def _contradictions(case: Case, chosen: Hypothesis, verdict: Verdict) -> list[Fi
     """Return what speaks against one axis in all records, where they are not explained together."""
     if verdict in ("healthy", "explained") or len(case.records) < 2:
         return []
-    alone = case.alone(chosen) or case.alone(case.base)
-    finding = None if alone is None else apart([h.plant for h in alone], [r.name for r in case.records])
+    finding = case.apart(case.base) or case.apart(chosen)
     return [] if finding is None else [finding]

@@ -1,0 +1,149 @@
+"""The tests hide an effect in the data and require finding it. Larger studies: ``make confusion``."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servolens import Plant, lab
+from servolens.diagnosis import diagnose
+from servolens.diagnosis.remainder import remainder
+from servolens.diagnosis.search import search
+from servolens.diagnosis.trials import Trials
+from servolens.effects import CATALOGUE
+from servolens.errors import InputError
+
+SEED = 9000
+TWINS = {"actuator_lag": {"sensor_lag"}, "sensor_lag": {"actuator_lag"}}
+PAIRS = (
+    ("coulomb_friction", "delay"),
+    ("stribeck_friction", "cogging"),
+    ("dead_zone", "return_spring"),
+    ("backlash", "quadratic_drag"),
+)
+
+
+def first_named(diagnosis, effect):
+    cause = diagnosis.causes[0]
+    return cause.effect == effect or (cause.effect in TWINS.get(effect, ()) and effect in cause.rivals)
+
+
+def test_coulomb_friction_is_named_and_measured():
+    campaign = lab.hidden_campaign(SEED, effects=["coulomb_friction"], visibility=30.0)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    (cause,) = diagnosis.causes
+    assert diagnosis.verdict == "explained"
+    assert cause.effect == "coulomb_friction"
+    assert cause.confidence > 0.95
+    level = campaign.truth.effects["coulomb_friction"]["level"]
+    found = cause.quantities["level"]
+    assert abs(found.value - level) < 4.0 * found.stderr
+    assert diagnosis.extended.heldout_rms_error < 1.2 * campaign.floor < diagnosis.baseline.heldout_rms_error
+    assert cause.heldout == (diagnosis.baseline.heldout_rms_error, diagnosis.extended.heldout_rms_error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", CATALOGUE)
+def test_hidden_effect_is_named_first(effect):
+    campaign = lab.hidden_campaign(SEED + 1, effects=[effect])
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict in ("explained", "partly_explained")
+    assert first_named(diagnosis, effect), [cause.effect for cause in diagnosis.causes]
+    assert diagnosis.extended.heldout_rms_error < diagnosis.baseline.heldout_rms_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", PAIRS, ids="+".join)
+def test_hidden_pair_is_named(effects):
+    campaign = lab.hidden_campaign(SEED + 2, effects=effects)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert {cause.effect for cause in diagnosis.causes} == set(effects)
+
+
+@pytest.mark.parametrize("seed", range(SEED, SEED + 8))
+def test_healthy_axis_is_called_healthy(seed):
+    campaign = lab.hidden_campaign(seed)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict == "healthy"
+    assert diagnosis.causes == ()
+    assert diagnosis.plant.effects == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("foreign", ["hysteretic_spring", "even_gain", "knocks", "cubic_gain"])
+def test_foreign_law_is_not_explained_by_a_member_of_the_catalogue(foreign):
+    campaign = lab.hidden_campaign(SEED + 3, foreign=foreign)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict in ("partly_explained", "unexplained")
+    assert diagnosis.remainder > 0.0
+
+
+@pytest.mark.parametrize(
+    "lacking", [{"records": 1, "heldout": 1}, {"log_voltage": False}, {"log_reference": False}], ids=str
+)
+def test_little_is_logged_and_friction_is_named_all_the_same(lacking):
+    campaign = lab.hidden_campaign(SEED + 4, effects=["coulomb_friction"], visibility=40.0, **lacking)
+    diagnosis = diagnose(campaign.records)
+    assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
+
+
+def test_without_held_out_records_each_record_is_left_out_in_turn():
+    campaign = lab.hidden_campaign(SEED + 5, effects=["return_spring"], visibility=30.0)
+    diagnosis = diagnose(campaign.records)
+    heldout = [gain for gain in diagnosis.gains if gain.heldout]
+    assert [gain.name for gain in heldout] == [record.name for record in campaign.records]
+    assert all(gain.after < gain.before for gain in heldout)
+
+
+def test_records_of_two_axes_are_said_to_contradict_each_other():
+    light, heavy = (lab.Truth(gain=gain, damping=6.0) for gain in (1.9, 3.8))
+    records = [
+        lab.step_record(axis, 60.0, kd, reference=(0.1, 0.0), duration=0.8, noise=1e-5, seed=i, name=name)
+        for i, (axis, kd, name) in enumerate([(light, 0.0, "a"), (light, 2.0, "b"), (heavy, 0.0, "c")])
+    ]
+    codes = {finding.code for finding in diagnose(records).findings}
+    assert "records_contradict" in codes
+
+
+def test_axis_that_does_not_move_is_refused():
+    record = lab.step_record(lab.LM1, 0.0, 0.0, reference=0.1, duration=0.5, seed=1)
+    with pytest.raises(InputError, match="check the sensor, or log a step"):
+        diagnose(record)
+
+
+def test_search_returns_to_the_simpler_effect():
+    campaign = lab.hidden_campaign(SEED + 6, effects=["coulomb_friction"], visibility=30.0)
+    trials = Trials(campaign.records, {})
+    found = search(trials, trials.fitted(trials.start), lambda h: h.error < 1.1 * trials.noise)
+    assert found.chosen.causes == ("coulomb_friction",)
+    assert {h.causes for h in found.tried} >= {("stribeck_friction",), ("asymmetric_friction",)}
+
+
+def test_smooth_remainder_is_seen_below_the_noise():
+    rng = np.random.default_rng(5)
+    noise = rng.normal(size=12_000)
+    wave = 0.4 * np.sqrt(2.0) * np.sin(np.arange(12_000) / 100.0)
+    assert remainder([noise]) == 0.0
+    assert remainder([noise + wave]) == pytest.approx(0.4, rel=0.2)
+
+
+def test_rounding_at_rest_is_no_remainder():
+    rng = np.random.default_rng(6)
+    moving = np.cumsum(rng.uniform(0.0, 2.0, size=6_000))
+    position = np.concatenate([moving, np.full(6_000, moving[-1])])
+    error = np.round(position) - position
+    assert remainder([error]) > 0.1
+    assert remainder([error], rounding=1.0) == 0.0
+
+
+def test_diagnosis_survives_json():
+    import json
+
+    campaign = lab.hidden_campaign(SEED + 7, effects=["constant_force"], visibility=20.0)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    data = json.loads(json.dumps(diagnosis.to_json()))
+    assert data["verdict"] == diagnosis.verdict
+    assert data["causes"][0]["effect"] == "constant_force"
+    assert set(data["causes"][0]["gain"]) == {"train", "heldout", "unit"}
+    assert data["model"]["effects"][0]["effect"] == "constant_force"
+    assert isinstance(diagnosis.plant, Plant)
