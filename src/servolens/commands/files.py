@@ -19,7 +19,16 @@ if TYPE_CHECKING:
     from servolens.model import Model
     from servolens.record import Record
 
-__all__ = ["about", "check_outputs", "load_models", "load_records", "priors_from", "quality_findings", "together"]
+__all__ = [
+    "about",
+    "check_outputs",
+    "load_models",
+    "load_records",
+    "priors_from",
+    "quality_findings",
+    "same_file",
+    "together",
+]
 
 
 def check_outputs(outputs: Mapping[str, str | None], inputs: Sequence[str] = ()) -> None:
@@ -43,7 +52,7 @@ def check_outputs(outputs: Mapping[str, str | None], inputs: Sequence[str] = ())
             continue
         _check_output(option, name)
         for other in taken:
-            if _same(name, other):
+            if same_file(name, other):
                 raise InputError(f"{name}: {option} would overwrite {other}; choose another file")
         taken.append(name)
 
@@ -132,6 +141,16 @@ def about(*files: str) -> Iterator[None]:
         raise type(error)(f"{shown}: {error}") from error
 
 
+def same_file(first: str, second: str) -> bool:
+    """Tell whether both paths lead to the same file; two devices are never the same."""
+    if Path(first).exists() and not Path(first).is_file():
+        return False  # a device takes everything
+    try:
+        return Path(first).samefile(second)
+    except OSError:
+        return Path(first).absolute() == Path(second).absolute()
+
+
 def _check_output(option: str, name: str) -> None:
     path = Path(name)
     if not name.strip() or path.is_dir():
@@ -142,12 +161,3 @@ def _check_output(option: str, name: str) -> None:
     target = path if path.exists() else folder
     if not os.access(target, os.W_OK):
         raise InputError(f"{name}: cannot be written (permission denied)")
-
-
-def _same(first: str, second: str) -> bool:
-    if Path(first).exists() and not Path(first).is_file():
-        return False  # a device takes everything
-    try:
-        return Path(first).samefile(second)
-    except OSError:
-        return Path(first).absolute() == Path(second).absolute()

@@ -10,11 +10,21 @@ from typing import TYPE_CHECKING, Any, final
 import click
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     Command = Callable[..., int]
 
-__all__ = ["Documented", "Recordings", "SpecOptions", "finite", "json_option", "prior", "recordings", "specification"]
+__all__ = [
+    "Documented",
+    "Paths",
+    "Recordings",
+    "SpecOptions",
+    "finite",
+    "json_option",
+    "prior",
+    "recordings",
+    "specification",
+]
 
 SPEC_FIELDS = (
     "kp",
@@ -38,6 +48,16 @@ class Documented(click.Command):
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the example on a line of its own."""
         formatter.write(f"\nExample:\n  {self.epilog}\n")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Repeat an option of :class:`Paths` before each of its paths, then parse."""
+        greedy = {name for option in self.params if isinstance(option, Paths) for name in option.opts}
+        return super().parse_args(ctx, _spread(args, greedy, ctx) if greedy else args)
+
+
+@final
+class Paths(click.Option):
+    """An option that takes every path up to the next option."""
 
 
 def finite(value: Any) -> float:
@@ -194,6 +214,31 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
 )
+
+
+def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:
+    """Return the arguments with each option of `greedy` before every one of its paths."""
+    result: list[str] = []
+    current, missing = None, False
+    for i, arg in enumerate(args):
+        name, mark, value = arg.partition("=")
+        is_option = arg.startswith("-") and arg != "-"
+        if is_option and missing:
+            break
+        if arg == "--":
+            return [*result, *args[i:]]
+        if name in greedy:
+            current, missing = name, not mark
+            result += [name, value] if mark else []
+        elif is_option:
+            current = None
+            result.append(arg)
+        else:
+            result += [arg] if current is None else [current, arg]
+            missing = False
+    if missing:
+        raise click.UsageError(f"{current} needs at least one record", ctx)
+    return result
 
 
 def _number(option: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:

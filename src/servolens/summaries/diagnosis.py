@@ -25,6 +25,7 @@ PLACES = ("speed", "direction", "position", "time_since_step", "voltage", "frequ
 """Quantities by how much they tell people; the first is taken of those that come close to the best."""
 CLOSE = 0.2
 NAMES = {
+    "gain_and_damping": "gain and damping alone",
     "coulomb_friction": "Coulomb friction",
     "stribeck_friction": "Stribeck friction",
     "presliding": "presliding friction",

@@ -1,0 +1,139 @@
+"""Commands that find causes: diagnose, next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import click
+
+from servolens.commands.files import (
+    about,
+    check_outputs,
+    load_records,
+    priors_from,
+    quality_findings,
+    same_file,
+    together,
+)
+from servolens.commands.options import Documented, Paths, Recordings, finite, json_option, prior, recordings
+from servolens.commands.terminal import progress_bar, show
+from servolens.errors import InputError
+from servolens.results import STANDARD_OUTPUT, write_json
+from servolens.summary import Summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from servolens.record import Record
+
+__all__ = ["diagnose", "next_"]
+
+
+@click.command(cls=Documented, epilog="servolens diagnose kp60.csv kp80.csv --heldout kp100.csv --out model.json")
+@recordings()
+@click.option(
+    "--heldout",
+    cls=Paths,
+    multiple=True,
+    metavar="RECORD...",
+    help="Records that only test what was found: every path up to the next option. May be repeated.",
+)
+@click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    type=prior,
+    metavar="NAME=MEAN,SD",
+    help="Data-sheet knowledge: gain=45,2. May be repeated.",
+)
+@click.option("--out", metavar="FILE", help="Write the extended model.")
+@json_option
+def diagnose(
+    recordings: Recordings,
+    heldout: tuple[str, ...],
+    priors: tuple[tuple[str, float, float], ...],
+    out: str | None,
+    json_file: str | None,
+) -> int:
+    """Find what the simulation gets wrong, and why.
+
+    Names the effects that a model of gain and damping lacks, what else they may be, what to do about them, and how much
+    better the extended model is on records it has not seen. Without --heldout each record in turn is left out.
+    """
+    if out == json_file == STANDARD_OUTPUT:
+        raise click.UsageError("--out and --json cannot both go to standard output")
+    outputs = {"--out": out, "--json": json_file}
+    check_outputs(outputs, (*recordings.paths, *heldout))
+    from servolens.diagnosis import diagnose as find
+    from servolens.summaries import diagnosis_summary
+
+    known = priors_from(priors)
+    _check_priors(known)
+    with progress_bar() as progress:
+        records = load_records(recordings, outputs, progress)
+        others = load_records(replace(recordings, paths=heldout), outputs, progress) if heldout else ()
+        _check_apart(records, others)
+        with about(*recordings.paths, *heldout):
+            result = find(records, heldout=others, priors=known, progress=progress)
+    findings = together(result.findings, quality_findings((*records, *others)))
+    if out:
+        write_json(out, "model", result.model.to_json(), findings)
+    if json_file:
+        write_json(json_file, "diagnosis", result.to_json(), findings)
+    show(
+        replace(diagnosis_summary(result), findings=findings), STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
+    )
+    return 0
+
+
+@click.command("next", cls=Documented, epilog="servolens next diagnosis.json")
+@click.argument("file", metavar="DIAGNOSIS.json|MODEL.json")
+@click.option("--kp", type=finite, metavar="NUMBER", help="For a model alone: a gain around which to look.")
+@click.option(
+    "--reference", type=finite, metavar="NUMBER", help="For a model alone: the step [m or rad].  [default: 0.1]"
+)
+@json_option
+def next_(file: str, kp: float | None, reference: float | None, json_file: str | None) -> int:
+    """Propose the experiment that best tells rivals apart.
+
+    Reads what `servolens diagnose --json` wrote; a model alone names no rivals, and is told from itself without its
+    least certain effect. Exit status 1 if there is nothing to tell apart.
+    """
+    check_outputs({"--json": json_file}, [file])
+    from servolens.diagnosis.proposal import propose
+    from servolens.summaries import experiment_summary
+
+    with about(file):
+        found = propose(file, kp=kp, reference=reference)
+    if json_file:
+        write_json(json_file, "next", found.to_json(), found.findings)
+    if found.experiment is None:
+        show(Summary(title="Next experiment", sentences=(_sentence(found.reason),), findings=found.findings), json_file)
+        return 1
+    units = {"length_unit": found.length_unit, "command_unit": found.command_unit}
+    show(replace(experiment_summary(found.experiment, **units), findings=found.findings), json_file)
+    return 0
+
+
+def _check_priors(names: Iterable[str]) -> None:
+    from servolens.effects import CATALOGUE
+
+    known = {f"{effect.name}.{spec.name}" for effect in CATALOGUE.values() for spec in effect.parameters()}
+    for name in names:
+        if name not in known | {"gain", "damping"}:
+            raise InputError(
+                f"a prior on {name[:40]!r} is not possible; there are gain, damping and EFFECT.PARAMETER,"
+                " such as coulomb_friction.level"
+            )
+
+
+def _check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:
+    for record in heldout:
+        if any(same_file(record.source, other.source) for other in records):
+            raise InputError(f"{record.source}: is given both as training and as held out; keep one of the two")
+
+
+def _sentence(reason: str | None) -> str:
+    text = reason or "there is nothing to tell apart"
+    return f"{text[:1].upper()}{text[1:]}."

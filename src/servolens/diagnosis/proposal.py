@@ -1,0 +1,197 @@
+"""The next experiment from a file: of a diagnosis, which names rivals, or of a model alone, which names none."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from servolens.diagnosis.logged import Logged
+from servolens.diagnosis.next_experiment import next_experiment, proposed
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.model import Model, read_model
+from servolens.record import Controller
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servolens.diagnosis.next_experiment import Experiment
+    from servolens.plant import Plant
+
+__all__ = ["Proposal", "propose"]
+
+DIAGNOSIS, MODEL = "servolens.diagnosis/1", "servolens.model/1"
+STEP, SAMPLE_TIME, NOISE = 0.1, 1e-3, 1e-4
+"""Of a model alone, which knows no records: the step [m or rad], the loop [s], noise as a share of the step."""
+LASTS, FEWEST, MOST = 8.0, 200, 3000
+"""Time constants for which a step is logged; samples of a level."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """What to log next, or why nothing.
+
+    Attributes
+    ----------
+    experiment : Experiment or None
+        The proposal.
+    reason : str or None
+        Why there is none.
+    length_unit, command_unit : str
+        Of the axis.
+    findings : tuple of Finding
+        What was assumed.
+    """
+
+    experiment: Experiment | None
+    reason: str | None = None
+    length_unit: str
+    command_unit: str
+    findings: tuple[Finding, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.next/1`` without the file's header."""
+        if self.experiment is None:
+            return {"next_experiment": None, "reason": self.reason}
+        return {"next_experiment": self.experiment.to_json()}
+
+
+def propose(path: Path | str, *, kp: float | None = None, reference: float | None = None) -> Proposal:
+    """Return the experiment that best tells rivals apart.
+
+    Parameters
+    ----------
+    path : Path or str
+        A ``servolens.diagnosis/1`` or ``servolens.model/1`` file.
+    kp : float, optional
+        For a model alone, a gain around which to look [V/m or V/rad]; by default the one that leaves the loop half
+        damped.
+    reference : float, optional
+        For a model alone, the step that the axis may make [m or rad]; 0.1 by default.
+
+    Raises
+    ------
+    InputError
+        If the file is neither, or `kp` or `reference` do not fit.
+    """
+    file = Path(path)
+    if _schema(file) == MODEL:
+        return _from_model(read_model(file), kp, STEP if reference is None else reference)
+    if kp is not None or reference is not None:
+        raise InputError("a diagnosis knows gains and steps that were logged; kp and reference are for a model alone")
+    return _from_diagnosis(_read(file))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError("is a folder or a device; give the JSON of a diagnosis, or a model")
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        raise InputError("is not JSON; give what `servolens diagnose --json` or `--out` wrote") from None
+    return data if isinstance(data, dict) else {}
+
+
+def _schema(path: Path) -> str:
+    schema = _read(path).get("schema")
+    if schema not in (DIAGNOSIS, MODEL):
+        raise InputError(f"is neither diagnosis nor model (schema {str(schema)[:40]!r})")
+    return str(schema)
+
+
+def _from_diagnosis(data: Mapping[str, Any]) -> Proposal:
+    try:
+        plant = Model.from_json(data["model"]).plant
+        rivals = {
+            str(name): [Model.from_json(rival).plant for rival in found] for name, found in data["rival_models"].items()
+        }
+        sure = {str(cause["effect"]): float(cause["confidence"]) for cause in data["causes"]}
+        logged = [Logged.from_json(one) for one in data["experiments"]]
+        noise = float(data["noise_floor"])
+    except KeyError as error:
+        raise InputError(f"not a whole diagnosis: {str(error.args[0])[:40]!r} is missing") from None
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("not a whole diagnosis: a field has the wrong type") from None
+    if not logged or not math.isfinite(noise):
+        raise InputError("not a whole diagnosis: no experiment is logged, or noise_floor is no number")
+    experiment = proposed(plant, rivals, sure, logged, noise=noise)
+    if any(rivals.values()):
+        reason = "no step within what was logged stays safe with each of the rivals; log a smaller or slower one first"
+    else:
+        reason = "the diagnosis names no rivals, so there is nothing to tell apart"
+    return _proposal(plant, experiment, reason)
+
+
+def _from_model(model: Model, kp: float | None, reference: float) -> Proposal:
+    """Return what best tells the model from itself without its least certain effect."""
+    plant = model.plant
+    if not plant.effects:
+        reason = "the model names no rivals and holds no effect beside gain and damping: there is nothing to tell apart"
+        return _proposal(plant, None, reason)
+    if not (math.isfinite(reference) and reference != 0):
+        raise InputError(f"the reference must be a step other than 0, got {reference!r}")
+    doubtful = max((effect.name for effect in plant.effects), key=lambda name: _uncertainty(model, name))
+    others = plant.without_effect(doubtful)
+    name = f"without {doubtful}" if others.effects else "gain_and_damping"
+    logged = _assumed(model, kp, reference)
+    experiment = next_experiment({doubtful: plant, name: others}, [logged], noise=NOISE * abs(reference))
+    told = Finding(
+        code="no_rivals",
+        severity="note",
+        message=(
+            "a model names no rivals; this experiment tells it from the same model without its least certain effect,"
+            f" {doubtful}, with noise of {NOISE:g} of the step."
+        ),
+    )
+    reason = f"no step of {reference:g} {plant.length_unit} around these gains stays safe"
+    return _proposal(plant, experiment, reason, (told,))
+
+
+def _proposal(plant: Plant, experiment: Experiment | None, reason: str, findings: tuple[Finding, ...] = ()) -> Proposal:
+    return Proposal(
+        experiment=experiment,
+        reason=None if experiment else reason,
+        length_unit=plant.length_unit,
+        command_unit=plant.command_unit,
+        findings=findings,
+    )
+
+
+def _uncertainty(model: Model, effect: str) -> float:
+    """Return the largest relative standard error of the effect's parameters; infinite where one is not known."""
+    errors = [q for name, q in model.quantities.items() if name.startswith(f"{effect}.")]
+    return max((math.inf if q.stderr is None or q.value == 0 else q.stderr / abs(q.value)) for q in errors)
+
+
+def _assumed(model: Model, kp: float | None, reference: float) -> Logged:
+    """Return an experiment around which to look, as no record is known."""
+    plant = model.plant
+    rate = plant.damping if plant.damping > 0 else 10.0
+    gain = rate**2 / plant.gain if kp is None else kp
+    if not (math.isfinite(gain) and gain * plant.gain > 0):
+        raise InputError(f"kp must have the sign of the model's gain and not be 0, got {gain:g}")
+    slow = min(0.5 * rate, math.sqrt(gain * plant.gain))
+    samples = min(max(round(LASTS / slow / SAMPLE_TIME), FEWEST), MOST)
+    volts = abs(gain * reference)
+    reach = (-abs(reference), 2.0 * abs(reference))
+    return Logged(
+        name="assumed",
+        controller=Controller(kp=gain),
+        start=0.0,
+        reference=reference,
+        duration=samples * SAMPLE_TIME,
+        sample_time=SAMPLE_TIME,
+        position_range=reach if reference > 0 else (-reach[1], -reach[0]),
+        voltage_range=(-volts, volts),
+        voltage_limit=None,
+    )
