@@ -6,9 +6,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servolens.bridge import closed_loop, to_control
+    from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
     from servolens.design import Comparison, Design, PDSpec, compare, tune
+    from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
         AsymmetricDamping,
@@ -53,14 +54,22 @@ if TYPE_CHECKING:
     from servolens.reading import read_record, record_from_dataframe, record_from_timeresponse
     from servolens.record import Controller, Record
     from servolens.report import write_report
-    from servolens.simulation import Simulation, simulate, simulate_continuous, simulate_loop, simulate_voltage
+    from servolens.simulation import (
+        Simulation,
+        simulate,
+        simulate_continuous,
+        simulate_loop,
+        simulate_many,
+        simulate_voltage,
+    )
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "bridge": ("closed_loop", "to_control"),
+    "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
     "design": ("Comparison", "Design", "PDSpec", "compare", "tune"),
+    "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
         "AsymmetricDamping",
@@ -105,7 +114,14 @@ _HOMES = {
     "reading": ("read_record", "record_from_dataframe", "record_from_timeresponse"),
     "record": ("Controller", "Record"),
     "report": ("write_report",),
-    "simulation": ("Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage"),
+    "simulation": (
+        "Simulation",
+        "simulate",
+        "simulate_continuous",
+        "simulate_loop",
+        "simulate_many",
+        "simulate_voltage",
+    ),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -122,6 +138,7 @@ __all__ = [
     "DeadZone",
     "Delay",
     "Design",
+    "Diagnosis",
     "EffectsFit",
     "FitOptions",
     "FlexibleCoupling",
@@ -143,6 +160,7 @@ __all__ = [
     "QuadraticDrag",
     "Quantity",
     "Record",
+    "ResponseWarning",
     "ReturnSpring",
     "Saturation",
     "SensorLag",
@@ -155,9 +173,12 @@ __all__ = [
     "assess",
     "bootstrap",
     "check",
+    "check_response",
     "closed_loop",
     "compare",
+    "diagnose",
     "fit_effects",
+    "held_response",
     "identify",
     "predict",
     "profile",
@@ -169,6 +190,7 @@ __all__ = [
     "simulate",
     "simulate_continuous",
     "simulate_loop",
+    "simulate_many",
     "simulate_voltage",
     "to_control",
     "tune",
