@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Instrument", "Share", "error_shares"]
+__all__ = ["Instrument", "Share", "error_shares", "since_step"]
 
 BINS = 12
 WINDOW = 41
@@ -72,13 +72,16 @@ class Instrument:
     varies : {"damping", "gain", "force"}
         What is let vary.
     goes_with : str
-        The measured quantity it follows best.
+        The measured quantity it follows best: ``"speed"``, ``"velocity"``, ``"direction"``, ``"position"``,
+        ``"distance"`` (of the position from 0), ``"voltage"``, ``"voltage_size"``, ``"time"`` (of the record),
+        ``"time_since_step"``; or ``"constant"``: the free force stays the same.
     correlation : float
-        Between −1 and 1.
+        Between −1 and 1, gain and damping being free.
     significance : float
-        Probability that chance alone correlates so much, corrected for the number of quantities tried.
+        Probability that chance alone correlates so much, corrected for the number of quantities and instruments tried.
     abscissa, value, deviation : tuple of float
-        For a picture: the quantity's mean over each piece, what varies there, and its standard error.
+        For a picture: the quantity's mean over each piece (of a constant force: time), what varies there, and its
+        standard error.
     """
 
     varies: str
@@ -123,7 +126,7 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
     speed = np.concatenate(speeds)
     still = 0.01 * float(np.abs(speed).max())
     return [
-        ("time_since_step", "s", np.concatenate([_since_step(r) for r in records])),
+        ("time_since_step", "s", np.concatenate([since_step(r) for r in records])),
         ("speed", f"{x}/s", np.abs(speed)),
         ("position", x, np.concatenate([r.position for r in records])),
         ("direction", "1", np.where(np.abs(speed) <= still, 0.0, np.sign(speed))),
@@ -131,7 +134,8 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
     ]
 
 
-def _since_step(record: Record) -> NDArray[np.float64]:
+def since_step(record: Record) -> NDArray[np.float64]:
+    """Return the time since the reference last changed, or since the record's beginning [s]."""
     edges = np.unique(np.concatenate(([0], record.edges())))
     last = edges[np.searchsorted(edges, np.arange(len(record)), side="right") - 1]
     return np.asarray(record.time - record.time[last])
