@@ -32,7 +32,7 @@ SAME = 0.9999
 """Correlation from which on two quantities are one: the time of the record, and since its only step."""
 UNDETERMINED = 1e-6
 """Least share of the largest of a stretch's pieces that the data must tell of one."""
-EXACT = 3e-5
+EXACT = 1e-5
 """Share of the travel that voltages held between samples, positions rounded and times jittering leave of any axis."""
 
 
