@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Segment", "applied_voltage", "motion_segments", "noise_level", "rests_between", "settled_steps"]
+__all__ = [
+    "Segment",
+    "applied_voltage",
+    "motion_segments",
+    "noise_level",
+    "rests_between",
+    "settled_steps",
+    "white_noise",
+]
 
 FEWEST_SAMPLES = 12
 FEWEST_STROKES = 12
@@ -132,9 +140,13 @@ def noise_level(record: Record) -> float:
 
     At least that of the stated encoder, resolution/√12.
     """
-    third = np.diff(record.position[:100_000], 3)
-    spread = float(np.sqrt(np.mean(third**2) / 20.0)) if third.size else 0.0
-    return max(spread, (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
+    return max(white_noise(record.position), (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
+
+
+def white_noise(signal: NDArray[np.float64]) -> float:
+    """Return the standard deviation of white noise on a smooth `signal`, from third differences of 10⁵ samples."""
+    third = np.diff(signal[:100_000], 3)
+    return float(np.sqrt(np.mean(third**2) / 20.0)) if third.size else 0.0
 
 
 def _sample_time(record: Record) -> float:
