@@ -74,9 +74,10 @@ def with_history(record: Record) -> Record:
     if record.voltage is None:
         return record
     controller, asked = _controller(record), controller_voltage(record)
-    remembered = controller.derivative_window * samples_a_period(controller, record.sample_time)
+    remembered = controller.derivative_window
     if controller.derivative_filter < 1.0:
         remembered += math.ceil(math.log(FORGOTTEN) / math.log(1.0 - controller.derivative_filter))
+    remembered *= samples_a_period(controller, record.sample_time)  # it forgets as often as it runs
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
     added[:remembered] += (record.voltage - asked)[:remembered]
     return record.with_({"feedforward": added})
