@@ -59,6 +59,10 @@ class Documented(click.Command):
 class Paths(click.Option):
     """An option that takes every path up to the next option."""
 
+    def type_cast_value(self, ctx: click.Context, value: Any) -> tuple[str, ...]:
+        """Return the paths, none of them empty."""
+        return _named(super().type_cast_value(ctx, value))
+
 
 def finite(value: Any) -> float:
     """Convert an option to a finite number."""
