@@ -23,12 +23,14 @@ __all__ = ["Search", "search"]
 
 MOST_CAUSES, MOST_ROUNDS = 4, 4
 """Effects that are added; times that what was found is reconsidered."""
-BEAM, FAR, CLOSE = 3, 2.0, 1.25
+BEAM, FAR, CLOSE = 2, 2.0, 1.25
 """Hypotheses that are extended further, up to this many times the least error; within a family that many times."""
 WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
-LESS = 0.8
-"""Share of the squared error beyond the noise that another effect may leave."""
+LESS = (0.8, 0.7, 0.5, 0.2)
+"""Share of the squared error beyond the noise that the first, the second … effect may leave."""
+HOPELESS = (np.inf, np.inf, 100.0, 20.0)
+"""Times the noise from which on no first, second … effect is looked for: too much would be left."""
 REFITTED, POLISHED, ALIKE = 8, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
 NEAR = 10.0
@@ -93,14 +95,16 @@ def search(
         explorer = _Explorer(trials, pool, tell)
         path, beam = [base], [base]
         while len(path) <= MOST_CAUSES and not enough(path[-1]):
+            if path[-1].error > HOPELESS[len(path) - 1] * trials.noise:
+                break
             jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
             found = explorer.explore(jobs, f"effect {len(path)}")
-            if not found or not _worth_it(found[0], path[-1], trials):
+            if not found or not _worth_it(found[0], path[-1], trials, LESS[len(path) - 1]):
                 break
             path.append(found[0])
             beam = _beam(found)
         for _ in range(MOST_ROUNDS):
-            path, rivals, settled = _reconsidered(path, explorer)
+            path, rivals, settled = _reconsidered(path, explorer, swap=enough(path[-1]))
             if settled:
                 break
     return Search(tuple(path), tuple(explorer.known), rivals)
@@ -162,9 +166,9 @@ class _Explorer:
 
 
 def _reconsidered(
-    path: list[Hypothesis], explorer: _Explorer
+    path: list[Hypothesis], explorer: _Explorer, *, swap: bool
 ) -> tuple[list[Hypothesis], tuple[tuple[Hypothesis, ...], ...], bool]:
-    """Take each cause out again, or put another in its place; return path, rivals, and whether nothing changed."""
+    """Take each cause out again, or `swap` it for another; return path, rivals, and whether nothing changed."""
     score, chosen = explorer.trials.score, path[-1]
     if not chosen.causes:
         return path, (), True
@@ -174,6 +178,8 @@ def _reconsidered(
     special = explorer.best([*_specialised(chosen.plant)])
     if special is not None and score(special) <= score(chosen):
         return [*path[:-1], special], (), False
+    if not swap:
+        return path, (), True
     rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
     better = min((h for found in rivals for h in found), key=score, default=chosen)
     if score(better) < score(chosen) - 1e-6:
@@ -194,10 +200,10 @@ def _specialised(plant: Plant) -> Iterator[Plant]:
             )
 
 
-def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials) -> bool:
+def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials, most: float) -> bool:
     """Tell whether another effect pays: by the noise, and by what it does to an error that is no noise."""
     excess = [max(h.error**2 - trials.noise**2, 0.0) for h in (longer, shorter)]
-    return trials.score(longer) < trials.score(shorter) - WORTH and excess[0] <= LESS * excess[1]
+    return trials.score(longer) < trials.score(shorter) - WORTH and excess[0] <= most * excess[1]
 
 
 def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:

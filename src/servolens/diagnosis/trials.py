@@ -139,7 +139,7 @@ class Trials:
         """
         contacts = any(issubclass(cls, Transmission) for cls in plant.structure)
         found = None
-        for coarse in (True, False) if contacts else (False,):
+        for coarse in ((True,) if iterations == FIRST else (True, False)) if contacts else (False,):
             try:
                 further = lead(
                     plant if found is None else found.plant,
