@@ -143,7 +143,9 @@ def since_step(record: Record) -> NDArray[np.float64]:
 
 def _share(name: str, unit: str, values: NDArray[np.float64], squares: NDArray[np.float64]) -> Share:
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)))
-    if edges.size < 2:
+    if name == "direction":
+        edges = np.array([-1.5, -0.5, 0.5, 1.5])
+    elif edges.size < 2:
         edges = np.array([edges[0], edges[0] + 1e-300])
     index = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, edges.size - 2)
     error = np.bincount(index, squares, edges.size - 1) / squares.sum()

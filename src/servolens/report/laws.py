@@ -1,0 +1,82 @@
+"""What a model with causes says of damping, gain and force along a measured quantity, where that is one curve."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.report.curves import curve
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.diagnosis import Diagnosis
+    from servolens.diagnosis.evidence import Instrument
+    from servolens.plant import Plant
+    from servolens.report.curves import Curve
+
+__all__ = ["law_along"]
+
+POINTS = 201
+VISIBLE = 0.05
+"""Least change of the law, as a share of the pieces' spread, that is worth a line."""
+KNOWN = {
+    "damping": ("speed", "velocity"),
+    "gain": ("time", "voltage", "voltage_size"),
+    "force": ("constant", "direction", "position", "time", "velocity"),
+}
+"""Along which quantities the state of the axis is known, all else being zero."""
+
+
+def law_along(diagnosis: Diagnosis, instrument: Instrument, low: float, high: float) -> Curve | None:
+    """Return what `diagnosis.plant` says of the instrument's pieces from `low` to `high`.
+
+    None where no one curve says it, or where it says nothing: the cause shows elsewhere.
+    """
+    if instrument.goes_with not in KNOWN[instrument.varies]:
+        return None
+    x = np.linspace(low, high, POINTS)
+    y = _law(diagnosis, instrument, x)
+    constant = instrument.goes_with == "constant"
+    said = float(np.abs(y).max() if constant else np.ptp(y))
+    seen = float(np.abs(instrument.value).max() if constant else np.std(instrument.value))
+    return curve("", x, y, "velocity") if np.isfinite(y).all() and said > VISIBLE * seen else None
+
+
+def _law(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    plant, along, nothing = diagnosis.plant, instrument.goes_with, np.zeros(x.size)
+    position = x if along == "position" else nothing
+    time = x if along == "time" else nothing
+    if instrument.varies == "gain":
+        command = x if along.startswith("voltage") else np.ones(x.size)
+        command = np.where(np.abs(command) < 1e-9, 1e-9, command)
+        pushed, free = (_acceleration(plant, position, nothing, time, c, nothing) for c in (command, nothing))
+        return (pushed - free) / command
+    direction = np.sign(x) if along in ("speed", "velocity") else x if along == "direction" else nothing
+    velocity = x * _typical_speed(diagnosis) if along == "direction" else np.abs(direction) * x
+    force = -_acceleration(plant, position, velocity, time, nothing, direction)
+    if instrument.varies == "force":
+        return force - plant.damping * velocity
+    return np.where(np.abs(velocity) > 0, force / np.where(velocity == 0, 1.0, velocity), plant.damping)
+
+
+def _acceleration(plant: Plant, *states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the acceleration at position, velocity, time, command and direction, what effects remember being zero."""
+    import casadi as ca
+
+    from servolens.dynamics import dynamics
+
+    d = dynamics(plant.structure)
+    function = ca.Function("acceleration", d.inputs, [d.acceleration])
+    remembered = np.zeros(len(d.state_names))
+    rows = zip(*states, strict=True)
+    return np.array([float(function(y, v, t, u, s, plant.values, remembered)) for y, v, t, u, s in rows])
+
+
+def _typical_speed(diagnosis: Diagnosis) -> float:
+    """Return the mean speed of the first record while the axis moves [m/s or rad/s]."""
+    record = diagnosis.records[0]
+    stride = max(len(record) // 200, 1)
+    speed = np.abs(np.gradient(record.position[::stride], record.time[::stride]))
+    return float(speed[speed >= 0.1 * speed.max()].mean())
