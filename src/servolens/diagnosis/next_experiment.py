@@ -12,6 +12,7 @@ import numpy as np
 from servolens.diagnosis.logged import Logged
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate_many
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,8 +37,13 @@ CALM = 0.5
 """Share of the step within which the last quarter of a level must stay: else the loop is too close to unstable."""
 RETURN = 1.5
 """Times what a single step separates that one with a return must, to be worth the longer experiment."""
-ALIKE = 1.0
-"""Separation [noise] that some experiment must reach; two that none of them parts do not rule the choice."""
+ALIKE = 0.3
+"""Separation [noise] that an experiment must reach: less may come from errors of the parameters. Two that none parts so
+far do not rule the choice."""
+FINE = 8
+"""Substeps at least: what the simulation itself gets wrong must not part rivals."""
+REST = 5
+"""Samples before the step: what the axis remembers is that of rest."""
 
 
 @final
@@ -91,7 +97,7 @@ class Experiment:
 def next_experiment(
     plants: Mapping[str, Plant], logged: Sequence[Record | Logged], *, noise: float
 ) -> Experiment | None:
-    """Return the step in whose response the plants differ most, as far as it is safe; None if there is none.
+    """Return the step in whose response the plants differ most, as far as it is safe; None if none parts any.
 
     It keeps to what was logged: gains from half to twice those used, kd from none to twice, a step as large or half as
     large, no more voltage, no place where the axis has not been, and loops that are calm whichever plant is right. Of
@@ -111,7 +117,8 @@ def next_experiment(
     before = [one if isinstance(one, Logged) else Logged.of(one) for one in logged]
     largest = max(before, key=lambda one: one.amplitude)
     trials = _trials(largest, before, next(iter(plants.values())))
-    answers = simulate_many(plants.values(), trials)
+    finest = max(FINE, *(substeps_for(plant, largest.sample_time) for plant in plants.values()))
+    answers = simulate_many(plants.values(), trials, substeps=finest)
     bounds = _Bounds.of(before)
     pairs = [*combinations(range(len(plants)), 2)]
     options = []
@@ -122,9 +129,9 @@ def next_experiment(
             if len(safe) == len(plants):
                 apart = np.array([_rms(safe[a] - safe[b]) for a, b in pairs])
                 options.append(_Option(trial, back, apart / max(noise, 1e-300)))
-    if not options:
+    best, least = _best(options) if options else (None, 0)
+    if best is None:
         return None
-    best, least = _best(options)
     names = [*plants]
     return best.experiment((names[pairs[least][0]], names[pairs[least][1]]), float(best.apart[least]))
 
@@ -176,10 +183,10 @@ class _Option(NamedTuple):
         return Experiment(
             kp=controller.kp,
             kd=controller.kd,
-            start=float(reference[-1]),
-            reference=float(reference[0]),
+            start=float(reference[0]),
+            reference=float(reference[REST]),
             back=self.back,
-            duration=_digits(0.5 * len(trial) * trial.sample_time, 4),
+            duration=_digits(0.5 * (len(trial) - REST) * trial.sample_time, 4),
             sample_time=_digits(trial.sample_time, 4),
             separates=separates,
             separation=separation,
@@ -214,7 +221,9 @@ def _trials(largest: Logged, logged: Sequence[Logged], plant: Plant) -> list[Rec
     gains = _gains(logged, most / max(largest.amplitude, 1e-300), plant)
     known = next((one.controller for one in (largest, *logged) if one.controller), Controller(kp=gains[0]))
     count = min(max(round(largest.duration / largest.sample_time), 4), MOST_SAMPLES)
-    time = np.arange(2 * count, dtype=np.float64) * largest.sample_time
+    index = np.arange(REST + 2 * count)
+    time = index.astype(np.float64) * largest.sample_time
+    away = (index >= REST) & (index < REST + count)
     travel = _digits(largest.reference - largest.start, 3)
     start = float(np.round(largest.start, max(2 - math.floor(math.log10(abs(travel) or 1.0)), 0))) + 0.0
     limits = [one.voltage_limit for one in logged if one.voltage_limit is not None]
@@ -222,7 +231,7 @@ def _trials(largest: Logged, logged: Sequence[Logged], plant: Plant) -> list[Rec
         Record(
             time=time,
             position=np.full(time.size, start),
-            reference=np.where(time < time[count], _digits(start + share * travel, 6), start),
+            reference=np.where(away, _digits(start + share * travel, 6), start),
             controller=replace(known, kp=kp, kd=kd),
             voltage_limit=min(limits, default=None),
             length_unit=plant.length_unit,  # type: ignore[arg-type] # a plant has checked its own
@@ -270,28 +279,30 @@ def _digits(value: float, digits: int) -> float:
 def _kept(
     answer: Simulation | ServolensError, trial: Record, bounds: _Bounds, back: bool
 ) -> NDArray[np.float64] | None:
-    """Return the response if the experiment is safe, with or without the way back."""
+    """Return the response as measured if the experiment is safe, with or without the way back."""
     if not isinstance(answer, Simulation):
         return None
-    half = len(trial) // 2
-    count = len(trial) if back else half
-    position = answer.position[:count]
-    calm = CALM * abs(float(np.ptp(trial.reference))) if trial.reference is not None else 0.0
-    settled = all(np.ptp(position[stop - half // 4 : stop]) <= calm for stop in range(half, count + 1, half))
-    return position if settled and bounds.hold(position, answer.voltage[:count]) else None
+    level = (len(trial) - REST) // 2
+    ends = (REST + level, len(trial)) if back else (REST + level,)
+    position = answer.position[: ends[-1]]
+    calm = CALM * float(np.ptp(trial.reference)) if trial.reference is not None else 0.0
+    settled = all(np.ptp(position[end - level // 4 : end]) <= calm for end in ends)
+    safe = settled and bounds.hold(position, answer.voltage[: ends[-1]])
+    return answer.measured[: ends[-1]] if safe else None
 
 
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _best(options: Sequence[_Option]) -> tuple[_Option, int]:
+def _best(options: Sequence[_Option]) -> tuple[_Option | None, int]:
     """Return the option whose least separation is the largest, a single step if it does; and which pair that is."""
-    ever = np.max([option.apart for option in options], axis=0) >= ALIKE
-    counts = ever if ever.any() else np.ones_like(ever)
+    parted = np.max([option.apart for option in options], axis=0) >= ALIKE
+    if not parted.any():
+        return None, 0
 
     def least(option: _Option) -> float:
-        return float(option.apart[counts].min()) / (RETURN if option.back else 1.0)
+        return float(option.apart[parted].min()) / (RETURN if option.back else 1.0)
 
     best = max(options, key=least)
-    return best, int(np.argmin(np.where(counts, best.apart, np.inf)))
+    return best, int(np.argmin(np.where(parted, best.apart, np.inf)))

@@ -126,7 +126,7 @@ def _from_diagnosis(data: Mapping[str, Any]) -> Proposal:
         raise InputError("not a whole diagnosis: no experiment is logged, or noise_floor is no number")
     experiment = proposed(plant, rivals, sure, logged, noise=noise)
     if any(rivals.values()):
-        reason = "no step within what was logged stays safe with each of the rivals; log a smaller or slower one first"
+        reason = "no safe step like those logged would tell the rivals apart"
     else:
         reason = "the diagnosis names no rivals, so there is nothing to tell apart"
     return _proposal(plant, experiment, reason)
@@ -153,7 +153,7 @@ def _from_model(model: Model, kp: float | None, reference: float) -> Proposal:
             f" {doubtful}, with noise of {NOISE:g} of the step."
         ),
     )
-    reason = f"no step of {reference:g} {plant.length_unit} around these gains stays safe"
+    reason = f"no step of {reference:g} {plant.length_unit} around these gains stays safe and shows it"
     return _proposal(plant, experiment, reason, (told,))
 
 

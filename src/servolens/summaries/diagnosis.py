@@ -63,9 +63,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
     sentences = [_verdict(diagnosis), *_left(diagnosis)]
     for cause in diagnosis.causes:
         sentences += _advice(cause, diagnosis)
-    if diagnosis.next_experiment is not None:
-        plant = diagnosis.plant
-        sentences.append(experiment_sentence(diagnosis.next_experiment, plant.length_unit, plant.command_unit))
+    sentences += _next(diagnosis)
     tables = [_causes(diagnosis)] if diagnosis.causes else []
     return Summary(
         title=f"Diagnosis of {listed([record.name for record in diagnosis.records])}",
@@ -109,11 +107,6 @@ def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: 
     step = f"a step from {number(factor * experiment.start)} to {number(factor * experiment.reference)} {length}"
     gains = f"kp = {number(experiment.kp)} {command_unit}/{length_unit}"
     gains += f" and kd = {number(experiment.kd)} {command_unit} s/{length_unit}" if experiment.kd else " without kd"
-    if experiment.separation < 1.0:
-        return (
-            f"No safe step tells {first} from {second}: even the best, {step} with {gains}, differs by"
-            f" {number(experiment.separation, 2)} times the noise only."
-        )
     return (
         f"Log next {step}{' and back' if experiment.back else ''} with {gains}: there {first} and {second} differ by"
         f" {number(experiment.separation, 2)} times the noise."
@@ -190,6 +183,16 @@ def _advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
         others = listed([spoken(rival) for rival in cause.rivals])
         told.append(f"These data cannot tell {spoken(cause.effect)} from {others}.")
     return told
+
+
+def _next(diagnosis: Diagnosis) -> list[str]:
+    """Return what to log next where causes have rivals."""
+    plant = diagnosis.plant
+    if diagnosis.next_experiment is not None:
+        return [experiment_sentence(diagnosis.next_experiment, plant.length_unit, plant.command_unit)]
+    if any(cause.rivals for cause in diagnosis.causes):
+        return ["No safe step like those logged would tell them apart; look at the machine, or measure something else."]
+    return []
 
 
 def _where(diagnosis: Diagnosis) -> str:
