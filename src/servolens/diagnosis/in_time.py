@@ -32,6 +32,8 @@ SAME = 0.9999
 """Correlation from which on two quantities are one: the time of the record, and since its only step."""
 UNDETERMINED = 1e-6
 """Least share of the largest of a stretch's pieces that the data must tell of one."""
+LOG_SPEED, SLOW = "logarithm of speed", 0.02
+"""What acts at low speed follows speed on a curve; share of the top speed below which the logarithm is bent."""
 EXACT = 1e-5
 """Share of the travel that voltages held between samples, positions rounded and times jittering leave of any axis."""
 
@@ -113,8 +115,10 @@ def _cut(segment: Segment, velocity: NDArray[np.float64]) -> _Stretch:
     edges = np.linspace(0, t.size - 1, count + 1).astype(np.intp)
     own = slice(segment.first, segment.stop)
     direction = np.where(np.abs(velocity) <= 0.01 * np.abs(velocity).max(), 0.0, np.sign(velocity))
+    speed = np.abs(velocity)
     seen = {
-        "speed": np.abs(velocity),
+        "speed": speed,
+        LOG_SPEED: np.log(speed + SLOW * float(speed.max()) + 1e-300),
         "velocity": velocity,
         "direction": direction,
         "position": y,
@@ -193,6 +197,7 @@ def _read(pieces: _Pieces, seen: dict[str, NDArray[np.float64]]) -> Instrument:
     shifts = np.linalg.lstsq(line, pieces.data, rcond=1e-12)[0][: pieces.others.shape[1]]
     value, deviation = _values(pieces, pieces.data - pieces.others @ shifts)
     kept = np.isfinite(deviation)
+    best = "speed" if best == LOG_SPEED else best
     abscissa = seen["time"] if best == "constant" else seen[best]
     return Instrument(
         varies=pieces.kind,
