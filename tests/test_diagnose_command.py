@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -283,6 +284,17 @@ def test_progress_and_messages_stay_off_standard_output(bench):
     assert "━" not in done.stderr
     out = process("diagnose", bench / "plain40.csv", bench / "plain80.csv", "--out", "-")
     assert finite(out.stdout)["schema"] == "servolens.model/1"
+
+
+def test_the_report_is_one_page_that_names_the_cause(bench, tmp_path):
+    page = tmp_path / "page.html"
+    done = run("diagnose", bench / "rub60.csv", "--report", page)
+    assert done.exit_code == 0, done.output
+    text = page.read_text(encoding="utf-8")
+    assert "Coulomb friction" in text
+    assert "rub60" in text
+    assert not re.search(r"(src|href)=[\"']https?:", text)
+    assert "needs the name of a file" in refused(run("diagnose", bench / "rub60.csv", "--report", "-"))
 
 
 def test_heldout_takes_every_path_up_to_the_next_option(bench, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -15,6 +16,7 @@ from servolens.commands.files import (
     quality_findings,
     same_file,
     together,
+    writing,
 )
 from servolens.commands.options import Documented, Paths, Recordings, finite, json_option, prior, recordings
 from servolens.commands.terminal import progress_bar, show
@@ -48,12 +50,14 @@ __all__ = ["diagnose", "next_"]
     help="Data-sheet knowledge: gain=45,2. May be repeated.",
 )
 @click.option("--out", metavar="FILE", help="Write the extended model.")
+@click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
 @json_option
 def diagnose(
     recordings: Recordings,
     heldout: tuple[str, ...],
     priors: tuple[tuple[str, float, float], ...],
     out: str | None,
+    report: str | None,
     json_file: str | None,
 ) -> int:
     """Find what the simulation gets wrong, and why.
@@ -63,7 +67,9 @@ def diagnose(
     """
     if out == json_file == STANDARD_OUTPUT:
         raise click.UsageError("--out and --json cannot both go to standard output")
-    outputs = {"--out": out, "--json": json_file}
+    if report == STANDARD_OUTPUT:
+        raise click.UsageError("--report needs the name of a file")
+    outputs = {"--out": out, "--report": report, "--json": json_file}
     check_outputs(outputs, (*recordings.paths, *heldout))
     from servolens.diagnosis import diagnose as find
     from servolens.summaries import diagnosis_summary
@@ -81,6 +87,11 @@ def diagnose(
         write_json(out, "model", result.model.to_json(), findings)
     if json_file:
         write_json(json_file, "diagnosis", result.to_json(), findings)
+    if report:
+        from servolens.report import write_diagnosis_report
+
+        with writing(Path(report)):
+            write_diagnosis_report(Path(report), replace(result, findings=findings))
     show(
         replace(diagnosis_summary(result), findings=findings), STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
     )

@@ -28,6 +28,7 @@ __all__ = [
     "quality_findings",
     "same_file",
     "together",
+    "writing",
 ]
 
 
@@ -139,6 +140,15 @@ def about(*files: str) -> Iterator[None]:
     except ServolensError as error:
         shown = ", ".join(files) if len(files) <= 3 else f"{files[0]} and {len(files) - 1} more"
         raise type(error)(f"{shown}: {error}") from error
+
+
+@contextmanager
+def writing(target: Path) -> Iterator[None]:
+    """Turn what the system says about a file that cannot be written into a refusal."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written ({(error.strerror or 'unknown error').lower()})") from error
 
 
 def same_file(first: str, second: str) -> bool:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import about, check_outputs, load_records
+from servolens.commands.files import about, check_outputs, load_records, writing
 from servolens.commands.options import Documented, Recordings, SpecOptions, json_option, recordings, specification
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
@@ -18,8 +17,6 @@ from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from servolens.design import PDSpec
 
 __all__ = ["demo", "report"]
@@ -41,7 +38,7 @@ def demo(out: str, json_file: str | None) -> int:
     from servolens.demo import run_demo
     from servolens.summaries import demo_summary
 
-    with progress_bar() as progress, _writing(folder):
+    with progress_bar() as progress, writing(folder):
         body = run_demo(folder, progress=progress)
     if json_file:
         told = json.loads((folder / "results.json").read_text(encoding="utf-8"))["findings"]
@@ -68,7 +65,7 @@ def report(recordings: Recordings, spec: SpecOptions, out: str, json_file: str |
 
     with progress_bar() as progress:
         records = load_records(recordings, outputs, progress)
-        with about(*recordings.paths), _writing(Path(out)):
+        with about(*recordings.paths), writing(Path(out)):
             body = write_report(Path(out), records, spec=wanted, progress=progress)
     if json_file:
         write_json(json_file, "report", body, [Finding(**finding) for finding in body["findings"]])
@@ -91,11 +88,3 @@ def _split(recordings: Recordings, spec: SpecOptions) -> tuple[Recordings, PDSpe
     if kp is not None and "kp" not in recordings.settings:
         recordings = replace(recordings, settings={"kp": kp, **recordings.settings})
     return recordings, None
-
-
-@contextmanager
-def _writing(target: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written ({(error.strerror or 'unknown error').lower()})") from error
