@@ -169,7 +169,8 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     rest = f"What remains, {_length(diagnosis.remainder, unit_)}{share}, is no noise"
     if diagnosis.verdict == "partly_explained":
         return [f"{rest}: something else is wrong too, and the causes below may stand for it in part."]
-    return [f"{rest}. Look at where the error arises, and at the doubts below about the logs, before tuning."]
+    doubts = ", and at the doubts below about the logs," if diagnosis.findings else ""
+    return [f"{rest}. Look at where the error arises{doubts} before tuning."]
 
 
 def _advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
