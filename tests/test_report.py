@@ -187,6 +187,8 @@ def test_report_takes_any_single_record(runs, tmp_path, change, tells):
     page = tmp_path / "report.html"
     body = write_report(page, [runs[5].with_(change)])
     text = page.read_text(encoding="utf-8")
+    assert body["diagnosis"]["verdict"] == "explained"
+    assert "What the simulation gets wrong" in text
     assert_self_contained(text)
     assert tells in text
     json.dumps(body, allow_nan=False)
@@ -202,7 +204,8 @@ def test_report_holds_every_record_out_once(runs, tmp_path):
     assert_self_contained(page.read_text(encoding="utf-8"))
 
 
-def test_report_on_an_infeasible_spec_says_so(runs, tmp_path):
+def test_report_on_an_infeasible_spec_says_so(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr("servolens.report.measured.MOST_DIAGNOSED", 0)
     page = tmp_path / "report.html"
     body = write_report(page, runs[:1], spec=PDSpec(kp=100, settling_time=0.05))
     assert body["comparison"]["nonlinear"]["feasible"] is False
@@ -220,6 +223,7 @@ def test_long_record_makes_a_small_page(tmp_path):
     page = tmp_path / "report.html"
     write_report(page, [record])
     assert "the first 3 are drawn" in page.read_text(encoding="utf-8")
+    assert "ask for it with servolens diagnose" in page.read_text(encoding="utf-8")
     assert page.stat().st_size < 700_000
 
 

@@ -16,6 +16,7 @@ from servolens.report.figures_diagnosis import (
     instrument_sentence,
     residuals_figure,
     shares_figure,
+    telling_instrument,
 )
 from servolens.report.page import write_page
 from servolens.report.wording import shown
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.report.content import Block
 
-__all__ = ["diagnosis_section", "write_diagnosis_report"]
+__all__ = ["WRONG", "diagnosis_section", "write_diagnosis_report"]
 
-TITLE = "What the simulation gets wrong"
+WRONG = "What the simulation gets wrong"
 
 
 def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
@@ -51,7 +52,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
     """
     told = diagnosis_summary(diagnosis)
     names = [shown(record.name) for record in diagnosis.records]
-    wrong = Section(key="wrong", title=TITLE, blocks=(*_where(diagnosis), *_instrument(diagnosis)))
+    wrong = Section(key="wrong", title=WRONG, blocks=(*_where(diagnosis), *_instrument(diagnosis)))
     sections = [wrong, _causes(diagnosis, told), _gain(diagnosis, told), _doubts(diagnosis)]
     write_page(path, f"Diagnosis: {listed(names)}", told.sentences[0], (), sections)
 
@@ -66,7 +67,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
         *_causes(diagnosis, told).blocks,
         *_gain(diagnosis, told).blocks,
     ]
-    return Section(key="wrong", title=TITLE, blocks=tuple(blocks))
+    return Section(key="wrong", title=WRONG, blocks=tuple(blocks))
 
 
 def _where(diagnosis: Diagnosis) -> list[Block]:
@@ -77,10 +78,10 @@ def _where(diagnosis: Diagnosis) -> list[Block]:
 
 
 def _instrument(diagnosis: Diagnosis) -> list[Block]:
-    best = diagnosis.instruments[0] if diagnosis.instruments else None
+    best, law = telling_instrument(diagnosis)
     blocks: list[Block] = [instrument_sentence(best)]
     if best is not None and best.significance <= CLEAR:
-        blocks.append(instrument_figure("wrong-instrument", diagnosis, best))
+        blocks.append(instrument_figure("wrong-instrument", diagnosis, best, law))
     return blocks
 
 

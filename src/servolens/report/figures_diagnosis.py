@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.record import Record
+    from servolens.report.curves import Curve, Role
 
 __all__ = [
     "candidates_figure",
@@ -35,9 +36,12 @@ __all__ = [
     "instrument_sentence",
     "residuals_figure",
     "shares_figure",
+    "telling_instrument",
 ]
 
 MOST_RECORDS, MOST_CANDIDATES, MOST_SHARES = 8, 12, 6
+TELLING = 0.1
+"""By how much the share of the error in a range must exceed that of the samples to be stressed."""
 CLEAR = 1e-3
 """Significance from which on an instrument is drawn."""
 SAYS_LITTLE = 6.0
@@ -71,13 +75,14 @@ def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     factor, length = scale([float(np.abs(r).max()) for r in before], diagnosis.plant.length_unit)
     lost = []
     for i, (ax, (record, held)) in enumerate(zip(axes.flat, drawn, strict=False)):
-        if not _draw_residual(ax, record, before[i], factor, diagnosis):
-            lost.append(shown(record.name))
+        lost += [
+            f"{label} on {shown(record.name)}" for label in _draw_residual(ax, record, before[i], factor, diagnosis)
+        ]
         ax.set_title(f"{shown(record.name)}{' (held out)' if held else ''}")
-        ax.set(ylabel=f"Simulated − measured\n[{length}]" if i % columns == 0 else "")
         ax.set(xlabel="Time [s]" if i >= len(drawn) - columns else "")
     for spare in list(axes.flat)[len(drawn) :]:
         spare.remove()
+    figure.supylabel(f"Simulated − measured [{length}]", fontsize=9.5)
     handles, labels = next((a.get_legend_handles_labels() for a in axes.flat if a.lines), ([], []))
     figure.legend(handles, labels, loc="outside upper center", ncols=3, handlelength=2.6)
     caption = "Simulated minus measured position"
@@ -90,19 +95,21 @@ def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
-def _draw_residual(ax: Axes, record: Record, before: NDArray[np.float64], factor: float, diagnosis: Diagnosis) -> bool:
-    lines = []
-    if np.isfinite(before).all():
-        lines.append(curve("gain and damping", record.time, factor * before, "constant").thinned())
-    after = residual(diagnosis.plant, record) if diagnosis.causes else None
-    if after is not None and np.isfinite(after).all():
-        lines.append(curve("with the causes", record.time, factor * after, "velocity").thinned())
+def _draw_residual(
+    ax: Axes, record: Record, before: NDArray[np.float64], factor: float, diagnosis: Diagnosis
+) -> list[str]:
+    """Draw one record's panel; return the names of models whose simulation leaves all bounds."""
+    models: list[tuple[str, Role, NDArray[np.float64]]] = [("gain and damping", "constant", before)]
+    if diagnosis.causes:
+        models.append(("with the causes", "velocity", residual(diagnosis.plant, record)))
+    known = [(label, role, miss) for label, role, miss in models if np.isfinite(miss).all()]
     noise = 2.0 * factor * diagnosis.noise_floor
     ax.axhspan(-noise, noise, color=COLOURS["green"], alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
+    lines = [curve(label, record.time, factor * miss, role).thinned() for label, role, miss in known]
     plot_curves(lines, xlabel="", ylabel="", legend=False, zero_line=True, ax=ax)
     for line in ax.lines[1:]:
         line.set_linewidth(1.1)
-    return bool(lines)
+    return [label for label, *_ in models if label not in [name for name, *_ in known]]
 
 
 @styled
@@ -137,6 +144,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
     worst = (low >= share.low) & (high <= share.high)
     name = QUANTITIES[share.quantity]
     title = f"{number(100 * share.share_of_error, 2)} % in {number(100 * share.share_of_samples, 2)} % of samples"
+    if share.share_of_error - share.share_of_samples < TELLING:
+        worst[:], title = False, "nowhere in particular"
     if share.quantity == "direction":
         names = {-1: "back", 0: "rest", 1: "forth"}
         ticks = [(i + 0.5, names[round(0.5 * (a + b))]) for i, (a, b) in enumerate(zip(low, high, strict=True))]
@@ -144,12 +153,17 @@ def _draw_share(ax: Axes, share: Share) -> None:
     else:
         factor, text = _scaled(high[-1] if abs(high[-1]) > abs(low[0]) else low[0], share.unit)
         edges = factor * np.append(low, high[-1])
-        first, last = int(np.argmax(worst)), int(worst.size - np.argmax(worst[::-1]))
-        places = _apart([first, last, 0, worst.size], worst.size)
-        ticks = [(float(place), number(edges[place], 2)) for place in places]
+        ends = np.flatnonzero(np.diff(worst, prepend=False, append=False)).tolist()
+        ticks = [(float(place), _tick(edges, place)) for place in _apart([*ends, 0, worst.size], worst.size)]
         xlabel = f"{name.capitalize()} [{text}]"
     plot_shares(100 * error, 100 * samples, ticks, worst, xlabel=xlabel, title=title, ax=ax)
     ax.title.set_fontsize(9.0)
+
+
+def _tick(edges: NDArray[np.float64], place: int) -> str:
+    """Return an edge with the digits that the others leave it."""
+    largest = float(np.abs(edges).max())
+    return "0" if abs(edges[place]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
 
 
 def _apart(places: Sequence[int], size: int) -> list[int]:
@@ -170,6 +184,15 @@ def _scaled(largest: float, text: str) -> tuple[float, str]:
     return factor, f"{name}{slash}{rest}"
 
 
+def telling_instrument(diagnosis: Diagnosis) -> tuple[Instrument | None, Curve | None]:
+    """Return the clearest instrument of which the causes say a law, else the clearest, and that law."""
+    for found in diagnosis.instruments:
+        law = law_along(diagnosis, found) if diagnosis.causes and found.significance <= CLEAR else None
+        if law is not None:
+            return found, law
+    return (diagnosis.instruments[0] if diagnosis.instruments else None), None
+
+
 def instrument_sentence(instrument: Instrument | None) -> str:
     """Say what the paper's own instrument shows."""
     if instrument is None:
@@ -181,33 +204,33 @@ def instrument_sentence(instrument: Instrument | None) -> str:
         )
     if instrument.goes_with == "constant":
         start = "Without any catalogue: a constant force beside gain and damping"
-        return f"{start} would make up for the error (correlation {number(abs(instrument.correlation), 2)})."
+        return f"{start} would make up for the error (correlation {_correlation(instrument)})."
     how = "rises" if instrument.correlation > 0 else "falls"
     if instrument.varies == "force":
         return (
             "Without any catalogue: a free force that would make up for the error"
-            f" goes with the {QUANTITIES[instrument.goes_with]} (correlation {number(instrument.correlation, 2)})."
+            f" goes with the {QUANTITIES[instrument.goes_with]} (correlation {_correlation(instrument)})."
         )
     return (
         f"Without any catalogue: let vary in time, the {instrument.varies} {how} with the"
-        f" {QUANTITIES[instrument.goes_with]} (correlation {number(instrument.correlation, 2)})."
+        f" {QUANTITIES[instrument.goes_with]} (correlation {_correlation(instrument)})."
     )
 
 
 @styled
-def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument) -> Drawing:
-    """Draw what varies against the quantity it goes with, and what the causes say of it."""
+def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, law: Curve | None) -> Drawing:
+    """Draw what varies against the quantity it goes with, and the law that the causes say of it."""
     x, value, deviation = (np.array(values) for values in (instrument.abscissa, instrument.value, instrument.deviation))
     told = deviation <= SAYS_LITTLE * float(np.median(deviation))
     x, value, deviation = x[told], value[told], deviation[told]
+    rest = int(np.count_nonzero(~told))
     factor, xlabel = _labelled(diagnosis, instrument, x)
-    law = law_along(diagnosis, instrument, float(x.min()), float(x.max())) if diagnosis.causes else None
     if law is not None:
         name = " and ".join(spoken(cause.effect) for cause in diagnosis.causes)
         law = curve(f"the model with {name}", factor * law.x, law.y, "velocity")
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
     chance = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
-    title = f"correlation {number(instrument.correlation, 2)}, by chance less than once in {_times(float(chance))}"
+    title = f"correlation {_correlation(instrument)}, by chance less than once in {_times(float(chance))}"
     figure = new_figure(3.2)
     plot_pieces(
         factor * x,
@@ -225,6 +248,8 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument) ->
         f" against the mean {QUANTITIES[instrument.goes_with]} there. No effect was assumed; gain and damping are those"
         " that suit it best. From the training records."
     )
+    if rest:
+        caption += f" {rest} pieces of which the data say little are left out."
     if law is not None:
         caption += " The blue line was not fitted to these points: it is what the model with its causes says."
     return Drawing(svg=svg(figure, key), caption=caption)
@@ -249,6 +274,13 @@ def _varying_label(diagnosis: Diagnosis, instrument: Instrument) -> str:
     if instrument.varies == "gain":
         return f"Gain [{unit(diagnosis.plant.unit('gain'))}]"
     return f"Force against\npositive motion [{length}/s²]"
+
+
+def _correlation(instrument: Instrument) -> str:
+    """Return the correlation with two digits, or as many as keep it from 1."""
+    r = instrument.correlation
+    text = f"{r:.2f}" if abs(r) < 0.995 else f"{np.clip(r, -0.999, 0.999):.3f}"
+    return text.replace("-", "−")
 
 
 def _times(chance: float) -> str:

@@ -29,14 +29,14 @@ KNOWN = {
 """Along which quantities the state of the axis is known, all else being zero."""
 
 
-def law_along(diagnosis: Diagnosis, instrument: Instrument, low: float, high: float) -> Curve | None:
-    """Return what `diagnosis.plant` says of the instrument's pieces from `low` to `high`.
+def law_along(diagnosis: Diagnosis, instrument: Instrument) -> Curve | None:
+    """Return what `diagnosis.plant` says of the instrument's pieces, over their range.
 
     None where no one curve says it, or where it says nothing: the cause shows elsewhere.
     """
     if instrument.goes_with not in KNOWN[instrument.varies]:
         return None
-    x = np.linspace(low, high, POINTS)
+    x = np.linspace(min(instrument.abscissa), max(instrument.abscissa), POINTS)
     y = _law(diagnosis, instrument, x)
     constant = instrument.goes_with == "constant"
     said = float(np.abs(y).max() if constant else np.ptp(y))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.design import compare
+from servolens.diagnosis import diagnose
 from servolens.errors import NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification import identify
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servolens.design import Comparison, PDSpec
+    from servolens.diagnosis import Diagnosis
     from servolens.identification import Identification
     from servolens.prediction import RecordError
     from servolens.quality import RecordQuality
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Measured", "write_report"]
 
+MOST_DIAGNOSED = 10_000
+"""Samples up to which the report looks for causes: beyond, the search takes minutes."""
 MOST_FOLDS = 6
 """Records are held out in at most so many groups."""
 SEVERITIES = ("error", "warning", "note")
@@ -49,6 +53,10 @@ class Measured:
         From all usable records together.
     held_out : Prediction or None
         Of each usable record by models that were identified without it; None with fewer than two.
+    diagnosis : Diagnosis or None
+        What gain and damping lack; None where it was not looked for.
+    why_undiagnosed : str
+        Why there is no diagnosis.
     comparison : Comparison or None
         The design; None where none can be asked for.
     why_none : str
@@ -63,6 +71,8 @@ class Measured:
     qualities: tuple[RecordQuality, ...]
     fit: Identification
     held_out: Prediction | None
+    diagnosis: Diagnosis | None
+    why_undiagnosed: str
     comparison: Comparison | None
     why_none: str
     suggested: bool
@@ -76,6 +86,7 @@ class Measured:
             "check": {"records": [quality.to_json() for quality in self.qualities]},
             "identification": self.fit.to_json(),
             "held_out": {"models": [] if held is None else list(held.models), "records": rows},
+            "diagnosis": None if self.diagnosis is None else self.diagnosis.to_json(),
             "comparison": None if self.comparison is None else self.comparison.to_json(),
             "reason": self.why_none or None,
         }
@@ -113,14 +124,16 @@ def write_report(
     """
     tell = progress or (lambda *_: None)
     runs = tuple(records)
-    tell("checking", 0, 5)
+    tell("checking", 0, 6)
     qualities = tuple(assess(record) for record in runs)
     usable = [record for record, quality in zip(runs, qualities, strict=True) if quality.usable]
-    tell("identifying", 1, 5)
+    tell("identifying", 1, 6)
     fit = identify(usable or runs)
-    tell("predicting held-out records", 2, 5)
+    tell("predicting held-out records", 2, 6)
     held_out, lost = _held_out(usable)
-    tell("designing", 3, 5)
+    tell("looking for causes of what remains", 3, 6)
+    diagnosis, undiagnosed = _diagnosed(usable)
+    tell("designing", 4, 6)
     wanted = spec or suggested_spec(fit)
     comparison, why = _compared(fit, wanted)
     told = {(f.code, f.message, f.record): f for q in qualities for f in q.findings}
@@ -130,16 +143,34 @@ def write_report(
         qualities=qualities,
         fit=fit,
         held_out=held_out,
+        diagnosis=diagnosis,
+        why_undiagnosed=undiagnosed,
         comparison=comparison,
         why_none=why,
         suggested=spec is None,
         findings=tuple(sorted(told.values(), key=lambda f: SEVERITIES.index(f.severity))),
     )
-    tell("writing the page", 4, 5)
+    tell("writing the page", 5, 6)
     write_measured(path, measured)
-    tell("report written", 5, 5)
+    tell("report written", 6, 6)
     body: dict[str, Any] = to_finite(measured.to_json())
     return {**body, "findings": [finding.to_json() for finding in measured.findings]}
+
+
+def _diagnosed(records: Sequence[Record]) -> tuple[Diagnosis | None, str]:
+    """Return what gain and damping lack in these records, or why that is not told."""
+    samples = sum(len(record) for record in records)
+    if not records:
+        return None, "no record is fit for it"
+    if samples > MOST_DIAGNOSED:
+        return None, (
+            f"{samples} samples are many, and a search for causes in them takes minutes; ask for it with servolens"
+            " diagnose, which writes a page of its own with --report"
+        )
+    try:
+        return diagnose(records), ""
+    except ServolensError as error:
+        return None, str(error)
 
 
 def _held_out(records: Sequence[Record]) -> tuple[Prediction | None, list[Finding]]:

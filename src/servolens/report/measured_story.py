@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.report.content import Findings, Section
 from servolens.report.curves import curve
+from servolens.report.diagnosis_story import WRONG, diagnosis_section
 from servolens.report.figures import (
     Match,
     damping_in_time_figure,
@@ -44,7 +45,14 @@ MOST_DRAWN = 12
 def write_measured(path: Path, measured: Measured) -> None:
     """Write the page."""
     names = [shown(record.name) for record in measured.records]
-    sections = [_data(measured), _doubts(measured), _models(measured), _validation(measured), _design(measured)]
+    sections = [
+        _data(measured),
+        _doubts(measured),
+        _models(measured),
+        _validation(measured),
+        _wrong(measured),
+        _design(measured),
+    ]
     lead, more = _lead(measured)
     write_page(path, f"Servo axis: {listed(names)}", lead, more, sections)
 
@@ -220,6 +228,13 @@ def _validation(measured: Measured) -> Section:
             errors_figure("errors", names[drawn], roles, percents[drawn], np.full(percents.shape, True)[drawn], caption)
         )
     return Section(key="validation", title=title, blocks=tuple(blocks))
+
+
+def _wrong(measured: Measured) -> Section:
+    if measured.diagnosis is None:
+        reason = f"No cause was sought: {measured.why_undiagnosed.rstrip('.')}."
+        return Section(key="wrong", title=WRONG, blocks=(reason,))
+    return diagnosis_section(measured.diagnosis)
 
 
 def _design(measured: Measured) -> Section:

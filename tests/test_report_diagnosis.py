@@ -1,0 +1,180 @@
+"""The page of a diagnosis: its figures show what was found, and say what is held out."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_report import HOSTILE, assert_self_contained
+
+from servolens import lab
+from servolens.diagnosis import diagnose
+from servolens.diagnosis.evidence import Instrument
+from servolens.errors import InputError
+from servolens.report import write_diagnosis_report
+from servolens.report.curves import curve
+from servolens.report.figures_diagnosis import instrument_sentence, telling_instrument
+from servolens.report.laws import law_along
+from servolens.report.plots_diagnosis import plot_candidates, plot_pieces, plot_record_errors, plot_shares
+
+CART = {"gain": 1.9, "damping": 6.0}
+
+
+def steps(effects, gains):
+    cart = lab.Truth(**CART, effects=effects)
+    return [
+        lab.step_record(cart, kp=kp, reference=[0.1, 0.0], duration=0.7, noise=1e-5, seed=kp, name=f"kp {kp}")
+        for kp in gains
+    ]
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    runs = steps({"coulomb_friction": {"level": 0.3}}, (40, 60, 90))
+    return diagnose(runs[:2], heldout=runs[2:])
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return diagnose(steps({}, (40, 60)))
+
+
+def page_of(diagnosis, folder):
+    path = folder / "diagnosis.html"
+    write_diagnosis_report(path, diagnosis)
+    text = path.read_text(encoding="utf-8")
+    assert_self_contained(text)
+    return text
+
+
+def test_page_says_the_cause_first_and_shows_it(rubbing, tmp_path):
+    text = page_of(rubbing, tmp_path)
+    lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
+    assert "Coulomb friction" in lead
+    assert text.count("<figure") == 5
+    assert "goes with the direction of motion" in text
+    assert "is what the model with its causes says" in text
+    assert "took no part in fit and choice" in text
+
+
+def test_page_of_a_healthy_axis_shows_no_cause(healthy, tmp_path):
+    text = page_of(healthy, tmp_path)
+    assert text.count("<figure") == 1
+    assert "than chance would have it" in text
+    assert "gain and damping leave nothing to be explained" in text
+
+
+def test_page_of_an_unexplained_axis_keeps_to_the_evidence(rubbing, tmp_path):
+    linear = replace(rubbing, verdict="unexplained", causes=(), model=rubbing.linear, heldout=())
+    text = page_of(linear, tmp_path)
+    assert "nothing in the catalogue explains it" in text
+    assert "with the causes" not in re.sub(r"<table.*?</table>", "", text, flags=re.DOTALL)
+    assert "fitted to these very records" in text
+
+
+def test_page_tells_which_simulation_ran_away(rubbing, tmp_path):
+    plant = replace(rubbing.linear.plant, gain=-1e9)
+    lost = replace(rubbing, linear=replace(rubbing.linear, plant=plant), where=(), instruments=())
+    text = page_of(lost, tmp_path)
+    assert "too few samples of motion" in text
+    assert "leaves all bounds: gain and damping on kp 40, gain and damping on kp 60, gain and damping on kp 90" in text
+
+
+def test_names_stay_text_and_doubts_are_told(rubbing, tmp_path):
+    named = tuple(record.with_({"name": HOSTILE}) for record in rubbing.records)
+    text = page_of(replace(rubbing, records=named), tmp_path)
+    assert "<script>" not in text
+
+
+def test_page_that_cannot_be_written_leaves_nothing(healthy, tmp_path):
+    with pytest.raises(InputError, match="cannot be written"):
+        write_diagnosis_report(tmp_path / "missing" / "x.html", healthy)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_diagnosis_with_instruments_is_json(rubbing):
+    body = json.loads(json.dumps(rubbing.to_json(), allow_nan=False))
+    assert {found["varies"] for found in body["instruments"]} == {"damping", "gain", "force"}
+
+
+def test_law_of_friction_is_its_level_each_way(rubbing):
+    found, law = telling_instrument(rubbing)
+    assert (found.varies, found.goes_with) == ("force", "direction")
+    level = rubbing.causes[0].quantities["level"].value
+    assert law.y == pytest.approx(level * law.x, rel=0.02, abs=1e-12)
+
+
+@pytest.mark.parametrize("goes_with", ["distance", "time_since_step", "speed"])
+def test_force_along_what_sets_no_state_has_no_law(rubbing, goes_with):
+    found = next(i for i in rubbing.instruments if i.varies == "force")
+    assert law_along(rubbing, replace(found, goes_with=goes_with)) is None
+
+
+@pytest.mark.parametrize(
+    ("varies", "goes_with", "correlation", "tells"),
+    [
+        ("gain", "time", -0.97, "the gain falls with the time of the record (correlation −0.97)"),
+        ("damping", "speed", 0.9996, "the damping rises with the speed (correlation 0.999)"),
+        ("force", "position", 0.5, "goes with the position (correlation 0.50)"),
+        ("force", "constant", -0.9, "a constant force"),
+    ],
+)
+def test_instrument_is_told_in_a_sentence(varies, goes_with, correlation, tells):
+    found = Instrument(
+        varies=varies,
+        goes_with=goes_with,
+        correlation=correlation,
+        significance=1e-9,
+        abscissa=(),
+        value=(),
+        deviation=(),
+    )
+    assert tells in instrument_sentence(found)
+    assert "chance" in instrument_sentence(replace(found, significance=0.5))
+
+
+def test_shares_are_bars_under_their_samples():
+    error, samples = np.array([10.0, 70.0, 20.0]), np.array([30.0, 30.0, 40.0])
+    ax = plot_shares(error, samples, [(0.0, "0"), (3.0, "9")], np.array([False, True, False]), xlabel="Speed [m/s]")
+    assert [bar.get_height() for bar in ax.patches] == error.tolist()
+    assert [bar.get_alpha() for bar in ax.patches] == [0.35, 1.0, 0.35]
+    assert [line[0, 1] for line in ax.collections[0].get_segments()] == samples.tolist()
+    assert ax.get_xlabel() == "Speed [m/s]"
+
+
+def test_pieces_are_points_with_the_law_through_them():
+    x, y = np.arange(4.0), np.array([1.0, 3.0, 2.0, 5.0])
+    law = curve("the model", x, 2 * x, "velocity")
+    ax = plot_pieces(x, y, 0.1 * y, xlabel="Speed [m/s]", ylabel="Damping [1/s]", law=law, held=6.0)
+    drawn = [line.get_ydata() for line in ax.get_lines()]
+    assert any(np.array_equal(line, y) for line in drawn)
+    assert any(np.array_equal(line, 2 * x) for line in drawn)
+    assert any(np.array_equal(line, [6.0, 6.0]) for line in drawn)
+
+
+def test_candidates_are_bars_up_to_what_they_leave():
+    ax = plot_candidates(["one", "two"], np.array([0.01, 3.0]), [True, False], floor=0.009, xlabel="Error [mm]")
+    assert [line.get_xdata()[-1] for line in ax.get_lines()] == [0.01, 3.0, 0.009]
+    assert ax.get_xscale() == "log"
+    assert [label.get_fontweight() for label in ax.get_yticklabels()] == ["bold", "normal"]
+
+
+def test_held_out_records_are_filled():
+    before, after, noise = np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.array([0.1, 0.1])
+    held = np.array([False, True])
+    ax = plot_record_errors(["a", "b"], before, after, noise, held, xlabel="Error [mm]")
+    faces = [
+        line.get_markerfacecolor() for line in ax.get_lines() if line.get_marker() == "s" and len(line.get_xdata())
+    ]
+    assert faces == ["white", "#D55E00"]
+
+
+def test_record_without_a_finite_error_is_left_blank():
+    values = np.array([np.nan, 2.0])
+    ax = plot_record_errors(
+        ["a", "b"], values, values, np.array([0.1, 0.1]), np.array([True, True]), xlabel="Error [m]"
+    )
+    assert ax.get_xlim()[1] == pytest.approx(2.8)
