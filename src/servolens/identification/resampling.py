@@ -104,34 +104,13 @@ def profile(fit: EffectsFit, name: str) -> Profile:
     """
     index = _fitted(fit, name)
     runs = fit_runs(fit.records, fit.driven, fit.options)
-    best, spec = fit.plant.values[index], fit.plant.parameters[name]
-    unit = _variance_unit(fit, index)
-    least = _squares(fit.refinement)
+    best = fit.plant.values[index]
     width = np.sqrt(fit.model.covariance[index, index]) if fit.model.covariance is not None else np.nan
     width = float(width) if np.isfinite(width) and width > 0 else 0.05 * max(abs(best), 1e-3)
-    values, excess, ends = [best], [0.0], []
-    for sign in (-1.0, 1.0):
-        plant, step, edge = fit.plant, 0.5 * width, None
-        here, before = best, 0.0
-        for _ in range(MOST_STEPS):
-            value = float(np.clip(here + sign * step, spec.low, spec.high))
-            if value == here:
-                break
-            refined = _with_value(fit, runs, plant, name, value)
-            lost = np.inf if refined is None else (_squares(refined) - least) / unit
-            values.append(value)
-            excess.append(lost)
-            if lost >= CHI_SQUARE_95:
-                share = (CHI_SQUARE_95 - before) / (lost - before) if np.isfinite(lost) else 0.5
-                edge = here + share * (value - here)
-                break
-            plant, here, before = (plant if refined is None else refined.plant), value, lost
-            step *= 1.6
-        ends.append(edge)
-    order = np.argsort(values)
-    return Profile(
-        name=name, values=np.array(values)[order], excess=np.array(excess)[order], interval=(ends[0], ends[1])
-    )
+    found = [(best, 0.0)]
+    ends = [_followed(fit, runs, name, step, found) for step in (-0.5 * width, 0.5 * width)]
+    values, excess = np.array(sorted(found)).T
+    return Profile(name=name, values=values, excess=excess, interval=(ends[0], ends[1]))
 
 
 def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
@@ -186,12 +165,45 @@ def _fitted(fit: EffectsFit, name: str) -> int:
     return names.index(name)
 
 
+def _followed(
+    fit: EffectsFit, runs: Sequence[Run], name: str, step: float, found: list[tuple[float, float]]
+) -> float | None:
+    """Follow the likelihood to one side, append what is found, and return the end of the interval if there is one.
+
+    Steps grow until the end is passed; then they are halved until it lies between two values that hardly differ in
+    likelihood, for beyond an end the likelihood may fall off as steeply as from a step.
+    """
+    index, spec = _fitted(fit, name), fit.plant.parameters[name]
+    unit, least = _variance_unit(fit, index), _squares(fit.refinement)
+    plant, here, before = fit.plant, *found[0]
+    beyond: tuple[float, float] | None = None
+    for _ in range(MOST_STEPS):
+        value = float(np.clip(here + step, spec.low, spec.high))
+        if value == here:
+            break
+        refined = _with_value(fit, runs, plant, name, value)
+        lost = np.inf if refined is None else (_squares(refined) - least) / unit
+        found.append((value, lost))
+        if refined is not None and lost < CHI_SQUARE_95:
+            plant, here, before = refined.plant, value, lost
+        else:
+            beyond = (value, lost)
+        if beyond is not None and beyond[1] - before <= CHI_SQUARE_95:
+            break
+        step *= 1.6 if beyond is None else 0.5
+    if beyond is None:
+        return None
+    share = (CHI_SQUARE_95 - before) / (beyond[1] - before) if np.isfinite(beyond[1]) else 0.5
+    return here + share * (beyond[0] - here)
+
+
 def _variance_unit(fit: EffectsFit, index: int) -> float:
     """Return the residual variance that one degree of freedom counts as."""
     refined = fit.refinement
     samples = sum(r.size for r in refined.residuals)
     plain = _squares(refined) / max(samples - len(fit.plant.values), 1)
-    return float(max(plain * refined.colour[index], 1e-300))
+    colour = refined.colour[index]  # NaN where the data do not determine the parameter
+    return max(plain * (float(colour) if np.isfinite(colour) else 1.0), 1e-300)
 
 
 def _squares(refined: Refinement) -> float:
