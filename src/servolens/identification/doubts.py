@@ -40,8 +40,15 @@ def _at_bounds(refined: Refinement) -> list[Finding]:
 
 
 def _vague(refined: Refinement) -> list[Finding]:
-    """Name the parameters whose standard error exceeds their value."""
-    found = []
+    """Name the parameters of which the data say nothing, and those whose standard error exceeds their value."""
+    found = [
+        Finding(
+            code="not_determined",
+            severity="note",
+            message=f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}.",
+        )
+        for name in refined.undetermined
+    ]
     for name, value, variance in zip(
         refined.plant.parameters, refined.plant.values, np.diag(refined.covariance), strict=True
     ):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "well_conditioned"]
+__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "open_directions", "well_conditioned"]
 
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking
@@ -29,6 +29,8 @@ crumple."""
 CRUMPLED = 1.5
 """Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
+WORST, PART = 1e14, 1e-3
+"""Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
 MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
@@ -266,7 +268,8 @@ class Problem:
         change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
         reach = 0.5 * np.maximum(np.abs(point.values), np.where(self.free == 0, 0.0, self.scale))  # β keeps its sign
         reach[self.signed] *= 4.0
-        values = np.clip(point.values + np.clip(change, -reach, reach), self.low, self.high)
+        back = np.where(self.low > 0, 0.5 * np.abs(point.values), reach)  # what may not vanish shrinks by degrees
+        values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
         starts = [
             start - np.linalg.solve(block.factor, block.missed + block.along @ moved) if start.size else start
@@ -325,8 +328,11 @@ class Problem:
 
     def at_bound(self, point: Point) -> tuple[str, ...]:
         """Return the names of the parameters that are at an end of their range."""
-        ends = (point.values <= self.low) | (point.values >= self.high)
-        return tuple(dict.fromkeys(self.names[self.free[k]] for k in np.flatnonzero(ends)))
+        return self.names_of((point.values <= self.low) | (point.values >= self.high))
+
+    def names_of(self, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
+        """Return the names of the `chosen` among the free parameters."""
+        return tuple(dict.fromkeys(self.names[self.free[k]] for k in np.flatnonzero(chosen)))
 
     def _prior_cost(self, values: NDArray[np.float64]) -> float:
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
@@ -335,4 +341,15 @@ class Problem:
 def well_conditioned(information: NDArray[np.float64]) -> bool:
     """Tell whether the data determine all parameters: no column depends on the others."""
     scale = np.sqrt(np.diag(information))
-    return bool(np.linalg.cond(information / np.outer(scale, scale)) < 1e14)
+    return bool(np.linalg.cond(information / np.outer(scale, scale)) < WORST)
+
+
+def open_directions(information: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which parameters can be moved, alone or with others, without a trace in the data, shape (k,)."""
+    seen = np.diag(information) > 0
+    scale = np.sqrt(np.diag(information)[seen])
+    sizes, directions = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(scale, scale))
+    free = sizes < sizes.max(initial=0.0) / WORST
+    found = ~seen
+    found[seen] = np.sum(directions[:, free] ** 2, axis=1) > PART
+    return found

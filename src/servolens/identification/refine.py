@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.error_problem import COARSE, FINE, Block, Point, Problem, well_conditioned
+from servolens.identification.error_problem import (
+    COARSE,
+    FINE,
+    Block,
+    Point,
+    Problem,
+    open_directions,
+    well_conditioned,
+)
 from servolens.identification.options import FitOptions
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
@@ -74,6 +82,8 @@ class Refinement:
         Parameters that each record has of its own.
     at_bound : tuple of str
         Parameters that ended at the end of their range.
+    undetermined : tuple of str
+        Parameters that were searched for and of which the data say nothing, or nothing of each alone.
     rms_error : float
         Root mean square of the residual [m or rad].
     residuals : tuple of ndarray
@@ -90,6 +100,7 @@ class Refinement:
     colour: NDArray[np.float64]
     local: Mapping[str, NDArray[np.float64]]
     at_bound: tuple[str, ...]
+    undetermined: tuple[str, ...]
     rms_error: float
     residuals: tuple[NDArray[np.float64], ...]
     converged: bool
@@ -275,7 +286,8 @@ def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bo
 def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
     """Return the result of a search that ended at `point`."""
     blocks, _, information = problem.linearised_widely(point)
-    inside = (point.values > problem.low) & (point.values < problem.high) & (np.diag(information) > 0)
+    within = (point.values > problem.low) & (point.values < problem.high)
+    inside = within & (np.diag(information) > 0)
     covariance = np.full((len(problem.names), len(problem.names)), np.nan)
     correlation, colour = covariance.copy(), np.full(len(problem.names), np.nan)
     shared = [k for k, (_, group) in enumerate(problem.slots) if group == problem.slots[0][1] or group == 0]
@@ -298,6 +310,7 @@ def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
         colour=colour,
         local=problem.local_values(point),
         at_bound=problem.at_bound(point),
+        undetermined=problem.names_of(within & open_directions(information)),
         rms_error=float(np.sqrt(sum(float(r @ r) for r in residuals) / problem.samples)),
         residuals=tuple(residuals),
         converged=converged,
