@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping  # noqa: TC003 - dataclass fields are looked at by tools
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, Literal, final, get_args
 
 from servolens.errors import InputError
 
@@ -12,6 +12,12 @@ if TYPE_CHECKING:
     from servolens.identification.integral import Prior
 
 __all__ = ["FitOptions"]
+
+Loss = Literal["squares", "huber"]
+Driven = Literal["auto", "closed_loop", "voltage"]
+Compared = Literal["position", "voltage"]
+Begin = Literal["rest", "motion"]
+CHOICES = {"loss": Loss, "driven": Driven, "compared": Compared, "begin": Begin}
 
 
 @final
@@ -38,17 +44,29 @@ class FitOptions:
     begin : {"rest", "motion"}
         Whether the records begin at rest; with ``"motion"`` each record's initial position and velocity are free, and
         the controller's memory of the time before is read off the logged voltage.
+
+    Raises
+    ------
+    InputError
+        If a choice is none of these, or choices do not go together.
     """
 
     held: tuple[str, ...] = ()
     local: tuple[str, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
-    loss: Literal["squares", "huber"] = "squares"
-    driven: Literal["auto", "closed_loop", "voltage"] = "auto"
-    compared: Literal["position", "voltage"] = "position"
-    begin: Literal["rest", "motion"] = "rest"
+    loss: Loss = "squares"
+    driven: Driven = "auto"
+    compared: Compared = "position"
+    begin: Begin = "rest"
 
     def __post_init__(self) -> None:
+        for name, choices in CHOICES.items():
+            value, known = getattr(self, name), get_args(choices)
+            if value not in known:
+                raise InputError(f"{name} must be one of {', '.join(known)}; got {value!r}")
+        for name in ("held", "local"):
+            if isinstance(getattr(self, name), str):
+                raise InputError(f"{name} must be a tuple of names; write ({getattr(self, name)!r},)")
         if self.compared == "voltage" and self.driven == "voltage":
             raise InputError(
                 "a run that is driven by the voltage cannot be compared by it; choose driven='closed_loop'"
