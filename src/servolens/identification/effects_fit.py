@@ -15,10 +15,10 @@ from servolens.identification.options import FitOptions
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, error_of, lead, minimise_error
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import closed_runs, voltage_runs
-from servolens.identification.segments import motion_segments, noise_level
+from servolens.identification.segments import motion_segments, noise_level, white_noise
 from servolens.identification.starting import Screen
 from servolens.model import Model
-from servolens.plant import Plant
+from servolens.plant import BASE_PARAMETERS, Plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,6 +34,8 @@ __all__ = ["EffectsFit", "fit_effects", "fit_runs", "last_word"]
 
 STARTS, SHORT = 3, 6
 """Starts of each effect that are tried by simulation, and with how many iterations."""
+NEAR = 20.0
+"""Times the noise from which on a start is refined only if no other leads further: it may be in the wrong valley."""
 MOST_TRIED = 16_000
 """Samples on which starts are tried."""
 
@@ -53,7 +55,7 @@ class EffectsFit:
         How the final runs were simulated: in closed loop, driven by the voltage from the record's beginning, or so in
         stretches of motion with initial states of their own.
     noise : float
-        Standard deviation of the position's noise [m or rad].
+        Standard deviation of the noise in what was compared: position [m or rad], or the command.
     findings : tuple of Finding
         Parameters at a bound, not determined, or not to be told apart; a search that did not end.
     records : tuple of Record
@@ -143,17 +145,35 @@ def fit_effects(
         length_unit=runs[0].length_unit,
         command_unit=runs[0].command_unit,
     )
-    check_names((*(asked.priors or {}), *asked.held, *asked.local), plant.parameters)
+    check_names((*asked.priors, *asked.held, *asked.local), plant.parameters)
+    _check_free(plant, asked)
     trial = _Trial.of(runs, asked)
     joint, least = _all_at_once(plant, trial)
-    fit = last_word(joint, runs, asked) if least < np.inf else None
+    fit = last_word(joint, runs, asked) if least <= NEAR * trial.noise or not effects else None
     if fit is not None and (not effects or fit.rms_error <= DOWN_TO_NOISE * fit.noise):
         return fit
     one_by_one, error = _one_by_one(plant, trial)
-    if fit is not None and error >= least:
-        return fit
+    if error >= (least if fit is None else min(least, error_of(fit.plant, trial.runs))):
+        return fit or last_word(joint, runs, asked)
     other = last_word(one_by_one, runs, asked)
     return other if fit is None or _better(other, fit) else fit
+
+
+def _check_free(plant: Plant, options: FitOptions) -> None:
+    """Refuse to hold what no effect gives a value to, and to ask anything of what follows from other parameters."""
+    for name in (*options.priors, *options.held, *options.local):
+        if name in plant.derived:
+            raise InputError(f"{name} follows from other parameters of this model; ask it of those")
+    for name in options.held:
+        if name in [spec.name for spec in BASE_PARAMETERS]:
+            raise InputError(f"{name} cannot be held, for no effect gives its value; give it a tight prior")
+
+
+def _noise(records: Sequence[Record], options: FitOptions) -> float:
+    """Return the standard deviation of the noise in what is compared."""
+    if options.compared == "voltage":
+        return max((white_noise(r.voltage) for r in records if r.voltage is not None), default=0.0)
+    return max(noise_level(record) for record in records)
 
 
 def fit_runs(records: Sequence[Record], driven: str, options: FitOptions) -> list[Run]:
@@ -165,7 +185,7 @@ def fit_runs(records: Sequence[Record], driven: str, options: FitOptions) -> lis
 
 def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) -> EffectsFit:
     """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
-    noise = max(noise_level(record) for record in records)
+    noise = _noise(records, options)
     driven: str = first_choice(records, options)
     refined = _refined(start, records, options, driven, noise)
     if options.driven == "auto" and driven == "closed_loop" and options.compared == "position":
@@ -245,13 +265,24 @@ def _all_at_once(wanted: Plant, trial: _Trial) -> tuple[Plant, float]:
 
 
 def _one_by_one(wanted: Plant, trial: _Trial) -> tuple[Plant, float]:
-    """Return where the plant leads if its effects take their best starts one after the other."""
+    """Return where the plant leads if its effects take their best starts one after the other.
+
+    The first ones were chosen beside less than all: where that falls short, each is chosen anew beside all others.
+    """
     bare, _ = trial.screen.solve(())
     plant = replace(wanted, gain=bare.gain, damping=max(bare.damping, 0.0), effects=())
     error = np.inf
     for effect in wanted.effects:
         plant, error = _added(plant, effect, trial)
-    return plant, error
+    if len(wanted.effects) > 1:
+        for effect in plant.effects:
+            if error <= AT_NOISE * trial.noise:
+                break
+            again, less = _added(plant, plant.effect(effect.name) or effect, trial)
+            if less < error:
+                plant, error = again, less
+    order = [effect.name for effect in wanted.effects]
+    return replace(plant, effects=tuple(sorted(plant.effects, key=lambda effect: order.index(effect.name)))), error
 
 
 @final
@@ -273,7 +304,7 @@ class _Trial:
             runs=fit_runs(part, first_choice(part, options), options),
             screen=Screen.of(motion_segments(records)),
             options=options,
-            noise=max(noise_level(record) for record in records),
+            noise=_noise(records, options),
         )
 
     def led_furthest(self, given: Plant, starts: Sequence[Plant], *, coarse: bool = False) -> tuple[Plant, float]:
