@@ -103,7 +103,7 @@ def _gain(diagnosis: Diagnosis, told: Summary) -> Section:
     if diagnosis.causes and any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains):
         blocks.append(gains_figure("wrong-gains", diagnosis))
     blocks.append(Summary(title="", tables=told.tables[1 if diagnosis.causes else 0 :]))
-    return Section(key="gain", title="What it gains", blocks=tuple(blocks))
+    return Section(key="gain", title="Record by record", blocks=tuple(blocks))
 
 
 def _doubts(diagnosis: Diagnosis) -> Section:

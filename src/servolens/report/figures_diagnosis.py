@@ -44,6 +44,8 @@ TELLING = 0.1
 """By how much the share of the error in a range must exceed that of the samples to be stressed."""
 CLEAR = 1e-3
 """Significance from which on an instrument is drawn."""
+SHOWS = 0.7
+"""Correlation of the pieces with the causes' law from which on it is drawn."""
 SAYS_LITTLE = 6.0
 """Times the median standard error from which on a piece is left out of the picture."""
 QUANTITIES = {
@@ -107,8 +109,8 @@ def _draw_residual(
     ax.axhspan(-noise, noise, color=COLOURS["green"], alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
     lines = [curve(label, record.time, factor * miss, role).thinned() for label, role, miss in known]
     plot_curves(lines, xlabel="", ylabel="", legend=False, zero_line=True, ax=ax)
-    for line in ax.lines[1:]:
-        line.set_linewidth(1.1)
+    for line in ax.lines[1:]:  # errors are near noise, of which dashes make a blot
+        line.set(linewidth=1.0, linestyle="-")
     return [label for label, *_ in models if label not in [name for name, *_ in known]]
 
 
@@ -163,7 +165,7 @@ def _draw_share(ax: Axes, share: Share) -> None:
 def _tick(edges: NDArray[np.float64], place: int) -> str:
     """Return an edge with the digits that the others leave it."""
     largest = float(np.abs(edges).max())
-    return "0" if abs(edges[place]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
+    return "0" if place == 0 and abs(edges[0]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
 
 
 def _apart(places: Sequence[int], size: int) -> list[int]:
@@ -185,12 +187,24 @@ def _scaled(largest: float, text: str) -> tuple[float, str]:
 
 
 def telling_instrument(diagnosis: Diagnosis) -> tuple[Instrument | None, Curve | None]:
-    """Return the clearest instrument of which the causes say a law, else the clearest, and that law."""
-    for found in diagnosis.instruments:
-        law = law_along(diagnosis, found) if diagnosis.causes and found.significance <= CLEAR else None
-        if law is not None:
-            return found, law
-    return (diagnosis.instruments[0] if diagnosis.instruments else None), None
+    """Return the instrument that shows the causes' law best, and that law; the clearest one where none shows it."""
+    best = diagnosis.instruments[0] if diagnosis.instruments else None
+    law, most = None, SHOWS
+    for found in diagnosis.instruments if diagnosis.causes else ():
+        said = law_along(diagnosis, found) if found.significance <= CLEAR else None
+        if said is not None and (agreement := _agreement(found, said)) >= most:
+            best, law, most = found, said, agreement
+    return best, law
+
+
+def _agreement(instrument: Instrument, law: Curve) -> float:
+    """Return the correlation of the pieces with the law, those left out of which the data say little."""
+    if instrument.goes_with == "constant":
+        return abs(instrument.correlation)
+    deviation = np.array(instrument.deviation)
+    told = deviation <= SAYS_LITTLE * float(np.median(deviation))
+    said = np.interp(np.array(instrument.abscissa)[told], law.x, law.y)
+    return float(np.corrcoef(said, np.array(instrument.value)[told])[0, 1]) if np.ptp(said) > 0 else 0.0
 
 
 def instrument_sentence(instrument: Instrument | None) -> str:

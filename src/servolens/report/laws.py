@@ -46,19 +46,27 @@ def law_along(diagnosis: Diagnosis, instrument: Instrument) -> Curve | None:
 
 def _law(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -> NDArray[np.float64]:
     plant, along, nothing = diagnosis.plant, instrument.goes_with, np.zeros(x.size)
-    position = x if along == "position" else nothing
     time = x if along == "time" else nothing
     if instrument.varies == "gain":
         command = x if along.startswith("voltage") else np.ones(x.size)
         command = np.where(np.abs(command) < 1e-9, 1e-9, command)
-        pushed, free = (_acceleration(plant, position, nothing, time, c, nothing) for c in (command, nothing))
+        pushed, free = (_acceleration(plant, nothing, nothing, time, c, nothing) for c in (command, nothing))
         return (pushed - free) / command
-    direction = np.sign(x) if along in ("speed", "velocity") else x if along == "direction" else nothing
-    velocity = x * _typical_speed(diagnosis) if along == "direction" else np.abs(direction) * x
-    force = -_acceleration(plant, position, velocity, time, nothing, direction)
-    if instrument.varies == "force":
-        return force - plant.damping * velocity
-    return np.where(np.abs(velocity) > 0, force / np.where(velocity == 0, 1.0, velocity), plant.damping)
+    if instrument.varies == "damping":
+        moving = np.where(x == 0, 1e-9, x)
+        return plant.damping + _force(plant, nothing, moving, nothing) / moving
+    if along == "direction":  # the mean of a piece that turns round lies between the two ways
+        ways = np.array([-1.0, 1.0])
+        return np.interp(x, ways, _force(plant, np.zeros(2), ways * _typical_speed(diagnosis), np.zeros(2)))
+    return _force(plant, x if along == "position" else nothing, x if along == "velocity" else nothing, time)
+
+
+def _force(
+    plant: Plant, position: NDArray[np.float64], velocity: NDArray[np.float64], time: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return what opposes a motion without a command, but for the damping."""
+    acceleration = _acceleration(plant, position, velocity, time, np.zeros(time.size), np.sign(velocity))
+    return -acceleration - plant.damping * velocity
 
 
 def _acceleration(plant: Plant, *states: NDArray[np.float64]) -> NDArray[np.float64]:
