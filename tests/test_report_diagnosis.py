@@ -57,7 +57,16 @@ def test_page_says_the_cause_first_and_shows_it(rubbing, tmp_path):
     assert text.count("<figure") == 5
     assert "goes with the direction of motion" in text
     assert "is what the model with its causes says" in text
-    assert "took no part in fit and choice" in text
+    assert "held-out data: the record took no part in fit and choice" in text
+
+
+@pytest.mark.parametrize(
+    ("count", "tells"), [(2, "the record by models that were fitted without it"), (1, "the record&#39;s end by models")]
+)
+def test_page_says_what_was_held_out_where_no_record_was(rubbing, tmp_path, count, tells):
+    text = page_of(replace(rubbing, heldout=(), records=rubbing.records[:count]), tmp_path)
+    assert tells in text
+    assert "(held out)" not in text
 
 
 def test_page_of_a_healthy_axis_shows_no_cause(healthy, tmp_path):

@@ -341,14 +341,16 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
 @styled
 def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw each record's error without and with the causes."""
-    gains = diagnosis.gains[: 3 * MOST_RECORDS]
+    gains = diagnosis.gains
+    if len(gains) > 3 * MOST_RECORDS:  # those held out come last
+        gains = (*gains[:MOST_RECORDS], *gains[-2 * MOST_RECORDS :])
     factor, length = scale([g.before for g in gains if np.isfinite(g.before)], diagnosis.plant.length_unit)
     figure = new_figure(0.3 * len(gains) + 1.2)
     before, after, noise = (
         _positive([factor * getattr(g, name) for g in gains]) for name in ("before", "after", "noise")
     )
     plot_record_errors(
-        [shown(g.name) for g in gains],
+        [f"{shown(g.name)}{', held out' if g.heldout else ''}" for g in gains],
         before,
         after,
         noise,
@@ -356,10 +358,16 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         xlabel=f"R.m.s. error [{length}], logarithmic",
         ax=figure.add_subplot(),
     )
-    return Drawing(
-        svg=svg(figure, key),
-        caption="Error of each record without and with the causes, and its noise. " + _which_are_held_out(diagnosis),
-    )
+    caption = "Error of each record without and with the causes, and its noise. Filled marks are of held-out data: "
+    if diagnosis.heldout:
+        caption += "the record took no part in fit and choice."
+    elif len(diagnosis.records) > 1:
+        caption += "the record by models that were fitted without it."
+    else:
+        caption += "the record's end by models that were fitted to its beginning."
+    if len(diagnosis.gains) > len(gains):
+        caption += f" {len(diagnosis.gains) - len(gains)} more are in the table only."
+    return Drawing(svg=svg(figure, key), caption=caption)
 
 
 def _positive(values: Sequence[float]) -> NDArray[np.float64]:

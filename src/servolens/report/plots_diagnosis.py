@@ -210,7 +210,7 @@ def plot_record_errors(
     if held_out.any():
         ax.plot([], [], linestyle="none", marker="o", color=INK, label="held out")
     seen = [v for v in (*before, *after, *floor) if 0 < v < float("inf")]
-    _error_axis(ax, min(seen), max(seen))
+    _error_axis(ax, min(seen, default=1.0), max(seen, default=1.0))
     _rows(ax, rows)
     ax.set_xlabel(xlabel)
     ax.legend(loc="lower center", bbox_to_anchor=(0.45, 1.0), ncols=5, columnspacing=1.2, handletextpad=0.3)
