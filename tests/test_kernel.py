@@ -354,3 +354,34 @@ def test_more_substeps_for_faster_plants() -> None:
     slow, fast = plant_with(), plant_with(FlexibleCoupling(frequency=200.0, damping_ratio=0.03, load_ratio=0.4))
     assert substeps_for(slow, H) < substeps_for(fast, H)
     assert substeps_for(slow, H) < substeps_for(slow, H, 500.0)
+
+
+def test_lagged_push_moves_a_resting_axis_within_the_sample():
+    lag, h = 0.004, 2e-3
+    time = np.arange(600) * h
+    voltage = np.where(time < 0.01, 0.0, 7.0)
+    plant = Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=lag),))
+    after = np.maximum(time - 0.01, 0.0)
+    # y/V = 1.9 / (s (s + 6) (lag s + 1)) of a step, by partial fractions
+    rate = 1.0 / lag
+    expected = (7.0 * 1.9 * rate) * (
+        after / (6.0 * rate)
+        - (6.0 + rate) / (6.0 * rate) ** 2
+        + np.exp(-6.0 * after) / (36.0 * (rate - 6.0))
+        - np.exp(-rate * after) / (rate**2 * (rate - 6.0))
+    )
+    assert np.abs(simulate_voltage(plant, time, voltage).position - expected).max() < 1e-7
+
+
+def test_lagged_push_breaks_friction_loose_within_the_sample():
+    lag, level = 0.02, 1.0
+    plant = Plant(gain=2.0, damping=0.0, effects=(CoulombFriction(level=level), ActuatorLag(time_constant=lag)))
+    time = np.arange(400) * 1e-3
+    voltage = np.where(time < 0.0105, 0.0, 3.0)
+    since = np.maximum(time - 0.011, 0.0)
+    loose = -lag * np.log(1.0 - level / 6.0)  # the push 6 (1 - exp(-t/lag)) then passes the level
+    t = np.maximum(since - loose, 0.0)
+    left = np.exp(-loose / lag)
+    speed = (6.0 - level) * t - 6.0 * left * lag * (1.0 - np.exp(-t / lag))
+    found = simulate_voltage(plant, time, voltage)
+    assert np.abs(found.velocity - speed).max() < 1e-6 * speed.max()

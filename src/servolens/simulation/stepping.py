@@ -160,6 +160,20 @@ def choose_direction(x: Any, p: Any, out: Any) -> None:
 
 
 @njit(**OPTIONS)
+def breaking_loose(e: Any, p: Any, out: Any, lacking: float) -> float:
+    """Return the share of a piece after which an axis at rest, that lacked so much push, is pushed loose; 1 if never.
+
+    Its states go on at rest: ``e`` is the end of the piece, and is told in which direction it then sets out.
+    """
+    choose_direction(e, p, out)
+    if e[MOVING] == 0.0:
+        return 1.0
+    e[MOVING] = 0.0
+    least: float = max(lacking, 0.0)
+    return least / (least + out[0] * e[D] - out[1])
+
+
+@njit(**OPTIONS)
 def is_rough(series: Any, v: float, h: float) -> bool:
     """Whether `h` is so long that the last term of the series matters."""
     last: bool = abs(series[2]) * h * h * h > SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
@@ -201,6 +215,7 @@ def advance(x: Any, p: Any, room: Any, h: float) -> None:
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
             return
+        lacking = series[1] - series[0] * x[D]
         relaxation(x, p, begin)
         kinked(x, p, before)
         for i in range(nz):
@@ -225,6 +240,12 @@ def advance(x: Any, p: Any, room: Any, h: float) -> None:
                 continue
             kinked(e, p, after)
             share = first_kink(before, after, nk)
+            if x[MOVING] == 0.0:
+                loose = breaking_loose(e, p, series, lacking)
+                if loose * tau <= SHORTEST * h:
+                    x[MOVING], x[D] = 1.0, e[D]
+                    continue
+                share = min(share, loose)
             if share == 1.0 or tau <= SHORTEST * h:
                 break
             part = max(share * tau, SHORTEST * h)
