@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.effects import Sensor
 from servolens.simulation import simulate
 
 if TYPE_CHECKING:
@@ -76,7 +77,9 @@ def prediction_error(plant: Plant, record: Record) -> RecordError:
     InputError, NumericalError
         As :func:`servolens.simulation.simulate`.
     """
-    error = simulate(plant, record).position - record.position
+    simulation = simulate(plant, record)
+    shown = simulation.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else simulation.position
+    error = shown - record.position
     spread = float(np.linalg.norm(record.position - record.position.mean()))
     mean = float(np.mean(np.abs(error)))
     step = record.step_size

@@ -39,14 +39,32 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
         runs.append(whole[0])
     if record.reference is not None and record.controller is not None:
         runs.append(ClosedRun(record, 0))
-    return min((_difference(plant, run) for run in runs), key=lambda r: float(r @ r))
+    return min((_difference(plant, run) for run in runs), key=_size)
 
 
 def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
+    """Return the residual of `run` with the initial state, where that is free, that suits it best."""
+    substeps, start = substeps_for(plant, run.sample_time), run.start
+
+    def missed(begin: NDArray[np.float64]) -> NDArray[np.float64]:
+        return run.simulated(plant, begin, substeps) - run.measured
+
     try:
-        return run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
+        residual = missed(start)
+        for _ in range(2 if start.size else 0):
+            moved = np.eye(start.size) * np.array(run.shifts)
+            slopes = np.column_stack([missed(start + row) - residual for row in moved])
+            better = start - np.linalg.lstsq(slopes, residual, rcond=1e-9)[0] * np.array(run.shifts)
+            start, residual = min(
+                ((begin, missed(begin)) for begin in (start, better)), key=lambda pair: _size(pair[1])
+            )
     except NumericalError:
         return np.full(run.measured.size, np.inf)
+    return residual
+
+
+def _size(residual: NDArray[np.float64]) -> float:
+    return float(residual @ residual)
 
 
 def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:

@@ -142,7 +142,9 @@ class _Explorer:
         if not found or found[0].error > NEAR * self.trials.noise:
             return found
         close = [h for h in found if h.error <= ALIKE * found[0].error]
-        return sorted([*self.pool.map(self.trials.judged, close), *found[len(close) :]], key=self.trials.score)
+        for _ in range(2):  # one that explains the records untied binds those that were judged before it
+            close = [*self.pool.map(self.trials.judged, close)]
+        return sorted([*close, *found[len(close) :]], key=self.trials.score)
 
     def best(self, plants: Sequence[Plant]) -> Hypothesis | None:
         """Return the best of `plants`, fitted; None if there is none."""

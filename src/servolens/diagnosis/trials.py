@@ -58,12 +58,15 @@ class Hypothesis:
     error : float
         Root mean square error of the records driven by their voltage [m or rad].
     residuals : tuple of ndarray
-        Simulated minus measured position, of a hypothesis that was judged without the tether; else none.
+        Simulated minus measured position, of a hypothesis that was judged; else none.
+    tied : bool
+        Whether it could be judged with the tether only.
     """
 
     plant: Plant
     error: float
     residuals: tuple[NDArray[np.float64], ...] = ()
+    tied: bool = False
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -103,6 +106,7 @@ class Trials:
         self.tether = tether(self.start, LOOSE * loop_rate(self.start, records))
         self.runs: list[Run] = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
         self.most_substeps = MOST_SUBSTEPS * max(1e3 * max(run.sample_time for run in self.runs), 1.0)
+        self.untied = False
         self._free: list[Run] | None = None
         self._proposals: dict[str, Proposals] = {}
 
@@ -121,16 +125,19 @@ class Trials:
         """Return `hypothesis` fitted to the records driven by the voltage alone, where that can be.
 
         Only then is the residual of the right plant the sensor's noise and nothing else. An axis that runs away by
-        itself stays tied.
+        itself stays tied; but once one hypothesis explains the records untied, all have to.
         """
-        if hypothesis.residuals:
+        if hypothesis.residuals and not (hypothesis.tied and self.untied):
             return hypothesis
         if self._free is None:
             self._free = [*voltage_runs(self.records)]
         free = self._led(hypothesis.plant, self._free, LAST)
         if free is not None and free.error <= RUNS_AWAY * hypothesis.error:
+            self.untied = True
+        if free is not None and self.untied:
             return free
-        return self._led(hypothesis.plant, self.runs, LAST) or hypothesis
+        tied = self._led(hypothesis.plant, self.runs, LAST)
+        return hypothesis if tied is None else replace(tied, tied=True)
 
     def _led(self, plant: Plant, runs: Sequence[Run], iterations: int) -> Hypothesis | None:
         """Return `plant` fitted to the runs; None where it cannot be simulated.
