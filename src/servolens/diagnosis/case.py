@@ -132,10 +132,11 @@ class Case:
 
     def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:
         try:
-            found = Trials(records, self.priors).fitted(plant)
+            trials = Trials(records, self.priors)
         except (InputError, NumericalError):
             return plant
-        return plant if found is None else found.plant
+        found = trials.fitted(plant)
+        return plant if found is None else trials.judged(found).plant
 
 
 @final

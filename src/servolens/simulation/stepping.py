@@ -169,8 +169,9 @@ def breaking_loose(e: Any, p: Any, out: Any, lacking: float) -> float:
     if e[MOVING] == 0.0:
         return 1.0
     e[MOVING] = 0.0
-    least: float = max(lacking, 0.0)
-    return least / (least + out[0] * e[D] - out[1])
+    least = max(lacking, 0.0)
+    share: float = least / (least + out[0] * e[D] - out[1])
+    return share
 
 
 @njit(**OPTIONS)
