@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Transmission, effect_class
+from servolens.effects import Drive, Transmission, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import error_of, lead
@@ -194,6 +194,8 @@ class Trials:
         proposals = self.screen.proposals_of(plant, cls)
         if not regressor(cls).sizes:
             tried = [plant.with_effect(effect) for effect in proposals]
+            if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
+                tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
             ranked = sorted((error_of(candidate, self.runs), i) for i, candidate in enumerate(tried))
             return [tried[i] for _, i in ranked[:STARTS]]
         if cls.name not in self._proposals:

@@ -57,5 +57,5 @@ class ActuatorLag(Actuator):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[ActuatorLag]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for samples in (3.0, 10.0, 30.0):
+        for samples in (3.0, 10.0, 30.0, 1.0):
             yield within(cls, time_constant=samples * seen.sample_time)

@@ -72,6 +72,6 @@ class Backlash(Transmission):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Backlash]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for gap in (1e-3, 3e-3, 1e-2, 3e-2):
+        for gap in (1e-3, 3e-3, 1e-2, 3e-2, 3e-4, 1e-4):
             for load in (0.3, 0.6):
                 yield within(cls, gap=gap * seen.travel, load_share=load)

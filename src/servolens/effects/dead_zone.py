@@ -49,5 +49,5 @@ class DeadZone(Actuator):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[DeadZone]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for share in (0.02, 0.1):
+        for share in (0.02, 0.1, 5e-3, 1e-3, 2e-4):
             yield within(cls, width=share * seen.command)

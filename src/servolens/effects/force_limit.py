@@ -51,5 +51,5 @@ class ForceLimit(MotorForce):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[ForceLimit]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for share in (0.5, 0.7, 0.9):
+        for share in (0.5, 0.7, 0.9, 0.35, 0.2, 0.1):
             yield within(cls, acceleration=share * seen.push)

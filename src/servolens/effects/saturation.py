@@ -52,5 +52,5 @@ class Saturation(Actuator):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Saturation]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for share in (0.5, 0.7, 0.9):
+        for share in (0.5, 0.7, 0.9, 0.35, 0.2, 0.1):
             yield within(cls, limit=share * seen.command)

@@ -69,10 +69,11 @@ class SpeedServo(Drive):
     def starts(cls, seen: Seen) -> Iterator[SpeedServo]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
         steady = seen.gain / seen.damping if seen.damping > 0 else seen.speed / max(seen.command, 1e-9)
-        for proportional in (20.0, 60.0, 200.0):
-            yield within(
-                cls,
-                speed_per_volt=steady or 1.0,
-                proportional=proportional,
-                integral=proportional * proportional / 8,
-            )
+        for proportional in (20.0, 60.0, 200.0, 0.5 * seen.damping, seen.damping):
+            for slower in (8.0, 100.0):  # the integral's rate beside the proportional one
+                yield within(
+                    cls,
+                    speed_per_volt=steady or 1.0,
+                    proportional=proportional,
+                    integral=proportional * proportional / slower,
+                )
