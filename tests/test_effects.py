@@ -355,11 +355,11 @@ def test_starts_are_admissible(cls, seen):
         ("position_friction", "centre", 0.04, 0.36, 9),
         ("stribeck_friction", "stribeck_speed", 0.006, 0.12, 3),
         ("velocity_decay_damping", "alpha2", 5.0, 50.0, 3),
-        ("dead_zone", "width", 0.2, 1.0, 2),
-        ("saturation", "limit", 5.0, 9.0, 3),
-        ("force_limit", "acceleration", 9.5, 17.1, 3),
-        ("backlash", "gap", 4e-4, 1.2e-2, 4),
-        ("speed_servo", "proportional", 20.0, 200.0, 3),
+        ("dead_zone", "width", 2e-3, 1.0, 5),
+        ("saturation", "limit", 1.0, 9.0, 6),
+        ("force_limit", "acceleration", 1.9, 17.1, 6),
+        ("backlash", "gap", 4e-5, 1.2e-2, 6),
+        ("speed_servo", "proportional", 3.0, 200.0, 5),
     ],
 )
 def test_starts_span_what_the_record_can_show(name, parameter, low, high, count):
