@@ -17,6 +17,7 @@ from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import Search, search
 from servolens.findings import Finding
 from servolens.identification.door import together
+from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -108,11 +109,7 @@ def diagnose(
         candidates=tuple(Candidate(effects=h.causes, error=h.error) for h in found.singles),
         linear=fits[0].model,
         model=fits[-1].model,
-        rival_plants={
-            cause.effect: tuple(h.plant for h in _rivals(case, found, path[-1], cause.effect))
-            for cause in causes
-            if cause.rivals
-        },
+        rival_plants={cause.effect: _rival_plants(case, found, path[-1], cause) for cause in causes if cause.rivals},
         next_experiment=None,
         findings=(*findings, *doubts, *fits[-1].findings, *_contradictions(case, path[-1], verdict)),
         records=runs,
@@ -164,6 +161,16 @@ def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsF
             )
         )
     return tuple(causes)
+
+
+def _rival_plants(case: Case, found: Search, chosen: Hypothesis, cause: Cause) -> tuple[Plant, ...]:
+    """Return the plants with a rival in the place of `cause`; of a twin that was not tried, with the same values."""
+    plants = [h.plant for h in _rivals(case, found, chosen, cause.effect)]
+    effect = chosen.plant.effect(cause.effect)
+    if effect is not None and effect.twin in cause.rivals and not any(p.effect(effect.twin) for p in plants):
+        values = {spec.name: getattr(effect, spec.name) for spec in effect.parameters()}
+        plants.append(chosen.plant.without_effect(cause.effect).with_effect(Plant.effect_from(effect.twin, values)))
+    return tuple(plants)
 
 
 def _names(rivals: Sequence[Hypothesis], chosen: Hypothesis, cause: str) -> tuple[str, ...]:
