@@ -10,17 +10,22 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
-from servolens.effects import CATALOGUE
 from servolens.errors import InputError
 
 SEED = 9000
 TWINS = {"actuator_lag": {"sensor_lag"}, "sensor_lag": {"actuator_lag"}}
-PAIRS = (
-    ("coulomb_friction", "delay"),
-    ("stribeck_friction", "cogging"),
-    ("dead_zone", "return_spring"),
-    ("backlash", "quadratic_drag"),
+SOME = (
+    "delay",
+    "backlash",
+    "cogging",
+    "dead_zone",
+    "gain_drift",
+    "presliding",
+    "speed_servo",
+    "stribeck_friction",
 )
+"""One of each kind; ``make confusion`` goes through them all."""
+PAIRS = (("coulomb_friction", "delay"), ("return_spring", "quadratic_drag"))
 
 
 def first_named(diagnosis, effect):
@@ -43,7 +48,7 @@ def test_coulomb_friction_is_named_and_measured():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", CATALOGUE)
+@pytest.mark.parametrize("effect", SOME)
 def test_hidden_effect_is_named_first(effect):
     campaign = lab.hidden_campaign(SEED + 1, effects=[effect])
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -70,7 +75,7 @@ def test_healthy_axis_is_called_healthy(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("foreign", ["hysteretic_spring", "even_gain", "knocks", "cubic_gain"])
+@pytest.mark.parametrize("foreign", ["even_gain", "random_knocks"])
 def test_foreign_law_is_not_explained_by_a_member_of_the_catalogue(foreign):
     campaign = lab.hidden_campaign(SEED + 3, foreign=foreign)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

@@ -31,7 +31,7 @@ LESS = (0.8, 0.7, 0.5, 0.2)
 """Share of the squared error beyond the noise that the first, the second … effect may leave."""
 HOPELESS = (np.inf, np.inf, 100.0, 20.0)
 """Times the noise from which on no first, second … effect is looked for: too much would be left."""
-REFITTED, POLISHED, ALIKE = 8, 1.3, 1.1
+REFITTED, POLISHED, ALIKE = 12, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
 NEAR = 10.0
 """Times the noise from which on hypotheses are judged without a tether."""

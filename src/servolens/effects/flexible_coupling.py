@@ -65,6 +65,6 @@ class FlexibleCoupling(Transmission):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[FlexibleCoupling]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for frequency in (8.0, 15.0, 30.0, 60.0):
+        for frequency in (8.0, 15.0, 30.0, 60.0, 120.0):
             for load in (0.3, 0.6):
                 yield within(cls, frequency=frequency, damping_ratio=0.03, load_ratio=load)
