@@ -51,7 +51,7 @@ coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model 
 	@$(BIN)/python benchmarks/coverage.py
 	@$(BIN)/python benchmarks/fit_coverage.py $(COVERAGE_ARGS)
 
-confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what else it names (an hour)
+confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what else it names (hours)
 	@$(BIN)/python benchmarks/confusion.py $(CONFUSION_ARGS)
 
 pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servolens import Plant, lab
+from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
+from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
 from servolens.errors import InputError
+from servolens.simulation import simulate_voltage
 
 SEED = 9000
 TWINS = {"actuator_lag": {"sensor_lag"}, "sensor_lag": {"actuator_lag"}}
@@ -152,3 +154,22 @@ def test_diagnosis_survives_json():
     assert set(data["causes"][0]["gain"]) == {"train", "heldout", "unit"}
     assert data["model"]["effects"][0]["effect"] == "constant_force"
     assert isinstance(diagnosis.plant, Plant)
+
+
+def test_prior_on_what_no_plant_has_is_refused():
+    record = lab.step_record(lab.LM1, 60.0, 0.0, noise=1e-5, seed=1)
+    with pytest.raises(InputError, match="a prior on 'level' is not possible"):
+        diagnose(record, priors={"level": Prior(value=1.0, deviation=1.0)})
+
+
+def test_reported_error_is_not_tied_to_the_measurement():
+    record = lab.step_record(lab.LM1, 60.0, 0.0, reference=(0.1, 0.0), noise=1e-5, seed=2, log_reference=False)
+    wrong = Plant(gain=1.2 * lab.LM1.gain, damping=lab.LM1.damping)
+    driven = simulate_voltage(wrong, record.time, record.voltage).position - record.position
+    assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.1)
+
+
+def test_single_effects_are_listed_once():
+    campaign = lab.hidden_campaign(SEED + 8, effects=["return_spring"], visibility=30.0)
+    names = [candidate.effects for candidate in diagnose(campaign.records, heldout=campaign.heldout).candidates]
+    assert len(names) == len(set(names)) > 15

@@ -13,9 +13,7 @@ from servolens.commands.files import (
     check_outputs,
     load_records,
     priors_from,
-    quality_findings,
     same_file,
-    together,
     writing,
 )
 from servolens.commands.options import Documented, Paths, Recordings, finite, json_option, prior, recordings
@@ -25,7 +23,7 @@ from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from servolens.record import Record
 
@@ -75,26 +73,22 @@ def diagnose(
     from servolens.summaries import diagnosis_summary
 
     known = priors_from(priors)
-    _check_priors(known)
     with progress_bar() as progress:
         records = load_records(recordings, outputs, progress)
         others = load_records(replace(recordings, paths=heldout), outputs, progress) if heldout else ()
         _check_apart(records, others)
         with about(*recordings.paths, *heldout):
             result = find(records, heldout=others, priors=known, progress=progress)
-    findings = together(result.findings, quality_findings((*records, *others)))
     if out:
-        write_json(out, "model", result.model.to_json(), findings)
+        write_json(out, "model", result.model.to_json(), result.findings)
     if json_file:
-        write_json(json_file, "diagnosis", result.to_json(), findings)
+        write_json(json_file, "diagnosis", result.to_json(), result.findings)
     if report:
         from servolens.report import write_diagnosis_report
 
         with writing(Path(report)):
-            write_diagnosis_report(Path(report), replace(result, findings=findings))
-    show(
-        replace(diagnosis_summary(result), findings=findings), STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
-    )
+            write_diagnosis_report(Path(report), result)
+    show(diagnosis_summary(result), STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file)
     return 0
 
 
@@ -125,18 +119,6 @@ def next_(file: str, kp: float | None, reference: float | None, json_file: str |
     units = {"length_unit": found.length_unit, "command_unit": found.command_unit}
     show(replace(experiment_summary(found.experiment, **units), findings=found.findings), json_file)
     return 0
-
-
-def _check_priors(names: Iterable[str]) -> None:
-    from servolens.effects import CATALOGUE
-
-    known = {f"{effect.name}.{spec.name}" for effect in CATALOGUE.values() for spec in effect.parameters()}
-    for name in names:
-        if name not in known | {"gain", "damping"}:
-            raise InputError(
-                f"a prior on {name[:40]!r} is not possible; there are gain, damping and EFFECT.PARAMETER,"
-                " such as coulomb_friction.level"
-            )
 
 
 def _check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -15,7 +15,6 @@ from servolens.diagnosis.result import Errors, RecordGain
 from servolens.diagnosis.trials import Hypothesis, Trials
 from servolens.errors import InputError, NumericalError
 from servolens.identification.effects_fit import EffectsFit, last_word
-from servolens.identification.options import FitOptions
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
@@ -93,9 +92,7 @@ class Case:
 
     def fitted(self, plant: Plant) -> EffectsFit:
         """Return `plant` refined on the training records, with error bars."""
-        names = plant.parameters
-        options = FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
-        return last_word(plant, self.records, options)
+        return last_word(plant, self.records, self.trials.options(plant))
 
     def gains(self, plants: Sequence[Plant]) -> Gains:
         """Return the residuals of `plants` on training and held-out records."""

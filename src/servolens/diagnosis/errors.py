@@ -27,40 +27,29 @@ KEPT = 0.6
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position, of the closest of a few simulations.
+    """Return simulated minus measured position, of the closer of two simulations.
 
     In closed loop from the reference, as other gains are predicted; and driven by the logged voltage, which knows what
-    the controller made of the noise: an axis that sticks is shaken loose by it. One that runs away by itself is loosely
-    tied to the measured position. Infinite where the simulation leaves all bounds.
+    the controller made of the noise: an axis that sticks is shaken loose by it. Where neither is
+    possible, without reference and away from rest, the run is loosely tied to the measured position. Infinite where a
+    simulation leaves all bounds.
     """
-    runs: list[Run] = [TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record])))]
-    whole = voltage_runs([record])
-    if len(whole) == 1 and whole[0].measured.size == len(record):
-        runs.append(whole[0])
+    runs: list[Run] = [*voltage_runs([record])]
+    if len(runs) != 1 or runs[0].measured.size != len(record):
+        runs = []
     if record.reference is not None and record.controller is not None:
         runs.append(ClosedRun(record, 0))
-    return min((_difference(plant, run) for run in runs), key=_size)
+    closest = min((_difference(plant, run) for run in runs), key=_size, default=np.array([np.inf]))
+    if np.isfinite(closest).all():
+        return closest
+    return _difference(plant, TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record]))))
 
 
 def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
-    """Return the residual of `run` with the initial state, where that is free, that suits it best."""
-    substeps, start = substeps_for(plant, run.sample_time), run.start
-
-    def missed(begin: NDArray[np.float64]) -> NDArray[np.float64]:
-        return run.simulated(plant, begin, substeps) - run.measured
-
     try:
-        residual = missed(start)
-        for _ in range(2 if start.size else 0):
-            moved = np.eye(start.size) * np.array(run.shifts)
-            slopes = np.column_stack([missed(start + row) - residual for row in moved])
-            better = start - np.linalg.lstsq(slopes, residual, rcond=1e-9)[0] * np.array(run.shifts)
-            start, residual = min(
-                ((begin, missed(begin)) for begin in (start, better)), key=lambda pair: _size(pair[1])
-            )
+        return run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
     except NumericalError:
         return np.full(run.measured.size, np.inf)
-    return residual
 
 
 def _size(residual: NDArray[np.float64]) -> float:

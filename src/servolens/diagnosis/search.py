@@ -64,7 +64,8 @@ class Search:
     @property
     def singles(self) -> tuple[Hypothesis, ...]:
         """Hypotheses with one effect, the best first."""
-        return tuple(sorted((h for h in self.tried if len(h.causes) == 1), key=_error))
+        found = {h.causes: h for h in sorted(self.tried, key=_error, reverse=True) if len(h.causes) == 1}
+        return tuple(sorted(found.values(), key=_error))
 
     @property
     def chosen(self) -> Hypothesis:
@@ -131,8 +132,9 @@ class _Explorer:
 
         found = sorted((h for h in self.pool.map(one, jobs) if h), key=_error)
         for count, share, iterations in ((REFITTED, np.inf, SECOND), (REFITTED, POLISHED, LAST)):
-            again = self._fitted([h.plant for h in found[:count] if h.error <= share * found[0].error], iterations)
-            found = sorted([*again, *found[len(again) :]], key=_error)
+            promising = [h for h in found[:count] if h.error <= share * found[0].error]
+            again = self.pool.map(lambda h, most=iterations: self.trials.fitted(h.plant, most) or h, promising)
+            found = sorted([*again, *found[len(promising) :]], key=_error)
         found = self.judged(found)
         self.known += found
         return found
@@ -185,7 +187,7 @@ def _reconsidered(
     rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
     better = min((h for found in rivals for h in found), key=score, default=chosen)
     if score(better) < score(chosen) - 1e-6:
-        return [*path[:-1], better], rivals, False
+        return [*path[:-1], better], (), False
     return path, rivals, True
 
 

@@ -151,7 +151,7 @@ class Trials:
                 further = lead(
                     plant if found is None else found.plant,
                     runs,
-                    self._known(plant),
+                    self.options(plant),
                     noise=self.noise,
                     iterations=iterations,
                     coarse=coarse,
@@ -162,7 +162,8 @@ class Trials:
             found = further if found is None or further.error < found.error else found
         return None if found is None else Hypothesis(found.plant, found.error, found.residuals)
 
-    def _known(self, plant: Plant) -> FitOptions:
+    def options(self, plant: Plant) -> FitOptions:
+        """Return how `plant` is fitted: with the priors on its own parameters."""
         names = plant.parameters
         return FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
 

@@ -15,12 +15,14 @@ from servolens.diagnosis.logs import log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import Search, search
+from servolens.effects import CATALOGUE
+from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.identification.door import together
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from servolens.diagnosis.case import Gains
     from servolens.diagnosis.result import Verdict
@@ -66,7 +68,8 @@ def diagnose(
     Raises
     ------
     InputError
-        If there is no record, none moves, one is unfit, or they are of different kinds of axes.
+        If there is no record, none moves, one is unfit, they are of different kinds of axes, or a prior is on what no
+        plant has.
     NumericalError
         If gain and damping alone cannot be fitted.
 
@@ -82,6 +85,7 @@ def diagnose(
     runs = together(records)
     others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
     together((*runs, *others))
+    _check_priors(priors or {})
     findings = log_findings((*runs, *others))
     case = Case.of(runs, others, dict(priors or {}))
     if case.is_contradictory():  # nothing that one axis has can explain two
@@ -118,6 +122,16 @@ def diagnose(
     sure = {cause.effect: cause.confidence for cause in causes}
     proposal = proposed(diagnosis.plant, diagnosis.rival_plants, sure, runs, noise=diagnosis.noise_floor)
     return replace(diagnosis, next_experiment=proposal)
+
+
+def _check_priors(names: Iterable[str]) -> None:
+    known = {f"{effect.name}.{spec.name}" for effect in CATALOGUE.values() for spec in effect.parameters()}
+    for name in names:
+        if name not in known | {"gain", "damping"}:
+            raise InputError(
+                f"a prior on {name[:40]!r} is not possible; there are gain, damping and EFFECT.PARAMETER,"
+                " such as coulomb_friction.level"
+            )
 
 
 def _confirmed(path: tuple[Hypothesis, ...], case: Case) -> tuple[tuple[Hypothesis, ...], list[Finding]]:
@@ -198,7 +212,9 @@ def _rivals(case: Case, found: Search, chosen: Hypothesis, cause: str) -> list[H
     return [
         h
         for h in found.rivals_of(cause)
-        if score(h) <= score(chosen) + ALIKE and not any(cause in effect.generalises for effect in h.plant.effects)
+        if len(h.causes) == len(chosen.causes)  # none of a longer hypothesis that was not confirmed
+        and score(h) <= score(chosen) + ALIKE
+        and not any(cause in effect.generalises for effect in h.plant.effects)
     ]
 
 
