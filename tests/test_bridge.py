@@ -432,12 +432,13 @@ def test_states_are_the_motors_and_outputs_the_loads_as_the_sensor_shows_them():
         "velocity",
         "flexible_coupling.position",
         "flexible_coupling.velocity",
-        "sensor_lag.position",
+        "sensor_lag.lag",
     ]
     assert system.output_labels == ["position", "velocity"]
-    assert system.output(0, [0.1, 0.2, 0.3, 0.4, 0.5], [0.0]).tolist() == [0.5, 0.4]
+    states = [0.1, 0.2, 0.3, 0.4, -0.25]
+    assert system.output(0, states, [0.0]).tolist() == [0.55, 0.4]
     loop = closed_loop(with_effects("flexible_coupling", "sensor_lag"), kp=10.0, kd=1.0)
-    assert loop.output(0, [0.1, 0.2, 0.3, 0.4, 0.5], [1.0]).tolist() == [0.5, 0.4, 10.0 * (1.0 - 0.5) - 0.4]
+    assert loop.output(0, states, [1.0]).tolist() == [0.55, 0.4, 10.0 * (1.0 - 0.55) - 0.4]
     assert loop.linearize(0.0, 0.0, copy_names=True).state_labels == loop.state_labels
 
 

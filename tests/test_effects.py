@@ -153,7 +153,7 @@ FORMS: dict[str, Callable[[Instant, Any], dict[str, Any]]] = {
     "quadratic_drag": lambda m, p: form(forces=p.drag * m.v * abs(m.v)),
     "return_spring": lambda m, p: form(forces=p.stiffness * m.x),
     "saturation": lambda m, p: form(a=np.clip(m.u, -p.limit, p.limit)),
-    "sensor_lag": lambda m, p: form(shown=m.states[0], rates=[(m.x - m.states[0]) / p.time_constant]),
+    "sensor_lag": lambda m, p: form(shown=m.x - m.states[0], rates=[m.v - m.states[0] / p.time_constant]),
     "speed_servo": lambda m, p: form(
         motor=p.proportional * (p.speed_per_volt * m.u - m.v) + p.integral * m.states[0] - m.damping * m.v,
         rates=[p.speed_per_volt * m.u - m.v],

@@ -111,9 +111,12 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
         own.beginning[cls] = (position, velocity)
         output, output_velocity = own.state(cls, "position"), own.state(cls, "velocity")
     shown = output
+    own.axis = axis._replace(position=output, velocity=output_velocity)
     for cls in own.of(Sensor):
         own.remember(cls, shown)
         shown = own.value(cls, shown)
+        own.axis = own.axis._replace(velocity=own.slope(shown, output, output_velocity))
+    own.axis = axis
     rates = own.all_rates()
     return Dynamics(
         position=position,
@@ -201,6 +204,12 @@ class _Symbols:
         """Note the rates of the states of `cls`, if it has any."""
         if cls.states:
             self.rates[cls] = tuple(self._call(cls, "rates", *taken))
+
+    def slope(self, value: Any, position: Any, velocity: Any) -> Any:
+        """Return the time derivative of `value`, a function of `position` and of states whose rates are noted."""
+        named = [(self._named[cls, state.name], cls, i) for cls in self.rates for i, state in enumerate(cls.states)]
+        moved = sum((ca.gradient(value, symbol) * self.rates[cls][i] for symbol, cls, i in named), start=ca.SX(0))
+        return ca.gradient(value, position) * velocity + moved
 
     def all_rates(self) -> Any:
         return ca.vertcat(*(ca.SX(rate) for cls in self.structure for rate in self.rates.get(cls, ())))

@@ -162,6 +162,13 @@ class Gains:
         """Return the same where the plant was not fitted."""
         return pooled(self.held[i])
 
+    def of_travel(self, i: int) -> float:
+        """Return the error of plant `i` as a share of the travel, on training or other records, where it is larger."""
+        return max(
+            pooled([e / max(float(np.ptp(r.position)), 1e-300) for r, e in zip(runs, errors, strict=True)])
+            for runs, errors in ((self.records, self.trained[i]), (self.heldout or self.records, self.held[i]))
+        )
+
     def errors(self, i: int) -> Errors:
         """Return both errors of plant `i`."""
         return Errors(rms_error=self.train(i), heldout_rms_error=self.tested(i))

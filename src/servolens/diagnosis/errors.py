@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.diagnosis.logs import beyond
 from servolens.diagnosis.trials import LOOSE, loop_rate
 from servolens.errors import NumericalError
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["pooled", "residual", "rotated"]
 
 KEPT = 0.6
-"""Part of a single record that is fitted; the rest is held out."""
+"""Part of a record that is parted which is fitted; the rest is held out."""
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
@@ -66,14 +67,14 @@ def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
 def rotated(records: Sequence[Record], fit: Callable[[Sequence[Record]], Plant]) -> list[NDArray[np.float64]]:
     """Return each record's residual by the plant that `fit` finds without it.
 
-    A single record is parted: its beginning is fitted, the residual is that of its end.
+    A record that goes far beyond all others, as a single one does, is parted: its beginning is fitted too, the residual
+    is that of its end. Without it nothing could be known of what shows in it alone.
     """
-    if len(records) > 1:
-        return [
-            residual(fit([other for k, other in enumerate(records) if k != i]), record)
-            for i, record in enumerate(records)
-        ]
-    (record,) = records
-    cut = max(int(KEPT * len(record)), 2)
-    plant = fit([record.slice(float(record.time[0]), float(record.time[cut - 1]))])
-    return [residual(plant, record)[cut:]]
+    found = []
+    for i, record in enumerate(records):
+        others, cut = [other for k, other in enumerate(records) if k != i], 0
+        if not others or beyond(others, [record]):
+            cut = max(int(KEPT * len(record)), 2)
+            others.append(record.slice(float(record.time[0]), float(record.time[cut - 1])))
+        found.append(residual(fit(others), record)[cut:])
+    return found

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.identification.segments import applied_voltage
 from servolens.quality import check
 
 if TYPE_CHECKING:
@@ -15,10 +18,12 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["apart", "log_findings"]
+__all__ = ["apart", "beyond", "log_findings"]
 
 FAR_APART = 0.2
 """Relative difference of gains from which on two records are held to be of different axes."""
+BEYOND = 1.3
+"""Times the largest command of the training records from which on a record is an extrapolation."""
 BLAMED = {
     "law_contradicts_log",
     "gains_contradict_log",
@@ -50,6 +55,23 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
                 raise InputError(f"{record.name}: {finding.message}")
             found.append(replace(finding, record=record.name))
     return sorted(found, key=lambda f: (f.code not in BLAMED, f.severity != "warning"))
+
+
+def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]:
+    """Return a finding for each of `others` whose command goes far beyond all that was `trained` on."""
+    if not trained:
+        return []
+    known = max(float(np.max(np.abs(applied_voltage(record)))) for record in trained)
+    found = []
+    for record in others:
+        most = float(np.max(np.abs(applied_voltage(record))))
+        if most > BEYOND * known:
+            message = (
+                f"{record.name} is an extrapolation: its command reaches {most:.3g} {record.command_unit}, that of the"
+                f" training records {known:.3g}; limits and laws that show only beyond are not in the model."
+            )
+            found.append(Finding(code="extrapolation", severity="warning", message=message, record=record.name))
+    return found
 
 
 def apart(plants: Sequence[Plant], names: Sequence[str]) -> Finding | None:

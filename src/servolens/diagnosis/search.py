@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
@@ -33,6 +33,8 @@ HOPELESS = (np.inf, np.inf, 100.0, 20.0)
 """Times the noise from which on no first, second … effect is looked for: too much would be left."""
 REFITTED, POLISHED, ALIKE = 12, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
+ROUNDING = 1.0
+"""Of a score, within which two forms of one plant are alike."""
 NEAR = 10.0
 """Times the noise from which on hypotheses are judged without a tether."""
 
@@ -95,12 +97,13 @@ def search(
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         explorer = _Explorer(trials, pool, tell)
         path, beam = [base], [base]
-        while len(path) <= MOST_CAUSES and not enough(path[-1]):
-            if path[-1].error > HOPELESS[len(path) - 1] * trials.noise:
+        while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
+            if path[-1].error > HOPELESS[count] * trials.noise:
                 break
-            jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
-            found = explorer.explore(jobs, f"effect {len(path)}")
-            if not found or not _worth_it(found[0], path[-1], trials, LESS[len(path) - 1]):
+            jobs = _distinct([_Job(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
+            jobs += [_Job(path[-1], name, in_company=True) for name, effect in CATALOGUE.items() if effect.companion]
+            found = explorer.explore(jobs, f"effect {count + 1}")
+            if not found or not _worth_it(found[0], path[-1], trials, LESS[count]):
                 break
             path.append(found[0])
             beam = _beam(found)
@@ -111,6 +114,14 @@ def search(
     return Search(tuple(path), tuple(explorer.known), rivals)
 
 
+class _Job(NamedTuple):
+    """A hypothesis that is to be extended by an effect, alone or with its companion."""
+
+    hypothesis: Hypothesis
+    name: str
+    in_company: bool = False
+
+
 @final
 class _Explorer:
     """Fits hypotheses and remembers them."""
@@ -119,13 +130,13 @@ class _Explorer:
         self.trials, self.pool, self.tell = trials, pool, tell
         self.known: list[Hypothesis] = []
 
-    def explore(self, jobs: Sequence[tuple[Hypothesis, str]], what: str) -> list[Hypothesis]:
+    def explore(self, jobs: Sequence[_Job], what: str) -> list[Hypothesis]:
         """Return each job's hypothesis extended by its effect, the best first; the most promising fitted further."""
         done = 0
 
-        def one(job: tuple[Hypothesis, str]) -> Hypothesis | None:
+        def one(job: _Job) -> Hypothesis | None:
             nonlocal done
-            found = self.trials.extended(*job)
+            found = self.trials.extended(job.hypothesis, job.name, in_company=job.in_company)
             done += 1
             self.tell(what, done / len(jobs))
             return found
@@ -161,7 +172,7 @@ class _Explorer:
         known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         if len(known) < len(names) // 2:
             without = self._fitted([chosen.plant.without_effect(cause)], SECOND)
-            self.explore([(h, name) for h in without for name in names], f"instead of {cause}")
+            self.explore([_Job(h, name) for h in without for name in names], f"instead of {cause}")
             known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         return sorted(known.values(), key=self.trials.score)
 
@@ -177,11 +188,11 @@ def _reconsidered(
     if not chosen.causes:
         return path, (), True
     simpler = explorer.best([chosen.plant.without_effect(name) for name in chosen.causes])
-    if len(path) > 2 and simpler is not None and score(simpler) < score(chosen) + WORTH:
-        return [*path[: len(simpler.causes)], simpler], (), False
-    special = explorer.best([*_specialised(chosen.plant)])
-    if special is not None and score(special) <= score(chosen):
-        return [*path[:-1], special], (), False
+    if len(chosen.causes) > 1 and simpler is not None and score(simpler) < score(chosen) + WORTH:
+        return [*(h for h in path if len(h.causes) < len(simpler.causes)), simpler], (), False
+    special = explorer.best([*_specialised(chosen.plant), *_united(chosen.plant)])
+    if special is not None and score(special) <= score(chosen) + ROUNDING:
+        return [*(h for h in path[:-1] if len(h.causes) < len(special.causes)), special], (), False
     if not swap:
         return path, (), True
     rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
@@ -202,6 +213,17 @@ def _specialised(plant: Plant) -> Iterator[Plant]:
             yield replace(plant, effects=tuple(e for e in plant.effects if e is not effect)).with_effect(
                 special(**{**values, **common, **level})
             )
+
+
+def _united(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with effects replaced by the one that they are together."""
+    own = {effect.name: effect for effect in plant.effects}
+    for cls in CATALOGUE.values():
+        if cls.unites and own.keys() >= set(cls.unites):
+            one = cls.united(*(own[name] for name in cls.unites))
+            if one is not None:
+                others = tuple(effect for effect in plant.effects if effect.name not in cls.unites)
+                yield replace(plant, effects=others).with_effect(one)
 
 
 def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials, most: float) -> bool:
@@ -234,13 +256,13 @@ def _error(hypothesis: Hypothesis) -> float:
     return hypothesis.error
 
 
-def _distinct(jobs: list[tuple[Hypothesis, str]]) -> list[tuple[Hypothesis, str]]:
+def _distinct(jobs: list[_Job]) -> list[_Job]:
     """Leave out jobs that come to the same set of effects as one before."""
     seen: set[frozenset[str]] = set()
     kept = []
-    for hypothesis, name in jobs:
-        names = frozenset((*hypothesis.causes, name))
+    for job in jobs:
+        names = frozenset((*job.hypothesis.causes, job.name))
         if names not in seen:
             seen.add(names)
-            kept.append((hypothesis, name))
+            kept.append(job)
     return kept

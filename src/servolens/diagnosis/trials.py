@@ -12,8 +12,8 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import error_of, lead
 from servolens.identification.regressors import regressor
-from servolens.identification.runs import TetheredRun, tether, voltage_runs
-from servolens.identification.segments import motion_segments, noise_level
+from servolens.identification.runs import PATIENCE, ClosedRun, TetheredRun, tether, voltage_runs
+from servolens.identification.segments import motion_segments, moving_parts, noise_level
 from servolens.identification.starting import Screen
 
 if TYPE_CHECKING:
@@ -94,7 +94,9 @@ class Trials:
     def __init__(self, records: Sequence[Record], priors: Mapping[str, Prior]) -> None:
         self.records, self.priors = tuple(records), priors
         self.noise = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
-        self.screen = Screen.of(motion_segments(records))
+        segments = motion_segments(records)
+        moving = moving_parts(segments)
+        self.screen = Screen.of(moving)
         self.samples = sum(len(record) for record in records)
         bare, _ = self.screen.solve(())
         self.start = replace(
@@ -104,7 +106,12 @@ class Trials:
             command_unit=records[0].command_unit,
         )
         self.tether = tether(self.start, LOOSE * loop_rate(self.start, records))
-        self.runs: list[Run] = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
+        self.runs: list[Run]
+        if moving != segments and all(r.reference is not None and r.controller is not None for r in records):
+            # an axis that sticks drifts off under its voltage alone
+            self.runs = [ClosedRun(record, group, patience=PATIENCE) for group, record in enumerate(records)]
+        else:
+            self.runs = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
         self.most_substeps = MOST_SUBSTEPS * max(1e3 * max(run.sample_time for run in self.runs), 1.0)
         self.untied = False
         self._free: list[Run] | None = None
@@ -167,19 +174,19 @@ class Trials:
         names = plant.parameters
         return FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
 
-    def extended(self, hypothesis: Hypothesis, name: str) -> Hypothesis | None:
+    def extended(self, hypothesis: Hypothesis, name: str, *, in_company: bool = False) -> Hypothesis | None:
         """Return `hypothesis` with the effect `name` beside its own, fitted from the effect's best starts.
 
-        None where the two do not go together.
+        With its companion if it is `in_company`. None where they do not go together.
         """
         plant = hypothesis.plant
         cls = effect_class(name)
-        if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
+        if any(name in type(effect).generalises or effect.name in (name, cls.companion) for effect in plant.effects):
             return None
         for special in cls.generalises:
             plant = plant.without_effect(special)
         try:
-            starts = self._starts(plant, cls)
+            starts = self._in_company(plant, cls) if in_company else self._starts(plant, cls)
         except (InputError, NumericalError):
             return None
         best: Hypothesis | None = None
@@ -190,6 +197,12 @@ class Trials:
             if best is not None and best.error < REACHED * self.noise:
                 return best
         return best
+
+    def _in_company(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+        return [
+            replace(plant, damping=0.0, effects=(*plant.effects, *effects))
+            for effects in cls.in_company(plant.gain, plant.damping)
+        ]
 
     def _starts(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
         proposals = self.screen.proposals_of(plant, cls)

@@ -12,7 +12,7 @@ from servolens.effects.kinds import DryFriction
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from servolens.effects.base import Axis, Seen
+    from servolens.effects.base import Axis, Effect, Seen
 
 __all__ = ["AsymmetricFriction"]
 
@@ -27,6 +27,7 @@ class AsymmetricFriction(DryFriction):
     latex = r"\left(\frac{F_+ + F_-}{2}\,\operatorname{sgn} v + \frac{F_+ - F_-}{2}\right)"
     absent_at: ClassVar[dict[str, float]] = {"level_positive": 0.0, "level_negative": 0.0}
     generalises = ("coulomb_friction",)
+    unites = ("coulomb_friction", "constant_force")
     looks_like = (
         "The axis stops short of its target on both sides, but by a different distance after moves up and moves down."
     )
@@ -46,6 +47,12 @@ class AsymmetricFriction(DryFriction):
         """See :meth:`servolens.effects.kinds.DryFriction.physics`."""
         mean, half = (p.level_positive + p.level_negative) / 2, (p.level_positive - p.level_negative) / 2
         return mean + half * axis.direction
+
+    @classmethod
+    def united(cls, *parts: Effect) -> AsymmetricFriction | None:
+        """See :meth:`servolens.effects.base.Effect.united`: a constant force adds to one level what it takes away."""
+        (level,), (force,) = (part.values for part in parts)
+        return cls(level_positive=level + force, level_negative=level - force) if abs(force) <= level else None
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[AsymmetricFriction]:

@@ -160,6 +160,12 @@ class Effect(ABC):
         Whether an axis of gain and damping stays linear and time-invariant with it.
     twin : str
         Name of an effect with which a linear axis gives the same records; may be empty.
+    unites : tuple of str
+        Names of effects that together are this one; see `united`.
+    companion : str
+        Name of an effect beside which this one shows first; see `in_company`. May be empty.
+    bends_with_speed : bool
+        Whether it is a force whose law over the speed has a shape of its own: two of them are a curve that is fitted.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
@@ -173,6 +179,9 @@ class Effect(ABC):
     generalises: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
     twin: ClassVar[str] = ""
+    unites: ClassVar[tuple[str, ...]] = ()
+    companion: ClassVar[str] = ""
+    bends_with_speed: ClassVar[bool] = False
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     for_the_gain: ClassVar[str] = ""
@@ -194,6 +203,16 @@ class Effect(ABC):
         """
         middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
         yield cls(**middle)
+
+    @classmethod
+    def united(cls, *parts: Effect) -> Self | None:
+        """Return what `parts`, effects of the names in ``unites``, are together; None where they are more than that."""
+        return None
+
+    @classmethod
+    def in_company(cls, gain: float, damping: float) -> Iterator[tuple[Effect, ...]]:
+        """Yield this effect and its companion as they hide behind a `gain` and a `damping`, which they take over."""
+        yield from ()
 
     @property
     def values(self) -> tuple[float, ...]:

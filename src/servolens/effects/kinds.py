@@ -136,7 +136,7 @@ class Transmission(Effect):
 
 
 class Sensor(Effect):
-    """What the sensor shows of the position."""
+    """What the sensor shows of the position; to it ``axis`` is the load, which is where the sensor is."""
 
     __slots__ = ()
 

@@ -26,7 +26,7 @@ class SensorLag(Sensor):
     sentence = "The position shown is filtered and lags behind the true one."
     latex = r"\tau\,\dot y_m = y - y_m"
     absent_at: ClassVar[dict[str, float]] = {"time_constant": 0.0}
-    states = (State("position", "{x}", relaxes=True),)
+    states = (State("lag", "{x}", relaxes=True),)
     linear = True
     twin = "actuator_lag"
     looks_like = (
@@ -44,14 +44,14 @@ class SensorLag(Sensor):
     @staticmethod
     def physics(position: Any, axis: Axis, p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.Sensor.physics`."""
-        return axis.state.position
+        return position - axis.state.lag
 
     @staticmethod
     def rates(position: Any, axis: Axis, p: Any) -> tuple[Any, ...]:
         """See :meth:`servolens.effects.kinds.Sensor.rates`."""
         from casadi import fmax
 
-        return ((position - axis.state.position) / fmax(p.time_constant, 1e-15),)
+        return (axis.velocity - axis.state.lag / fmax(p.time_constant, 1e-15),)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[SensorLag]:

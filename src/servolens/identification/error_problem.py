@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.uncertainty import apparent_noise
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class Problem:
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.measured.size for run in runs)
-        self.noise = max(noise, 1e-12)
+        self.noise = self.least_noise = max(noise, 1e-12)
         self.outlier, self.share = np.inf, FINE
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
@@ -139,6 +140,19 @@ class Problem:
         parts = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
         losses = [np.inf if r is None else self._loss(r) for r in parts]
         return sum(losses) + self._prior_cost(point.values)
+
+    def weigh_priors(self, point: Point) -> bool:
+        """Weigh the priors against the residual at `point`; return whether there are any. Renews its cost.
+
+        What a model gets wrong is no white noise: it must not count as thousands of independent witnesses against
+        a data sheet. A sample counts as one over its correlation time.
+        """
+        if not self.priors or not np.isfinite(point.cost):
+            return False
+        residuals = [self.residual(point.values, i, start) for i, start in enumerate(point.starts)]
+        self.noise = max(self.least_noise, apparent_noise(residuals))
+        point.cost = self.cost(point)
+        return True
 
     def too_stiff(self, point: Point) -> bool:
         """Tell whether a run would need more substeps than are granted."""

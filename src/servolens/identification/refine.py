@@ -222,11 +222,14 @@ def minimise_error(
     """
     problem = Problem(plant, runs, options, noise)
     point = problem.start()
+    problem.weigh_priors(point)
     if coarse:
         problem.share = COARSE
         point, _ = _descend(problem, point, iterations)
         problem.share = FINE
     point, converged = _descend(problem, point, iterations)
+    if problem.weigh_priors(point):
+        point, converged = _descend(problem, point, iterations)
     for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
@@ -259,6 +262,7 @@ def lead(
     start = problem.start()
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")
+    problem.weigh_priors(start)
     point, _ = _descend(problem, start, iterations)
     residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
     return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)

@@ -22,7 +22,17 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["ClosedRun", "Run", "TetheredRun", "VoltageRun", "closed_runs", "initial_velocity", "tether", "voltage_runs"]
+__all__ = [
+    "PATIENCE",
+    "ClosedRun",
+    "Run",
+    "TetheredRun",
+    "VoltageRun",
+    "closed_runs",
+    "initial_velocity",
+    "tether",
+    "voltage_runs",
+]
 
 _NO_SHIFTS: tuple[float, ...] = ()
 LEAD = 40
@@ -31,6 +41,8 @@ VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
+PATIENCE = 5.0
+"""Pieces into which a substep may be split on average: an axis that rattles more is no hypothesis."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -78,12 +90,22 @@ class ClosedRun:
         What is compared.
     in_motion : bool
         Whether the record begins in motion; else at rest at the mean of the samples before its first edge.
+    patience : float
+        See :func:`servolens.simulation.loop.simulate_loop`.
     """
 
-    def __init__(self, record: Record, group: int, *, compared: str = "position", in_motion: bool = False) -> None:
+    def __init__(
+        self,
+        record: Record,
+        group: int,
+        *,
+        compared: str = "position",
+        in_motion: bool = False,
+        patience: float = 0.0,
+    ) -> None:
         if in_motion:
             record = with_history(record)
-        self.group, self._compared = group, compared
+        self.group, self._compared, self._patience = group, compared, patience
         self.measured = _needed(record.voltage) if compared == "voltage" else record.position
         self._time, self._index = without_gaps(record.time)
         held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
@@ -107,6 +129,7 @@ class ClosedRun:
             feedforward=self._added,
             start=(float(start[0]), float(start[1])) if start.size else self._begin,
             substeps=substeps,
+            patience=self._patience,
         )
         seen = run.voltage if self._compared == "voltage" else run.measured
         return seen if self._index is None else seen[self._index]
@@ -166,6 +189,7 @@ class TetheredRun:
             feedforward=self._voltage,
             start=(float(start[0]), float(start[1]) if start.size > 1 else 0.0),
             substeps=substeps,
+            patience=PATIENCE,
         )
         return run.measured if self._index is None else run.measured[self._index]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
@@ -13,7 +13,7 @@ from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -23,6 +23,7 @@ __all__ = [
     "Segment",
     "applied_voltage",
     "motion_segments",
+    "moving_parts",
     "noise_level",
     "rests_between",
     "settled_steps",
@@ -32,6 +33,9 @@ __all__ = [
 FEWEST_SAMPLES = 12
 FEWEST_STROKES = 12
 """Reversals from which on a record without steps is a trajectory."""
+SLOW, SHORTEST_PART, STANDING = 0.02, 30, 0.6
+"""Share of the top speed below which an axis stands; fewest samples of a part; share of the time in motion up to which
+standing still matters."""
 SETTLED = 1e-2
 """Share of the step within which a stretch counts as settled."""
 
@@ -110,6 +114,35 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
             "log a step that moves it by many encoder steps"
         )
     return tuple(found)
+
+
+def moving_parts(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+    """Return the parts of `segments` in which the axis really moves, if it stands for much of their time.
+
+    A standing axis says nothing of gain and damping: dry friction holds it against any voltage.
+    """
+    parts = [part for segment in segments for part in _moving(segment)]
+    moved, whole = (sum(s.time.size for s in some) for some in (parts, segments))
+    return tuple(parts) if parts and moved < STANDING * whole else tuple(segments)
+
+
+def _moving(segment: Segment) -> list[Segment]:
+    _, velocity = smooth(segment.time, segment.position, min(21, segment.time.size))
+    moves = np.abs(velocity) > SLOW * np.max(np.abs(velocity))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]])))
+    return [
+        replace(
+            segment,
+            first=segment.first + int(a),
+            stop=segment.first + int(b),
+            time=segment.time[a:b] - segment.time[a],
+            position=segment.position[a:b],
+            voltage=segment.voltage[a:b],
+            since_step=segment.since_step + float(segment.time[a] - segment.time[0]),
+        )
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+        if b - a >= SHORTEST_PART
+    ]
 
 
 def settled_steps(record: Record) -> tuple[Record, ...]:

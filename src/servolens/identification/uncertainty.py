@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servolens.identification.integral import Pieces
     from servolens.identification.segments import Segment
 
-__all__ = ["correlation_factor", "integral_covariance", "robust_covariance"]
+__all__ = ["apparent_noise", "correlation_factor", "integral_covariance", "robust_covariance"]
 
 MOST_SAMPLES = 200_000
 FEWEST_SEGMENTS = 20
@@ -85,6 +85,20 @@ def correlation_factor(residual: NDArray[np.float64]) -> float:
     if rho < 3.0 / np.sqrt(n):
         return 1.0
     return float(min((1.0 + rho) / max(1.0 - rho, 1e-12), n / 4.0))
+
+
+def apparent_noise(residuals: Sequence[NDArray[np.float64]]) -> float:
+    """Return the standard deviation of white noise whose mean would scatter as that of the residuals does.
+
+    Their root mean square times the square root of the integrated autocorrelation, summed up to its first zero.
+    """
+    total = 0.0
+    for residual in residuals:
+        power = np.abs(np.fft.rfft(residual, 2 * residual.size)) ** 2
+        covariance = np.fft.irfft(power)[: residual.size]
+        negative = np.flatnonzero(covariance <= 0.0)
+        total += float(2.0 * np.sum(covariance[: negative[0] if negative.size else None]) - covariance[0])
+    return float(np.sqrt(max(total, 0.0) / sum(residual.size for residual in residuals)))
 
 
 def robust_covariance(

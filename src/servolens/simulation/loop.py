@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "without_gaps"]
 
+OPEN_LOOP = [0.0] * 7 + [1.0, 0.0, 1.0, 0.0]
+"""What the rule is told of a loop where there is none."""
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,7 +107,7 @@ def simulate(
     return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
 
 
-def simulate_loop(
+def simulate_loop(  # noqa: PLR0913 - one argument a setting
     plant: Plant,
     controller: Controller,
     time: ArrayLike,
@@ -114,6 +117,7 @@ def simulate_loop(
     start: tuple[float, float] = (0.0, 0.0),
     resolution: float = 0.0,
     substeps: int | None = None,
+    patience: float = 0.0,
 ) -> Simulation:
     """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative.
 
@@ -129,6 +133,15 @@ def simulate_loop(
         Encoder step [m or rad]; 0 is none.
     substeps : int, optional
         Steps a sample.
+    patience : float
+        Pieces into which a step may be split on average, as dry friction and contacts split it; 0 is any number.
+
+    Raises
+    ------
+    InputError
+        If the samples do not fit together.
+    NumericalError
+        If the loop is unstable, or takes more than `patience`.
     """
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
@@ -147,6 +160,7 @@ def simulate_loop(
         ratio * period,
     ]
     count = substeps or substeps_for(plant, period)
+    settings.append(patience * grid.size * count)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
 
@@ -162,7 +176,7 @@ def simulate_voltage(
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
-    return _run(plant, grid, held, held, [0.0] * 7 + [1.0, 0.0, 1.0], start, substeps or substeps_for(plant, step))
+    return _run(plant, grid, held, held, OPEN_LOOP, start, substeps or substeps_for(plant, step))
 
 
 def simulate_continuous(
@@ -191,8 +205,7 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    settings = [0.0] * 7 + [1.0, 0.0, 1.0]
-    result = _run(plant, grid, held, held, settings, start, count, gains=(kp, kd))
+    result = _run(plant, grid, held, held, OPEN_LOOP, start, count, gains=(kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured
@@ -220,6 +233,8 @@ def _run(
     done = ctypes.c_int64()
     addresses = [array.ctypes.data for array in (*signals, parameters, results, measured)]
     code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *addresses)
+    if done.value < 0:
+        raise NumericalError("the simulated axis rattles: a step would have to be split more often than is granted")
     if done.value < time.size:
         raise NumericalError(
             f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "

@@ -207,15 +207,15 @@ def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
 
 
 @njit(**OPTIONS)
-def advance(x: Any, p: Any, room: Any, h: float) -> None:
-    """Carry the axis in `x` over `h` seconds under the held input."""
+def advance(x: Any, p: Any, room: Any, h: float) -> int:
+    """Carry the axis in `x` over `h` seconds under the held input; return in how many pieces."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     z, left = STATES + ns, h
     e, series, kept, begin, end, before, after = room
-    for _ in range(MOST_PIECES):
+    for piece in range(1, MOST_PIECES + 1):
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
-            return
+            return piece
         lacking = series[1] - series[0] * x[D]
         relaxation(x, p, begin)
         kinked(x, p, before)
@@ -254,8 +254,9 @@ def advance(x: Any, p: Any, room: Any, h: float) -> None:
         for i in range(z + nz):
             x[i] = e[i]
         if tau == left:
-            return
+            return piece
         left -= tau
+    return MOST_PIECES
 
 
 @njit(**OPTIONS)
@@ -299,8 +300,12 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop
 @njit(**OPTIONS)
 def hold(
     x: Any, p: Any, room: Any, begin: float, span: float, first: float, old: float, new: float, substeps: int
-) -> None:
-    """Carry the axis over one sample of `span` seconds; the input is `old` for its `first` seconds, then `new`."""
+) -> int:
+    """Carry the axis over one sample of `span` seconds; the input is `old` for its `first` seconds, then `new`.
+
+    Returns in how many pieces.
+    """
+    pieces = 0
     length = first if first > 0.0 else span
     x[U] = old if first > 0.0 else new
     while True:
@@ -308,9 +313,9 @@ def hold(
         h = length / steps
         for i in range(steps):
             x[T] = begin + i * h
-            advance(x, p, room, h)
+            pieces += advance(x, p, room, h)
         if first == 0.0:
-            return
+            return pieces
         begin, length, first = begin + first, span - first, 0.0
         x[U] = new
 
@@ -330,7 +335,8 @@ def run(
 ) -> int:
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
-    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, resolution, period [s]).
+    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, resolution, period [s], most
+    pieces). Minus one is returned where more pieces than granted would be needed; zero grants any number.
     Without a closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input
     reaches the actuator `delay` seconds late; before the record the first one was applied.
     """
@@ -340,10 +346,11 @@ def run(
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
-    closed, ratio, resolution = loop[0] != 0.0, int(loop[7]), loop[8]
+    closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[8], loop[10]
     set_out(x, p, states, time[0], held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0), start)
     derivative[0], voltage, wait = 0.0, 0.0, 0
     late, due = lateness(delay, time, n)
+    pieces = 0
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
@@ -363,7 +370,9 @@ def run(
         span = time[k + 1] - time[k]
         new = results[2 * n + max(k - late, 0)]
         old = results[2 * n + max(k - late - 1, 0)] if due > 0.0 else new
-        hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps)
+        pieces += hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps)
+        if pieces > granted > 0.0:
+            return -1
     return n
 
 
