@@ -23,6 +23,7 @@ from servolens.effects import (
     Delay,
     Effect,
     FlexibleCoupling,
+    ForceLimit,
     PeriodicDisturbance,
     PositionFriction,
     Presliding,
@@ -372,6 +373,20 @@ def test_lag_of_a_push_from_rest_is_exact_within_the_sample(effect, lag):
         - np.exp(-rate * after) / (rate**2 * (rate - 6.0))
     )
     assert np.abs(simulate_voltage(plant, time, voltage).measured - expected).max() < 2e-7
+
+
+@pytest.mark.parametrize("begin", [0.3, 0.35, 0.366])
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_force_leaves_its_limit_within_the_sample(begin, substeps):
+    gain, damping, limit, voltage = 11.5, 5.5, 43.8, 4.0
+    time = np.array([0.0, 2e-3, 4e-3])
+    plant = Plant(gain=gain, damping=damping, effects=(ForceLimit(acceleration=limit),))
+    left = (gain * voltage - damping * begin - limit) / (damping * limit)  # at the limit the speed grows linearly
+    after = np.maximum(time - left, 0.0)
+    top, edge = gain * voltage / damping, begin + limit * left
+    expected = np.where(time < left, begin + limit * time, top - (top - edge) * np.exp(-damping * after))
+    found = simulate_voltage(plant, time, np.full(3, voltage), start=(0.0, begin), substeps=substeps).velocity
+    assert np.abs(found - expected).max() < 2e-7
 
 
 def test_lagged_push_breaks_friction_loose_within_the_sample():

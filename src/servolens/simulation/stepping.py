@@ -130,9 +130,14 @@ def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, 
 
 @njit(**OPTIONS)
 def first_kink(before: Any, after: Any, nk: int) -> float:
-    """Return the share of a piece after which the first of the kinks' functions changes its sign; 1 if none does."""
+    """Return the share of a piece after which the first of the kinks' functions changes its sign; 1 if none does.
+
+    A piece that begins right on a kink belongs to neither side of it: it is left by a short one.
+    """
     share = 1.0
     for i in range(nk):
+        if before[i] == 0.0 and after[i] != 0.0:
+            share = min(share, SHORTEST)
         if before[i] * after[i] < 0.0 and abs(after[i]) > SHORTEST * abs(before[i]):
             share = min(share, before[i] / (before[i] - after[i]))
     return share
