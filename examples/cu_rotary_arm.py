@@ -21,9 +21,10 @@ COLUMNS = {
 UNITS = {"time": "ms", "position": "rad", "reference": "rad", "velocity": "rad/s", "voltage": "V"}
 
 
-def main() -> None:
+def read() -> list[Record]:
+    """Return the five runs."""
     data = folder("cu_rotary_arm")
-    records = [
+    return [
         read_record(
             data / f"bh2017_rigidarm_{code}.csv",
             settings={
@@ -38,6 +39,10 @@ def main() -> None:
         )
         for code, (kp, kd) in RUNS.items()
     ]
+
+
+def main() -> None:
+    records = read()
     training = records[:1]
     fit = identify(training)
     models = {

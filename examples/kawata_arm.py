@@ -5,17 +5,27 @@ The book gives a = 6.20 1/s and b = 15.8 rad/s²/V.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from _data import folder, kawata_record, show_plant, show_table
 
 from servolens import identify, predict
 
+if TYPE_CHECKING:
+    from servolens import Record
 
-def main() -> None:
+
+def read() -> list[Record]:
+    """Return the five runs."""
     data = folder("kawata_cart_arm")
-    records = [
+    return [
         kawata_record(data / f"adip_arm_pcont_data_kP_{kp}_ref_1.mat", kp, "theta1", 1.0, f"arm, kP {kp}")
         for kp in (1, 2, 3, 4, 5)
     ]
+
+
+def main() -> None:
+    records = read()
     training = records[::2]
     fit = identify(training)
     models = {"constant": fit.constant.plant, "velocity": fit.velocity.plant}

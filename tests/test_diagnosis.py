@@ -7,7 +7,7 @@ import pytest
 
 from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
-from servolens.diagnosis.errors import pooled, residual
+from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
@@ -81,8 +81,11 @@ def test_healthy_axis_is_called_healthy(seed):
 def test_foreign_law_is_not_explained_by_a_member_of_the_catalogue(foreign):
     campaign = lab.hidden_campaign(SEED + 3, foreign=foreign)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
-    assert diagnosis.verdict in ("partly_explained", "unexplained")
+    assert diagnosis.verdict != "explained"
     assert diagnosis.remainder > 0.0
+    if diagnosis.verdict == "healthy":  # so little that it does not matter, and said so
+        assert diagnosis.causes == ()
+        assert "small_remainder" in {finding.code for finding in diagnosis.findings}
 
 
 @pytest.mark.parametrize(
@@ -110,6 +113,56 @@ def test_records_of_two_axes_are_said_to_contradict_each_other():
     ]
     codes = {finding.code for finding in diagnose(records).findings}
     assert "records_contradict" in codes
+
+
+def steps_of(axis, gains, reference=0.1, duration=1.5):
+    return [
+        lab.step_record(axis, kp, kd, reference=reference, duration=duration, noise=1e-5, seed=i, name=f"kp {kp:g}")
+        for i, (kp, kd) in enumerate(gains)
+    ]
+
+
+def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
+    axis = lab.Truth(
+        gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}, "constant_force": {"acceleration": 0.15}}
+    )
+    diagnosis = diagnose(steps_of(axis, [(40, 0), (80, 0), (120, 4)], reference=(0.1, 0.0)))
+    (cause,) = diagnosis.causes
+    assert cause.effect == "asymmetric_friction"
+    assert {"coulomb_friction", "constant_force"} <= set(cause.rivals)
+    assert cause.quantities["level_positive"].value == pytest.approx(0.55, rel=0.01)
+    assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
+
+
+@pytest.mark.slow
+def test_lag_that_passes_for_damping_is_found_once_the_force_is_limited():
+    effects = {"actuator_lag": {"time_constant": 0.16}, "force_limit": {"acceleration": 5.0}}
+    axis = lab.Truth(gain=210.0, damping=300.0, effects=effects)
+    diagnosis = diagnose(steps_of(axis, [(5, 0), (10, 0), (20, 0)], reference=(0.2, 0.0), duration=4.0))
+    assert {cause.effect for cause in diagnosis.causes} == {"actuator_lag", "force_limit"}
+    assert diagnosis.plant.effect("force_limit").acceleration == pytest.approx(5.0, rel=0.01)
+    assert diagnosis.plant.effect("actuator_lag").time_constant == pytest.approx(0.16, rel=0.02)
+
+
+def test_held_out_record_that_goes_beyond_the_training_is_called_an_extrapolation():
+    near, beyond = steps_of(lab.LM1, [(40, 0), (80, 0)])
+    found = diagnose(near, heldout=beyond).findings
+    assert [finding.record for finding in found if finding.code == "extrapolation"] == ["kp 80"]
+    assert "extrapolation" not in {finding.code for finding in diagnose(beyond, heldout=near).findings}
+
+
+def test_record_beyond_all_others_is_parted_instead_of_left_out():
+    seen = []
+
+    def fit(records):
+        seen.append([len(record) for record in records])
+        return Plant(gain=1.9, damping=6.0)
+
+    low, middle, high = steps_of(lab.LM1, [(40, 0), (45, 0), (120, 0)])
+    errors = rotated([low, middle, high], fit)
+    assert [error.size for error in errors[:2]] == [len(low), len(middle)]
+    assert 0 < errors[2].size < len(high)
+    assert seen[2] == [len(low), len(middle), len(high) - errors[2].size]
 
 
 def test_axis_that_does_not_move_is_refused():

@@ -8,7 +8,8 @@ import pytest
 from servolens import Controller, InputError, NumericalError, Record, identify, lab
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces
-from servolens.identification.segments import motion_segments
+from servolens.identification.segments import motion_segments, moving_parts
+from servolens.identification.uncertainty import apparent_noise
 from servolens.identification.varying import fit_pieces, ordering
 
 KP60 = lab.step_record(lab.NLM1, 60, duration=0.899, encoder=25e-6)
@@ -75,3 +76,41 @@ def test_errors_of_a_long_record_are_those_of_its_beginning_and_it_says_so():
     assert [finding.code for finding in fit.findings] == ["not_all_data_used"]
     assert "the errors are those of its first" in fit.findings[0].message
     assert fit.errors["constant"][0].percent_error < 3
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.9])
+def test_correlated_error_counts_once_over_its_correlation_time(kept):
+    # first-order process: the mean of n scatters as that of white noise (1 + kept)/(1 - kept) times the variance
+    drawn = np.random.default_rng(7).normal(size=400_000)
+    error = np.empty(drawn.size)
+    last = 0.0
+    for i, value in enumerate(drawn):
+        last = error[i] = kept * last + np.sqrt(1.0 - kept**2) * value
+    assert apparent_noise([error[:200_000], error[200_000:]]) == pytest.approx(
+        np.sqrt((1.0 + kept) / (1.0 - kept)), rel=0.05
+    )
+
+
+def test_axis_that_stands_on_its_way_is_identified_from_where_it_moves():
+    time = np.arange(2000) * 1e-3
+    rise = [np.clip((time - begin) / 0.3, 0.0, 1.0) for begin in (0.0, 1.5)]
+    position = sum(0.05 * (3.0 * x**2 - 2.0 * x**3) for x in rise)
+    record = Record(
+        time=time,
+        position=position,
+        reference=0.1 + 0.0 * time,
+        voltage=6.0 + 0.0 * time,
+        controller=Controller(kp=60.0),
+    )
+    parts = moving_parts(motion_segments([record]))
+    assert [(part.first, part.stop) for part in parts] == [
+        (pytest.approx(0, abs=15), pytest.approx(300, abs=15)),
+        (pytest.approx(1500, abs=15), pytest.approx(1800, abs=15)),
+    ]
+    assert all(np.array_equal(record.position[part.first : part.stop], part.position) for part in parts)
+    assert parts[1].since_step == pytest.approx(parts[1].first * 1e-3)
+
+
+def test_axis_that_moves_all_the_time_is_left_whole():
+    segments = motion_segments([lab.step_record(lab.LM1, 60.0, noise=1e-5, seed=1)])
+    assert moving_parts(segments) == segments

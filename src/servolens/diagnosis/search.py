@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -100,8 +100,7 @@ def search(
         while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
             if path[-1].error > HOPELESS[count] * trials.noise:
                 break
-            jobs = _distinct([_Job(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
-            jobs += [_Job(path[-1], name, in_company=True) for name, effect in CATALOGUE.items() if effect.companion]
+            jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
             found = explorer.explore(jobs, f"effect {count + 1}")
             if not found or not _worth_it(found[0], path[-1], trials, LESS[count]):
                 break
@@ -114,14 +113,6 @@ def search(
     return Search(tuple(path), tuple(explorer.known), rivals)
 
 
-class _Job(NamedTuple):
-    """A hypothesis that is to be extended by an effect, alone or with its companion."""
-
-    hypothesis: Hypothesis
-    name: str
-    in_company: bool = False
-
-
 @final
 class _Explorer:
     """Fits hypotheses and remembers them."""
@@ -130,13 +121,13 @@ class _Explorer:
         self.trials, self.pool, self.tell = trials, pool, tell
         self.known: list[Hypothesis] = []
 
-    def explore(self, jobs: Sequence[_Job], what: str) -> list[Hypothesis]:
+    def explore(self, jobs: Sequence[tuple[Hypothesis, str]], what: str) -> list[Hypothesis]:
         """Return each job's hypothesis extended by its effect, the best first; the most promising fitted further."""
         done = 0
 
-        def one(job: _Job) -> Hypothesis | None:
+        def one(job: tuple[Hypothesis, str]) -> Hypothesis | None:
             nonlocal done
-            found = self.trials.extended(job.hypothesis, job.name, in_company=job.in_company)
+            found = self.trials.extended(*job)
             done += 1
             self.tell(what, done / len(jobs))
             return found
@@ -172,7 +163,7 @@ class _Explorer:
         known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         if len(known) < len(names) // 2:
             without = self._fitted([chosen.plant.without_effect(cause)], SECOND)
-            self.explore([_Job(h, name) for h in without for name in names], f"instead of {cause}")
+            self.explore([(h, name) for h in without for name in names], f"instead of {cause}")
             known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         return sorted(known.values(), key=self.trials.score)
 
@@ -256,13 +247,13 @@ def _error(hypothesis: Hypothesis) -> float:
     return hypothesis.error
 
 
-def _distinct(jobs: list[_Job]) -> list[_Job]:
+def _distinct(jobs: list[tuple[Hypothesis, str]]) -> list[tuple[Hypothesis, str]]:
     """Leave out jobs that come to the same set of effects as one before."""
     seen: set[frozenset[str]] = set()
     kept = []
-    for job in jobs:
-        names = frozenset((*job.hypothesis.causes, job.name))
+    for hypothesis, name in jobs:
+        names = frozenset((*hypothesis.causes, name))
         if names not in seen:
             seen.add(names)
-            kept.append(job)
+            kept.append((hypothesis, name))
     return kept

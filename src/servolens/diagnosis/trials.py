@@ -174,35 +174,29 @@ class Trials:
         names = plant.parameters
         return FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
 
-    def extended(self, hypothesis: Hypothesis, name: str, *, in_company: bool = False) -> Hypothesis | None:
+    def extended(self, hypothesis: Hypothesis, name: str) -> Hypothesis | None:
         """Return `hypothesis` with the effect `name` beside its own, fitted from the effect's best starts.
 
-        With its companion if it is `in_company`. None where they do not go together.
+        None where the two do not go together.
         """
         plant = hypothesis.plant
         cls = effect_class(name)
-        if any(name in type(effect).generalises or effect.name in (name, cls.companion) for effect in plant.effects):
+        if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
             return None
         for special in cls.generalises:
             plant = plant.without_effect(special)
         try:
-            starts = self._in_company(plant, cls) if in_company else self._starts(plant, cls)
+            starts = [(start, FIRST) for start in self._starts(plant, cls)]
         except (InputError, NumericalError):
             return None
         best: Hypothesis | None = None
-        for start in starts:
-            found = self.fitted(start, FIRST)
+        for start, iterations in (*starts, *((start, SECOND) for start in _swapped(plant, cls))):
+            found = self.fitted(start, iterations)
             if found is not None and (best is None or found.error < best.error):
                 best = found
             if best is not None and best.error < REACHED * self.noise:
                 return best
         return best
-
-    def _in_company(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
-        return [
-            replace(plant, damping=0.0, effects=(*plant.effects, *effects))
-            for effects in cls.in_company(plant.gain, plant.damping)
-        ]
 
     def _starts(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
         proposals = self.screen.proposals_of(plant, cls)
@@ -224,6 +218,19 @@ class Trials:
                 continue
             starts.append(replace(alone, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects))
         return starts
+
+
+def _swapped(plant: Plant, cls: type[Effect]) -> list[Plant]:
+    """Return plants in which a lag is what seemed to be damping, and the damping is quicker.
+
+    A linear axis is the same with the two exchanged; not so one whose force is limited. The way from here is long.
+    """
+    if not cls.passes_for_damping or plant.damping <= 0.0 or all(effect.linear for effect in plant.effects):
+        return []
+    lag = cls(**{spec.name: 1.0 / plant.damping for spec in cls.parameters()})
+    return [
+        replace(plant, gain=times * plant.gain, damping=times * plant.damping).with_effect(lag) for times in (5.0, 50.0)
+    ]
 
 
 def loop_rate(plant: Plant, records: Sequence[Record]) -> float:

@@ -30,6 +30,7 @@ class ActuatorLag(Actuator):
     states = (State("command", "{u}", relaxes=True),)
     linear = True
     twin = "sensor_lag"
+    passes_for_damping = True
     looks_like = (
         "The acceleration after a step of the command begins gently, not at once, and the loop rings more "
         "than its gains suggest, more so the higher they are."

@@ -162,8 +162,8 @@ class Effect(ABC):
         Name of an effect with which a linear axis gives the same records; may be empty.
     unites : tuple of str
         Names of effects that together are this one; see `united`.
-    companion : str
-        Name of an effect beside which this one shows first; see `in_company`. May be empty.
+    passes_for_damping : bool
+        Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
         Whether it is a force whose law over the speed has a shape of its own: two of them are a curve that is fitted.
     looks_like, remedy, for_the_gain : str
@@ -180,7 +180,7 @@ class Effect(ABC):
     linear: ClassVar[bool] = False
     twin: ClassVar[str] = ""
     unites: ClassVar[tuple[str, ...]] = ()
-    companion: ClassVar[str] = ""
+    passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
@@ -208,11 +208,6 @@ class Effect(ABC):
     def united(cls, *parts: Effect) -> Self | None:
         """Return what `parts`, effects of the names in ``unites``, are together; None where they are more than that."""
         return None
-
-    @classmethod
-    def in_company(cls, gain: float, damping: float) -> Iterator[tuple[Effect, ...]]:
-        """Yield this effect and its companion as they hide behind a `gain` and a `damping`, which they take over."""
-        yield from ()
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 from servolens.effects._grids import within
-from servolens.effects.actuator_lag import ActuatorLag
 from servolens.effects.base import State, parameter
 from servolens.effects.kinds import Drive
 from servolens.errors import InputError
@@ -14,7 +13,7 @@ from servolens.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from servolens.effects.base import Axis, Effect, Seen
+    from servolens.effects.base import Axis, Seen
 
 __all__ = ["SpeedServo"]
 
@@ -29,7 +28,6 @@ class SpeedServo(Drive):
     latex = r"p\,(sV - v) + i\int(sV - v)\,dt"
     states = (State("position_error", "{x}"),)
     linear = True
-    companion = "actuator_lag"
     looks_like = (
         "A constant voltage gives a constant speed that load and friction hardly change; "
         "steps end with little error even at low kp, and a hand cannot push the axis away."
@@ -66,18 +64,6 @@ class SpeedServo(Drive):
     def gain(self) -> float:
         """See :meth:`servolens.effects.kinds.Drive.gain`."""
         return self.proportional * self.speed_per_volt
-
-    @classmethod
-    def in_company(cls, gain: float, damping: float) -> Iterator[tuple[Effect, ...]]:
-        """See :meth:`servolens.effects.base.Effect.in_company`.
-
-        A quick servo behind a filter of its command moves like gain and damping, until something limits its force.
-        """
-        if damping > 0.0 and gain != 0.0:
-            lag = ActuatorLag(time_constant=1.0 / damping)
-            for times in (5.0, 50.0):
-                servo = {"speed_per_volt": gain / damping, "proportional": times * damping, "integral": 0.0}
-                yield cls(**servo), lag
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[SpeedServo]:

@@ -286,7 +286,9 @@ class Problem:
         values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
         starts = [
-            start - np.linalg.solve(block.factor, block.missed + block.along @ moved) if start.size else start
+            start - np.linalg.lstsq(block.factor, block.missed + block.along @ moved, rcond=None)[0]
+            if start.size
+            else start
             for start, block in zip(point.starts, blocks, strict=True)
         ]
         trial = Point(values, starts)
