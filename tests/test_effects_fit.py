@@ -765,3 +765,27 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
             held[name].append(miss(fit, name, true) < 1.96)
     shares = {name: float(np.mean(inside)) for name, inside in held.items()}
     assert {name: share for name, share in shares.items() if not 0.88 <= share <= 1.0} == {}
+
+
+def test_data_sheet_outweighs_what_a_model_gets_wrong():
+    truth = Truth(gain=GAIN, damping=DAMPING, effects={"delay": {"time": 0.03}, "coulomb_friction": {"level": 0.3}})
+    records = [step_record(truth, kp=kp, noise=NOISE, seed=kp) for kp in (40, 80)]
+    known = Prior(value=DAMPING, deviation=0.1)
+    free = fit_effects(records, [CoulombFriction(level=0.3)])
+    led = fit_effects(records, [CoulombFriction(level=0.3)], priors={"damping": known})
+    assert abs(free.plant.damping - DAMPING) > 5 * known.deviation
+    assert abs(led.plant.damping - DAMPING) < 2 * known.deviation
+
+
+def test_initial_state_that_shows_nowhere_stays_where_it_is():
+    class Blind:
+        """A run whose second initial state changes nothing."""
+
+        group, sample_time, start, shifts = 0, 1e-3, np.zeros(2), (1e-6, 1e-6)
+        measured = np.linspace(0.1, 0.2, 50)
+
+        def simulated(self, plant, start, substeps):
+            return plant.gain * np.linspace(0.0, 1.0, 50) + start[0]
+
+    found = minimise_error(Plant(gain=1.0, damping=0.0), [Blind()], FitOptions(held=("damping",)), noise=1e-6)
+    assert found.plant.gain == pytest.approx(0.1, abs=1e-9)

@@ -36,6 +36,7 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate, simulate_loop, simulate_many, simulate_voltage
+from servolens.simulation.loop import simulate_trial
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -401,3 +402,19 @@ def test_lagged_push_breaks_friction_loose_within_the_sample():
     speed = (6.0 - level) * t - 6.0 * left * lag * (1.0 - np.exp(-t / lag))
     found = simulate_voltage(plant, time, voltage)
     assert np.abs(found.velocity - speed).max() < 1e-6 * speed.max()
+
+
+@pytest.mark.parametrize(("patience", "refused"), [(0.5, True), (3.0, False)])
+def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing(monkeypatch, patience, refused):
+    monkeypatch.setattr("servolens.simulation.loop.PATIENCE", patience)
+    plant, time = plant_with(CoulombFriction(level=0.3)), grid(1.0)
+    reference = np.full(time.size, 0.1)
+
+    def tried():
+        return simulate_trial(plant, LOOP, time, reference, feedforward=None, start=(0.0, 0.0), substeps=4)
+
+    if refused:
+        with pytest.raises(NumericalError, match="rattles"):
+            tried()
+    else:
+        assert np.array_equal(tried().position, simulate_loop(plant, LOOP, time, reference, substeps=4).position)

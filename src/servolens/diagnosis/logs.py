@@ -59,8 +59,6 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
 
 def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]:
     """Return a finding for each of `others` whose command goes far beyond all that was `trained` on."""
-    if not trained:
-        return []
     known = max(float(np.max(np.abs(applied_voltage(record)))) for record in trained)
     found = []
     for record in others:

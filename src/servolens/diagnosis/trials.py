@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import error_of, lead
 from servolens.identification.regressors import regressor
-from servolens.identification.runs import PATIENCE, ClosedRun, TetheredRun, tether, voltage_runs
+from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
 from servolens.identification.segments import motion_segments, moving_parts, noise_level
 from servolens.identification.starting import Screen
 
@@ -109,7 +109,7 @@ class Trials:
         self.runs: list[Run]
         if moving != segments and all(r.reference is not None and r.controller is not None for r in records):
             # an axis that sticks drifts off under its voltage alone
-            self.runs = [ClosedRun(record, group, patience=PATIENCE) for group, record in enumerate(records)]
+            self.runs = [ClosedRun(record, group) for group, record in enumerate(records)]
         else:
             self.runs = [TetheredRun(record, group, self.tether) for group, record in enumerate(records)]
         self.most_substeps = MOST_SUBSTEPS * max(1e3 * max(run.sample_time for run in self.runs), 1.0)

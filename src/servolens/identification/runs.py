@@ -11,7 +11,7 @@ from servolens.errors import InputError
 from servolens.identification.segments import Segment, applied_voltage, motion_segments, noise_level
 from servolens.identification.smoothing import smooth
 from servolens.record import Controller
-from servolens.simulation.loop import simulate_loop, simulate_voltage, without_gaps
+from servolens.simulation.loop import simulate_trial, simulate_voltage, without_gaps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = [
-    "PATIENCE",
     "ClosedRun",
     "Run",
     "TetheredRun",
@@ -41,8 +40,6 @@ VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
-PATIENCE = 5.0
-"""Pieces into which a substep may be split on average: an axis that rattles more is no hypothesis."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -90,22 +87,12 @@ class ClosedRun:
         What is compared.
     in_motion : bool
         Whether the record begins in motion; else at rest at the mean of the samples before its first edge.
-    patience : float
-        See :func:`servolens.simulation.loop.simulate_loop`.
     """
 
-    def __init__(
-        self,
-        record: Record,
-        group: int,
-        *,
-        compared: str = "position",
-        in_motion: bool = False,
-        patience: float = 0.0,
-    ) -> None:
+    def __init__(self, record: Record, group: int, *, compared: str = "position", in_motion: bool = False) -> None:
         if in_motion:
             record = with_history(record)
-        self.group, self._compared, self._patience = group, compared, patience
+        self.group, self._compared = group, compared
         self.measured = _needed(record.voltage) if compared == "voltage" else record.position
         self._time, self._index = without_gaps(record.time)
         held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
@@ -121,7 +108,7 @@ class ClosedRun:
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
-        run = simulate_loop(
+        run = simulate_trial(
             plant,
             self._controller,
             self._time,
@@ -129,7 +116,6 @@ class ClosedRun:
             feedforward=self._added,
             start=(float(start[0]), float(start[1])) if start.size else self._begin,
             substeps=substeps,
-            patience=self._patience,
         )
         seen = run.voltage if self._compared == "voltage" else run.measured
         return seen if self._index is None else seen[self._index]
@@ -181,7 +167,7 @@ class TetheredRun:
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
-        run = simulate_loop(
+        run = simulate_trial(
             plant,
             self._tether,
             self._time,
@@ -189,7 +175,6 @@ class TetheredRun:
             feedforward=self._voltage,
             start=(float(start[0]), float(start[1]) if start.size > 1 else 0.0),
             substeps=substeps,
-            patience=PATIENCE,
         )
         return run.measured if self._index is None else run.measured[self._index]
 

@@ -88,17 +88,9 @@ def correlation_factor(residual: NDArray[np.float64]) -> float:
 
 
 def apparent_noise(residuals: Sequence[NDArray[np.float64]]) -> float:
-    """Return the standard deviation of white noise whose mean would scatter as that of the residuals does.
-
-    Their root mean square times the square root of the integrated autocorrelation, summed up to its first zero.
-    """
-    total = 0.0
-    for residual in residuals:
-        power = np.abs(np.fft.rfft(residual, 2 * residual.size)) ** 2
-        covariance = np.fft.irfft(power)[: residual.size]
-        negative = np.flatnonzero(covariance <= 0.0)
-        total += float(2.0 * np.sum(covariance[: negative[0] if negative.size else None]) - covariance[0])
-    return float(np.sqrt(max(total, 0.0) / sum(residual.size for residual in residuals)))
+    """Return the standard deviation of white noise whose mean would scatter as that of the residuals does."""
+    energy = sum(correlation_factor(residual) * float(residual @ residual) for residual in residuals)
+    return float(np.sqrt(energy / sum(residual.size for residual in residuals)))
 
 
 def robust_covariance(

@@ -20,9 +20,19 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Controller, Record
 
-__all__ = ["Simulation", "simulate", "simulate_continuous", "simulate_loop", "simulate_voltage", "without_gaps"]
+__all__ = [
+    "Simulation",
+    "simulate",
+    "simulate_continuous",
+    "simulate_loop",
+    "simulate_trial",
+    "simulate_voltage",
+    "without_gaps",
+]
 
-OPEN_LOOP = [0.0] * 7 + [1.0, 0.0, 1.0, 0.0]
+PATIENCE, ANY_NUMBER = 5.0, 0.0
+"""Pieces into which a substep of a trial may be split on average; most pieces, where there is no such limit."""
+OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, ANY_NUMBER]
 """What the rule is told of a loop where there is none."""
 
 
@@ -107,7 +117,7 @@ def simulate(
     return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
 
 
-def simulate_loop(  # noqa: PLR0913 - one argument a setting
+def simulate_loop(
     plant: Plant,
     controller: Controller,
     time: ArrayLike,
@@ -117,7 +127,6 @@ def simulate_loop(  # noqa: PLR0913 - one argument a setting
     start: tuple[float, float] = (0.0, 0.0),
     resolution: float = 0.0,
     substeps: int | None = None,
-    patience: float = 0.0,
 ) -> Simulation:
     """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative.
 
@@ -133,21 +142,54 @@ def simulate_loop(  # noqa: PLR0913 - one argument a setting
         Encoder step [m or rad]; 0 is none.
     substeps : int, optional
         Steps a sample.
-    patience : float
-        Pieces into which a step may be split on average, as dry friction and contacts split it; 0 is any number.
 
     Raises
     ------
     InputError
         If the samples do not fit together.
     NumericalError
-        If the loop is unstable, or takes more than `patience`.
+        If the loop is unstable.
     """
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
-    period = _sample_time(grid)
+    settings = [*_loop_settings(controller, _sample_time(grid)), resolution, ANY_NUMBER]
+    count = substeps or substeps_for(plant, _sample_time(grid))
+    return _run(plant, grid, held, _floats(reference), settings, start, count)
+
+
+def simulate_trial(
+    plant: Plant,
+    controller: Controller,
+    time: NDArray[np.float64],
+    reference: NDArray[np.float64],
+    *,
+    feedforward: NDArray[np.float64] | None,
+    start: tuple[float, float],
+    substeps: int,
+) -> Simulation:
+    """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
+
+    Parameters
+    ----------
+    plant, controller, time, reference, feedforward, start, substeps
+        As of :func:`simulate_loop`.
+
+    Raises
+    ------
+    InputError
+        If the samples do not fit together.
+    NumericalError
+        If the loop is unstable, or dry friction and contacts split a step into more than `PATIENCE` pieces on average.
+    """
+    held = np.zeros(time.size) if feedforward is None else feedforward
+    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, PATIENCE * time.size * substeps]
+    return _run(plant, time, held, reference, settings, start, substeps)
+
+
+def _loop_settings(controller: Controller, period: float) -> list[float]:
+    """Return what the rule is told of the loop."""
     ratio = samples_a_period(controller, period)
-    settings = [
+    return [
         1.0,
         controller.kp,
         controller.kd,
@@ -156,12 +198,8 @@ def simulate_loop(  # noqa: PLR0913 - one argument a setting
         controller.derivative_on == "error",
         controller.derivative == "velocity",
         ratio,
-        resolution,
         ratio * period,
     ]
-    count = substeps or substeps_for(plant, period)
-    settings.append(patience * grid.size * count)
-    return _run(plant, grid, held, _floats(reference), settings, start, count)
 
 
 def simulate_voltage(

@@ -289,7 +289,7 @@ def lateness(delay: float, time: Any, n: int) -> tuple[int, float]:
 @njit(**OPTIONS)
 def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop: Any, derivative: Any) -> float:
     """Return what the digital PD asks for at sample `k`, and carry its filtered derivative along."""
-    window, ratio, period = int(loop[4]), int(loop[7]), loop[9]
+    window, ratio, period = int(loop[4]), int(loop[7]), loop[8]
     if loop[6] != 0.0:
         raw = speed
     else:
@@ -340,7 +340,7 @@ def run(
 ) -> int:
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
-    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, resolution, period [s], most
+    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
     pieces). Minus one is returned where more pieces than granted would be needed; zero grants any number.
     Without a closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input
     reaches the actuator `delay` seconds late; before the record the first one was applied.
@@ -351,7 +351,7 @@ def run(
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
-    closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[8], loop[10]
+    closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[9], loop[10]
     set_out(x, p, states, time[0], held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0), start)
     derivative[0], voltage, wait = 0.0, 0.0, 0
     late, due = lateness(delay, time, n)
