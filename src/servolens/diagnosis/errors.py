@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["pooled", "residual", "rotated"]
 
+SETTLED = 3
+"""Steps in which an unknown initial state is found."""
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
 
@@ -47,10 +49,27 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
+    """Return simulated minus measured position, an unknown initial velocity and the position with it fitted."""
+    substeps, start = substeps_for(plant, run.sample_time), run.start
+
+    def at(start: NDArray[np.float64]) -> NDArray[np.float64]:
+        return run.simulated(plant, start, substeps) - run.measured
+
     try:
-        return run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
+        found = at(start)
+        if start.size < 2:
+            return found
+        for _ in range(SETTLED):
+            moves = np.diag(run.shifts)
+            slopes = np.column_stack([(at(start + m) - at(start - m)) / (2.0 * m.sum()) for m in moves])
+            further = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
+            better = at(further)
+            if _size(better) >= _size(found):
+                break
+            start, found = further, better
     except NumericalError:
         return np.full(run.measured.size, np.inf)
+    return found
 
 
 def _size(residual: NDArray[np.float64]) -> float:

@@ -196,6 +196,8 @@ class Trials:
                 best = found
             if best is not None and best.error < REACHED * self.noise:
                 return best
+        if best is not None and best.error > hypothesis.error:  # it contains what it extends, and is not there yet
+            best = self.fitted(best.plant, SECOND) or best
         return best
 
     def _starts(self, plant: Plant, cls: type[Effect]) -> list[Plant]:

@@ -40,6 +40,8 @@ VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
+BEGINNING = 24
+"""Samples that tell whether a record begins in motion."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -210,7 +212,7 @@ def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: 
     for group, record in enumerate(records):
         if not stretches and _begins_at_rest(record):
             whole = _segment(record, applied_voltage(record), 0, len(record))
-            runs.append(VoltageRun(whole, group, window, rest=rest(record)))
+            runs.append(VoltageRun(whole, group, window, rest=0 if record.reference is None else rest(record)))
         else:
             runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
     return runs
@@ -256,11 +258,15 @@ def _begins_at_rest(record: Record) -> bool:
 
 
 def _initial_speed_is_nothing(record: Record) -> bool:
-    count = min(max(len(record) // 50, 5), 40)
-    y, t = record.position[:count], record.time[:count]
-    slope, offset = np.polyfit(t - t[0], y, 1)
-    scatter = float(np.std(y - offset - slope * (t - t[0]))) + (record.encoder_resolution or 0.0)
-    return bool(abs(slope) * (t[-1] - t[0]) < MOVES * scatter + 1e-12)
+    """Tell whether a cubic through the first samples leaves the first one at rest, within its standard errors."""
+    count = min(BEGINNING, len(record))
+    span = (record.time[:count] - record.time[0]) / (record.time[count - 1] - record.time[0])
+    cubic = np.vander(span, min(4, count - 1), increasing=True)
+    y = record.position[:count]
+    found, *_ = np.linalg.lstsq(cubic, y, rcond=None)
+    scatter = float(np.sqrt(np.mean((y - cubic @ found) ** 2))) + (record.encoder_resolution or 0.0)
+    error = scatter * float(np.sqrt(np.linalg.inv(cubic.T @ cubic)[1, 1]))
+    return bool(abs(found[1]) <= MOVES * error + 1e-12)
 
 
 def _segment(record: Record, voltage: NDArray[np.float64], first: int, stop: int) -> Segment:
