@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servolens import Controller, InputError, NumericalError, Record, identify, lab
+from servolens import Cogging, Controller, CoulombFriction, InputError, NumericalError, Record, identify, lab
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces
 from servolens.identification.segments import motion_segments, moving_parts
+from servolens.identification.starting import Screen
 from servolens.identification.uncertainty import apparent_noise
 from servolens.identification.varying import fit_pieces, ordering
 
@@ -114,3 +115,16 @@ def test_axis_that_stands_on_its_way_is_identified_from_where_it_moves():
 def test_axis_that_moves_all_the_time_is_left_whole():
     segments = motion_segments([lab.step_record(lab.LM1, 60.0, noise=1e-5, seed=1)])
     assert moving_parts(segments) == segments
+
+
+def test_faint_ripple_beside_strong_steps_ranks_its_pitch_first():
+    """A voltage that jumps is held from sample to sample; trapezoids over its jumps would hide the ripple."""
+    faint = {"coulomb_friction": {"level": 0.02}, "cogging": {"amplitude": 0.01, "pitch": 0.02, "phase": 0.5}}
+    cart = lab.Truth(gain=1.9, damping=6.0, effects=faint)
+    records = [lab.step_record(cart, kp=kp, encoder=1e-6, noise=1e-6, seed=kp) for kp in (60, 150)]
+    screen = Screen.of(motion_segments(records))
+    pitches = [Cogging(amplitude=0.1, pitch=0.02 * ratio, phase=0.0) for ratio in (0.5, 0.7, 0.9, 1.0, 1.1, 1.5, 2.0)]
+    others = (CoulombFriction(level=0.1),)
+    left, best = screen.thinned.ranked(others, screen.thinned.proposals(pitches))[0]
+    assert best.pitch == 0.02
+    assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((*others, best))[1], rel=0.1)

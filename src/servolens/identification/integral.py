@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.identification.segments import Segment
     from servolens.solving import Constraint
 
-__all__ = ["Pieces", "Prior", "assemble", "segment_factors", "solve_integral", "stacked"]
+__all__ = ["Pieces", "Prior", "assemble", "held_twice_integrated", "segment_factors", "solve_integral", "stacked"]
 
 _NO_FORCES: NDArray[np.float64] = np.empty((0, 0))
 
@@ -116,6 +116,13 @@ def segment_factors(
         )
         factors.append(factor)
     return factors
+
+
+def held_twice_integrated(time: NDArray[np.float64], voltage: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the double integral over `time` of a voltage that is held from sample to sample, 0 at the first."""
+    steps = np.diff(time)
+    single = np.concatenate([[0.0], np.cumsum(steps * voltage[:-1])])
+    return np.concatenate([[0.0], np.cumsum(steps * (single[:-1] + 0.5 * steps * voltage[:-1]))])
 
 
 def solve_integral(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.integral import held_twice_integrated
 from servolens.identification.regressors import regressor
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ class Proposals:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thinned:
-    """Every few samples of all stretches of motion, one after the other; integrated by trapezoids.
+    """Every few samples of all stretches of motion, one after the other.
+
+    Position and voltage are integrated over all samples; forces, which are compared with little, by trapezoids.
 
     Attributes
     ----------
@@ -45,8 +48,10 @@ class Thinned:
         Time since the sample before [s]; 0 at the beginning of a stretch.
     line : ndarray, shape (n,)
         Time about its mean in each stretch, scaled to length one there.
-    time, position, voltage, velocity : ndarray, shape (n,)
+    time, position, velocity : ndarray, shape (n,)
         As in the records.
+    swept, pushed : ndarray, shape (n,)
+        Position integrated once over time, voltage twice, in each stretch.
     """
 
     first: NDArray[np.intp]
@@ -54,8 +59,9 @@ class Thinned:
     line: NDArray[np.float64]
     time: NDArray[np.float64]
     position: NDArray[np.float64]
-    voltage: NDArray[np.float64]
     velocity: NDArray[np.float64]
+    swept: NDArray[np.float64]
+    pushed: NDArray[np.float64]
 
     @classmethod
     def of(cls, segments: Sequence[Segment], velocity: Sequence[NDArray[np.float64]]) -> Thinned:
@@ -69,8 +75,9 @@ class Thinned:
             line=np.concatenate([t / max(float(np.linalg.norm(t)), 1e-300) for t in centred]),
             time=np.concatenate([s.record.time[s.first : s.first + s.time.size : stride] for s in segments]),
             position=np.concatenate([s.position[::stride] for s in segments]),
-            voltage=np.concatenate([s.voltage[::stride] for s in segments]),
             velocity=np.concatenate([v[::stride] for v in velocity]),
+            swept=np.concatenate([_swept(s)[::stride] for s in segments]),
+            pushed=np.concatenate([held_twice_integrated(s.time, s.voltage)[::stride] for s in segments]),
         )
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
@@ -82,8 +89,7 @@ class Thinned:
 
         All sizes are solved for, of `others` too.
         """
-        swept = self._once(self.position[None])
-        known = np.concatenate((swept, self._twice(self.voltage[None]), self._twice(self._forces(others))))
+        known = np.concatenate((self.swept[None], self.pushed[None], self._twice(self._forces(others))))
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
@@ -126,6 +132,12 @@ class Thinned:
     def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Repeat one value a stretch over its samples."""
         return np.repeat(values, np.diff(self.first, append=self.time.size), axis=1)
+
+
+def _swept(segment: Segment) -> NDArray[np.float64]:
+    from scipy.integrate import cumulative_simpson
+
+    return np.asarray(cumulative_simpson(segment.position, x=segment.time, initial=0.0))
 
 
 def waves(effect: Effect) -> tuple[Effect, ...]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.identification.factors import whiten
+from servolens.identification.integral import held_twice_integrated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -141,10 +142,8 @@ def _columns(
     """Return regressors (n, d + 1), position, damping and time at every `stride`-th sample."""
     time, y, voltage = segment.time, segment.position, segment.voltage
     steps = np.diff(time)
-    single = np.concatenate([[0.0], np.cumsum(steps * voltage[:-1])])
-    double = np.concatenate([[0.0], np.cumsum(steps * (single[:-1] + 0.5 * steps * voltage[:-1]))])
     x = np.zeros((time.size, estimate.size))
-    x[:, -1] = double
+    x[:, -1] = held_twice_integrated(time, voltage)
     damping = np.empty(time.size)
     for first, stop, group in zip(share.edges[:-1], share.edges[1:], share.groups, strict=True):
         damping[first:stop] = estimate[group]
