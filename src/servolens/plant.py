@@ -96,6 +96,11 @@ class Plant:
         return ("gain",) if any(isinstance(effect, Drive) for effect in self.effects) else ()
 
     @property
+    def has_contacts(self) -> bool:
+        """Whether contacts open and close within it: simulation errors are crumpled functions of its parameters."""
+        return any(isinstance(effect, Transmission) and not effect.linear for effect in self.effects)
+
+    @property
     def delay(self) -> float:
         """By how much the command comes late [s]."""
         return float(sum(effect.physics(effect) for effect in self.effects if isinstance(effect, TimeShift)))

@@ -162,7 +162,7 @@ class _Explorer:
         wanted = {frozenset((*others, name)) for name in names}
         known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         if len(known) < len(names) // 2:
-            without = self._fitted([chosen.plant.without_effect(cause)], SECOND)
+            without = self._fitted([chosen.plant.without_effect(cause)], 0)  # refitted, the others would take its part
             self.explore([(h, name) for h in without for name in names], f"instead of {cause}")
             known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         return sorted(known.values(), key=self.trials.score)

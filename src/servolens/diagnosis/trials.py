@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Drive, Transmission, effect_class
+from servolens.effects import Drive, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import error_of, lead
@@ -151,9 +151,8 @@ class Trials:
 
         Contacts crumple the error on a small scale: there wide differences find the way, and fine ones its end.
         """
-        contacts = any(issubclass(cls, Transmission) for cls in plant.structure)
         found = None
-        for coarse in ((True,) if iterations == FIRST else (True, False)) if contacts else (False,):
+        for coarse in ((True,) if iterations == FIRST else (True, False)) if plant.has_contacts else (False,):
             try:
                 further = lead(
                     plant if found is None else found.plant,

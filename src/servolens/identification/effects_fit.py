@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.identification.door import check_names, together
 from servolens.identification.doubts import doubts
@@ -244,8 +243,7 @@ def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, dri
     """Refine; once more with coarse sensitivities where that does not reach the noise or contacts crumple the error."""
     runs = fit_runs(records, driven, options)
     found = minimise_error(start, runs, options, noise=noise)
-    contacts = any(issubclass(cls, Transmission) for cls in start.structure)
-    if found.rms_error <= DOWN_TO_NOISE * noise and not contacts:
+    if found.rms_error <= DOWN_TO_NOISE * noise and not start.has_contacts:
         return found
     again = minimise_error(start, runs, options, noise=noise, coarse=True)
     return again if again.rms_error < found.rms_error else found

@@ -249,7 +249,8 @@ def lead(
 ) -> Lead:
     """Return where a few iterations lead; parameters as :func:`minimise_error`.
 
-    Differences are one-sided unless `coarse`. Plants that need more than `most_substeps` in a sample are left out.
+    Differences are one-sided unless `plant` has contacts. Plants that need more than `most_substeps` in a sample are
+    left out.
 
     Raises
     ------
@@ -258,7 +259,7 @@ def lead(
     """
     problem = Problem(plant, runs, options, noise)
     problem.share, problem.most_substeps = (COARSE if coarse else FINE), most_substeps
-    problem.one_sided = not coarse
+    problem.one_sided = not plant.has_contacts
     start = problem.start()
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")
