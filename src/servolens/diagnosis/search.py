@@ -31,8 +31,8 @@ LESS = (0.8, 0.7, 0.5, 0.2)
 """Share of the squared error beyond the noise that the first, the second … effect may leave."""
 HOPELESS = (np.inf, np.inf, 100.0, 20.0)
 """Times the noise from which on no first, second … effect is looked for: too much would be left."""
-REFITTED, POLISHED, ALIKE = 12, 1.3, 1.1
-"""How many hypotheses are fitted further; times the least error up to which one is fitted to its end, and judged."""
+REFITTED, HOPEFUL, POLISHED, ALIKE = 12, 30.0, 1.3, 1.1
+"""How many hypotheses are fitted further; times the least error up to which they are, to their end, and judged."""
 ROUNDING = 1.0
 """Of a score, within which two forms of one plant are alike."""
 NEAR = 10.0
@@ -133,8 +133,8 @@ class _Explorer:
             return found
 
         found = sorted((h for h in self.pool.map(one, jobs) if h), key=_error)
-        for count, share, iterations in ((REFITTED, np.inf, SECOND), (REFITTED, POLISHED, LAST)):
-            promising = [h for h in found[:count] if h.error <= share * found[0].error]
+        for share, iterations in ((HOPEFUL, SECOND), (POLISHED, LAST)):
+            promising = [h for h in found[:REFITTED] if h.error <= share * found[0].error]
             again = self.pool.map(lambda h, most=iterations: self.trials.fitted(h.plant, most) or h, promising)
             found = sorted([*again, *found[len(promising) :]], key=_error)
         found = self.judged(found)

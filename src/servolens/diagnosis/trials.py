@@ -195,18 +195,24 @@ class Trials:
                 best = found
             if best is not None and best.error < REACHED * self.noise:
                 return best
-        if best is not None and best.error > hypothesis.error:  # it contains what it extends, and is not there yet
+        if best is not None and best.error > hypothesis.error and not best.plant.has_contacts:  # not there yet
             best = self.fitted(best.plant, SECOND) or best
         return best
 
     def _starts(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+        """Return the plants with the effect that come closest as they are."""
         proposals = self.screen.proposals_of(plant, cls)
-        if not regressor(cls).sizes:
+        if regressor(cls).sizes:
+            tried = self._solved(plant, cls, proposals)
+        else:
             tried = [plant.with_effect(effect) for effect in proposals]
             if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
                 tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
-            ranked = sorted((error_of(candidate, self.runs), i) for i, candidate in enumerate(tried))
-            return [tried[i] for _, i in ranked[:STARTS]]
+        ranked = sorted((error_of(candidate, self.runs), i) for i, candidate in enumerate(tried))
+        return [tried[i] for _, i in ranked[:STARTS]]
+
+    def _solved(self, plant: Plant, cls: type[Effect], proposals: list[Effect]) -> list[Plant]:
+        """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""
         if cls.name not in self._proposals:
             self._proposals[cls.name] = self.screen.thinned.proposals(proposals)
         starts = []
