@@ -1,4 +1,4 @@
-"""The stepping rule, one for all plants, in LLVM's language: compiled once and kept on disk."""
+"""The stepping rule, one for all plants, in LLVM's language; what is compiled is kept on disk."""
 
 from __future__ import annotations
 
@@ -13,13 +13,17 @@ from functools import lru_cache
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import platformdirs
 
 from servolens import __version__
 
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
 SOURCES = ("elementary", "stepping", "kernel")
-__all__ = ["ENTRY", "cache_folder", "rule"]
+__all__ = ["ENTRY", "cache_folder", "kept", "rule"]
 
 ENTRY = "servolens_run"
 """Name of the function in :func:`rule` that runs a simulation."""
@@ -31,35 +35,42 @@ def rule() -> str:
     folder = resources.files("servolens.simulation")
     sources = [folder.joinpath(f"{name}.py").read_text(encoding="utf-8") for name in SOURCES]
     versions = [__version__, version("numba"), version("llvmlite"), sys.version, platform.machine(), sys.platform]
-    key = "\0".join([*versions, *sources])
-    path = cache_folder() / f"stepping-{hashlib.sha256(key.encode()).hexdigest()[:24]}.ll"
-    with suppress(OSError, ValueError):
-        text = path.read_text(encoding="utf-8")
-        mark, _, body = text.partition("\n")
+    return kept("stepping", [*versions, *sources], lambda: _compiled().encode()).decode()
+
+
+def kept(kind: str, depends_on: Sequence[str], make: Callable[[], bytes]) -> bytes:
+    """Return what `make` returned for a `kind` that depends on these texts, from the cache folder if it is there.
+
+    Where that cannot be written, it is made anew each time; a damaged file is replaced.
+    """
+    key = hashlib.sha256("\0".join(depends_on).encode()).hexdigest()[:24]
+    path = cache_folder() / f"{kind}-{key}"
+    with suppress(OSError):
+        mark, _, body = path.read_bytes().partition(b"\n")
         if mark == _mark(body):
             return body
-    body = _compiled()
+    body = make()
     with suppress(OSError):  # a folder that cannot be written only costs time
-        _write(path, f"{_mark(body)}\n{body}")
+        _write(path, _mark(body) + b"\n" + body)
     return body
 
 
 def cache_folder() -> Path:
-    """Return the folder of the compiled rule: ``SERVOLENS_CACHE``, or the user's cache folder."""
+    """Return the folder of what is compiled: ``SERVOLENS_CACHE``, or the user's cache folder."""
     chosen = os.environ.get("SERVOLENS_CACHE")
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("servolens", appauthor=False)) / "kernels"
 
 
-def _mark(body: str) -> str:
+def _mark(body: bytes) -> bytes:
     """Return the first line of the file, by which a damaged one is known."""
-    return f"; sha256 {hashlib.sha256(body.encode()).hexdigest()}"
+    return hashlib.sha256(body).hexdigest().encode()
 
 
-def _write(path: Path, text: str) -> None:
+def _write(path: Path, content: bytes) -> None:
     """Write a file at once; many processes may do so at the same time."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False, encoding="utf-8") as file:
-        file.write(text)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+        file.write(content)
     Path(file.name).replace(path)
 
 

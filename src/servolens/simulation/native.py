@@ -6,6 +6,7 @@ import ctypes
 import os
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.metadata import version
 from threading import Lock
 from typing import TYPE_CHECKING, Any, final
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.codegen import SYMBOLS, function_text, number_text
-from servolens.simulation.kernel import ENTRY, rule
+from servolens.simulation.kernel import ENTRY, kept, rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -191,7 +192,20 @@ def _merged(texts: list[str]) -> list[str]:
 
 
 def _engine(text: str) -> Any:
-    """Compile LLVM assembly together with the stepping rule; the engine that is returned owns the machine code."""
+    """Load LLVM assembly, compiled together with the stepping rule; the engine returned owns the machine code."""
+    import llvmlite.binding as llvm
+
+    machine = _machine()()
+    depends_on = [version("llvmlite"), machine.triple, *_processor(), rule(), text]
+    code = kept("plant", depends_on, lambda: _compiled(text))
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    return engine
+
+
+def _compiled(text: str) -> bytes:
+    """Return the object code of LLVM assembly together with the stepping rule."""
     import llvmlite.binding as llvm
 
     machine = _machine()()
@@ -203,9 +217,14 @@ def _engine(text: str) -> Any:
     tuning = llvm.create_pipeline_tuning_options(speed_level=2)
     builder = llvm.create_pass_builder(machine, tuning)
     builder.getModulePassManager().run(module, builder)
-    engine = llvm.create_mcjit_compiler(module, machine)
-    engine.finalize_object()
-    return engine
+    return bytes(machine.emit_object(module))
+
+
+def _processor() -> tuple[str, str]:
+    """Return name and features of the processor."""
+    import llvmlite.binding as llvm
+
+    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
 
 
 @lru_cache(maxsize=1)
@@ -222,8 +241,7 @@ def _machine() -> Any:
     target = llvm.Target.from_default_triple()
 
     def machine() -> Any:
-        return target.create_target_machine(
-            opt=2, cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), jit=True
-        )
+        cpu, features = _processor()
+        return target.create_target_machine(opt=2, cpu=cpu, features=features, jit=True)
 
     return machine
