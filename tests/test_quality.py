@@ -453,3 +453,24 @@ def test_ball_screw_pulses_are_missed_where_they_are_not_given():
     assert codes(read_record(path, columns=EMPS, settings=settings)) == ["law_contradicts_log"]
     with_pulses = read_record(path, columns={**EMPS, "feedforward": "pulses_N"}, settings=settings)
     assert assess(with_pulses).law_misfit < 0.01
+
+
+def test_onset_that_was_cut_off_is_said():
+    finding = only(cut(simulated(noise=1e-6), slice(60, None)))
+    assert finding.code == "onset_missed"
+    assert "the axis already moves at the first sample, at 0.5" in finding.message
+
+
+@pytest.mark.parametrize("late", [10, 40])
+def test_reference_that_is_logged_late_is_said(late):
+    record = simulated(edge=100, noise=1e-6, kp=150.0)
+    shifted = np.where(np.arange(len(record)) < 100 + late, 0.0, 0.1)
+    assert "reference_shifted" in codes(record.with_({"reference": shifted}))
+    assert codes(record) == []
+
+
+@pytest.mark.parametrize("delay", [0, 12])
+@pytest.mark.parametrize("edge", [0, 100])
+def test_onset_within_the_record_is_not_missed(edge, delay):
+    for kp in (20.0, 60.0, 150.0):
+        assert codes(simulated(edge=edge, delay=delay, kp=kp, noise=1e-6)) == []

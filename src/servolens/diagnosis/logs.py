@@ -34,6 +34,8 @@ BLAMED = {
     "gaps",
     "impossible_controller",
     "jitter",
+    "onset_missed",
+    "reference_shifted",
     "voltage_beyond_limit",
     "wrong_sign",
 }

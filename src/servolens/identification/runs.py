@@ -10,6 +10,7 @@ from servolens.control_law import with_history
 from servolens.errors import InputError
 from servolens.identification.segments import Segment, applied_voltage, motion_segments, noise_level
 from servolens.identification.smoothing import smooth
+from servolens.quality.beginning import initial_motion
 from servolens.record import Controller
 from servolens.simulation.loop import simulate_trial, simulate_voltage, without_gaps
 
@@ -38,10 +39,6 @@ LEAD = 40
 """Most samples of rest before a step that a window begins with."""
 VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
-MOVES = 6.0
-"""Standard errors from which on an initial velocity is one."""
-BEGINNING = 24
-"""Samples that tell whether a record begins in motion."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -251,22 +248,9 @@ def _needed(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
 
 def _begins_at_rest(record: Record) -> bool:
     """Tell whether the record can be taken to begin at rest: as a step's log does."""
-    if record.reference is None:
-        return _initial_speed_is_nothing(record)
-    moving = record.reference[1:] != record.reference[:-1]
-    return float(np.mean(moving)) < 0.01
-
-
-def _initial_speed_is_nothing(record: Record) -> bool:
-    """Tell whether a cubic through the first samples leaves the first one at rest, within its standard errors."""
-    count = min(BEGINNING, len(record))
-    span = (record.time[:count] - record.time[0]) / (record.time[count - 1] - record.time[0])
-    cubic = np.vander(span, min(4, count - 1), increasing=True)
-    y = record.position[:count]
-    found, *_ = np.linalg.lstsq(cubic, y, rcond=None)
-    scatter = float(np.sqrt(np.mean((y - cubic @ found) ** 2))) + (record.encoder_resolution or 0.0)
-    error = scatter * float(np.sqrt(np.linalg.inv(cubic.T @ cubic)[1, 1]))
-    return bool(abs(found[1]) <= MOVES * error + 1e-12)
+    if record.reference is not None and float(np.mean(record.reference[1:] != record.reference[:-1])) >= 0.01:
+        return False
+    return initial_motion(record) == 0.0
 
 
 def _segment(record: Record, voltage: NDArray[np.float64], first: int, stop: int) -> Segment:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
+from servolens.quality.beginning import beginning_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
@@ -87,7 +88,7 @@ def assess(record: Record) -> RecordQuality:
     ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
     ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
     ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``gains_unknown``, ``no_reference``,
-    ``voltage_reconstructed``.
+    ``onset_missed``, ``reference_shifted``, ``voltage_reconstructed``.
 
     Examples
     --------
@@ -101,6 +102,7 @@ def assess(record: Record) -> RecordQuality:
     seen = (
         *sampling_findings(record, sampling),
         *motion_findings(record, sampling),
+        *beginning_findings(record, sampling),
         *loop_findings(record, fit),
     )
     findings = (*record.remarks, *(replace(finding, record=record.name) for finding in seen))
