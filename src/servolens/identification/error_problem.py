@@ -155,13 +155,16 @@ class Problem:
         return True
 
     def too_stiff(self, point: Point) -> bool:
-        """Tell whether a run would need more substeps than are granted."""
+        """Tell whether a run would need more substeps than are granted; as of what is no plant at all."""
         if not np.isfinite(self.most_substeps):
             return False
-        return any(
-            substeps_for(self.plant_at(point.values, i), run.sample_time) > self.most_substeps
-            for i, run in enumerate(self.runs)
-        )
+        try:
+            return any(
+                substeps_for(self.plant_at(point.values, i), run.sample_time) > self.most_substeps
+                for i, run in enumerate(self.runs)
+            )
+        except InputError:
+            return True
 
     def spread(self, point: Point) -> float:
         """Return the robust standard deviation of the residuals, from their median size."""
