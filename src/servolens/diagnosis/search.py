@@ -33,8 +33,8 @@ HOPELESS = (np.inf, np.inf, 100.0, 20.0)
 """Times the noise from which on no first, second … effect is looked for: too much would be left."""
 REFITTED, HOPEFUL, POLISHED, ALIKE = 12, 30.0, 1.3, 1.1
 """How many hypotheses are fitted further; times the least error up to which they are, to their end, and judged."""
-ROUNDING = 1.0
-"""Of a score, within which two forms of one plant are alike."""
+ROUNDING, ROUGH = 1.0, 0.2
+"""Of a score, within which two forms of one plant are alike; of the noise, the smooth error that any plant has."""
 NEAR = 10.0
 """Times the noise from which on hypotheses are judged without a tether."""
 
@@ -107,7 +107,7 @@ def search(
             path.append(found[0])
             beam = _beam(found)
         for _ in range(MOST_ROUNDS):
-            path, rivals, settled = _reconsidered(path, explorer, swap=enough(path[-1]))
+            path, rivals, settled = _reconsidered(path, explorer, enough)
             if settled:
                 break
     return Search(tuple(path), tuple(explorer.known), rivals)
@@ -172,25 +172,40 @@ class _Explorer:
 
 
 def _reconsidered(
-    path: list[Hypothesis], explorer: _Explorer, *, swap: bool
+    path: list[Hypothesis], explorer: _Explorer, enough: Callable[[Hypothesis], bool]
 ) -> tuple[list[Hypothesis], tuple[tuple[Hypothesis, ...], ...], bool]:
-    """Take each cause out again, or `swap` it for another; return path, rivals, and whether nothing changed."""
-    score, chosen = explorer.trials.score, path[-1]
+    """Take each cause out again, or swap it for another; return path, rivals, and whether nothing changed."""
+    score, chosen, noise = explorer.trials.score, path[-1], explorer.trials.noise
     if not chosen.causes:
         return path, (), True
     simpler = explorer.best([chosen.plant.without_effect(name) for name in chosen.causes])
     if len(chosen.causes) > 1 and simpler is not None and score(simpler) < score(chosen) + WORTH:
         return [*(h for h in path if len(h.causes) < len(simpler.causes)), simpler], (), False
-    special = explorer.best([*_specialised(chosen.plant), *_united(chosen.plant)])
-    if special is not None and score(special) <= score(chosen) + ROUNDING:
-        return [*(h for h in path[:-1] if len(h.causes) < len(special.causes)), special], (), False
-    if not swap:
+    special = explorer.best([*_specialised(chosen.plant)])
+    united = explorer.best([*_united(chosen.plant)])
+    for other, will_do in ((special, _will_do(special, chosen, noise, enough)), (united, False)):
+        if other is not None and (will_do or score(other) <= score(chosen) + ROUNDING):
+            return [*(h for h in path[:-1] if len(h.causes) < len(other.causes)), other], (), False
+    if not enough(chosen):
         return path, (), True
     rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
-    better = min((h for found in rivals for h in found), key=score, default=chosen)
+    swaps = [h for found in rivals for h in found if not (_contains(h, chosen) and _will_do(chosen, h, noise, enough))]
+    better = min(swaps, key=score, default=chosen)
     if score(better) < score(chosen) - 1e-6:
         return [*path[:-1], better], (), False
     return path, rivals, True
+
+
+def _will_do(
+    special: Hypothesis | None, general: Hypothesis, noise: float, enough: Callable[[Hypothesis], bool]
+) -> bool:
+    """Tell whether a special form leaves nothing, and so little more than the general one that no axis is as exact."""
+    return special is not None and enough(special) and special.error**2 - general.error**2 <= (ROUGH * noise) ** 2
+
+
+def _contains(general: Hypothesis, special: Hypothesis) -> bool:
+    """Tell whether an effect of the one generalises an effect of the other."""
+    return any(name in effect.generalises for effect in general.plant.effects for name in special.causes)
 
 
 def _specialised(plant: Plant) -> Iterator[Plant]:
