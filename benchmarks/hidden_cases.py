@@ -47,7 +47,7 @@ SMALL = (1.5, 2.0, 3.0, 4.0)
 """Visibilities of the small effects, one a repetition in turn."""
 SINGLE = tuple((name,) for name in EFFECTS)
 SECTIONS: dict[str, tuple[int, tuple[tuple[str, ...], ...], dict[str, Any]]] = {
-    "singles": (8, SINGLE, {}),
+    "singles": (10, SINGLE, {}),
     "pairs": (1, PAIRS, {}),
     "triples": (1, TRIPLES, {}),
     "healthy": (40, ((),), {}),
