@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,8 @@ import numpy as np
 from servolens.diagnosis.logs import beyond
 from servolens.diagnosis.trials import LOOSE, loop_rate
 from servolens.errors import NumericalError
+from servolens.identification.phases import synchronised
+from servolens.identification.refine import square_error
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
 from servolens.simulation.rates import substeps_for
 
@@ -49,7 +52,8 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
-    """Return simulated minus measured position, an unknown initial velocity and the position with it fitted."""
+    """Return simulated minus measured position, with what the record alone has fitted: initial velocity and phases."""
+    plant = synchronised(plant, partial(square_error, run))
     substeps, start = substeps_for(plant, run.sample_time), run.start
 
     def at(start: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import numpy as np
 from servolens.effects import Drive, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.options import FitOptions
+from servolens.identification.phases import own_phases
 from servolens.identification.refine import error_of, lead
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
@@ -119,9 +120,8 @@ class Trials:
 
     def score(self, hypothesis: Hypothesis) -> float:
         """Return −2 log-likelihood plus the price of its parameters; the least is the best."""
-        return self.samples * (hypothesis.error / self.noise) ** 2 + hypothesis.free * PRICE * float(
-            np.log(self.samples)
-        )
+        free = hypothesis.free + (len(self.records) - 1) * len(own_phases(hypothesis.plant))
+        return self.samples * (hypothesis.error / self.noise) ** 2 + free * PRICE * float(np.log(self.samples))
 
     def fitted(self, plant: Plant, iterations: int = LAST) -> Hypothesis | None:
         """Return `plant` fitted; None where it cannot be simulated."""
@@ -169,9 +169,10 @@ class Trials:
         return None if found is None else Hypothesis(found.plant, found.error, found.residuals)
 
     def options(self, plant: Plant) -> FitOptions:
-        """Return how `plant` is fitted: with the priors on its own parameters."""
+        """Return how `plant` is fitted: with the priors on its own parameters, and phases of each record's own."""
         names = plant.parameters
-        return FitOptions(priors={name: prior for name, prior in self.priors.items() if name in names})
+        priors = {name: prior for name, prior in self.priors.items() if name in names}
+        return FitOptions(priors=priors, local=own_phases(plant) if len(self.records) > 1 else ())
 
     def extended(self, hypothesis: Hypothesis, name: str) -> Hypothesis | None:
         """Return `hypothesis` with the effect `name` beside its own, fitted from the effect's best starts.

@@ -154,6 +154,8 @@ class Effect(ABC):
         Parameter values at which the effect changes nothing; empty if it always changes something.
     wave : tuple of str, optional
         Names of amplitude and phase of a force ``amplitude·sin(… + phase)``: both can be solved for.
+    phase_per_record : bool
+        Whether the phase of its wave is each record's own: what it goes by does not know when a record begins.
     generalises : tuple of str
         Names of effects that this one is at some of its values: beside it they are not wanted.
     linear : bool
@@ -176,6 +178,7 @@ class Effect(ABC):
     absent_at: ClassVar[dict[str, float]] = {}
     states: ClassVar[tuple[State, ...]] = ()
     wave: ClassVar[tuple[str, str] | None] = None
+    phase_per_record: ClassVar[bool] = False
     generalises: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
     twin: ClassVar[str] = ""

@@ -28,6 +28,7 @@ class PeriodicDisturbance(Force):
     latex = r"A\,\sin(2\pi f t + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
     wave = ("amplitude", "phase")
+    phase_per_record = True
     looks_like = "The position swings at one frequency even at rest, no matter where the axis is or how fast it moves."
     remedy = (
         "Find what turns at that frequency (a pump, fan or neighbouring axis, 50 or 100 Hz of the mains) "

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
 from servolens.simulation.rates import substeps_for
 
@@ -112,8 +113,21 @@ class Problem:
     def start(self) -> Point:
         """Return where the search begins."""
         point = Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
+        for k, (index, group) in enumerate(self.slots):
+            if self.names[index] in self.local and self.names[index] in own_phases(self.plant):
+                point.values[k] = self._phase(point, k, group)
         point.cost = self.cost(point)
         return point
+
+    def _phase(self, point: Point, k: int, group: int) -> float:
+        """Return the value of the phase `k` from which the runs of one record are missed least."""
+        values, missed = point.values.copy(), []
+        phases = round_the_circle(float(values[k]))
+        for phase in phases:
+            values[k] = phase
+            trial = [(i, _Trial(values, point.starts[i])) for i, run in enumerate(self.runs) if run.group == group]
+            missed.append(sum(np.inf if r is None else self._loss(r) for r in self._evaluate(trial)))
+        return float(phases[int(np.argmin(missed))])
 
     def plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
         """Return the plant of run `i`."""

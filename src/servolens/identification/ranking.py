@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.identification.segments import Segment
 
-__all__ = ["Proposals", "Thinned", "waves"]
+__all__ = ["Proposals", "Thinned", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
 """Samples that are kept, more or less."""
@@ -46,6 +46,8 @@ class Thinned:
         Sample at which each stretch begins.
     steps : ndarray, shape (n,)
         Time since the sample before [s]; 0 at the beginning of a stretch.
+    record : ndarray of int, shape (n,)
+        Number of the record.
     line : ndarray, shape (n,)
         Time about its mean in each stretch, scaled to length one there.
     time, position, velocity : ndarray, shape (n,)
@@ -56,6 +58,7 @@ class Thinned:
 
     first: NDArray[np.intp]
     steps: NDArray[np.float64]
+    record: NDArray[np.intp]
     line: NDArray[np.float64]
     time: NDArray[np.float64]
     position: NDArray[np.float64]
@@ -72,6 +75,7 @@ class Thinned:
         return cls(
             first=np.cumsum([0, *(t.size for t in times[:-1])]),
             steps=np.concatenate([np.diff(t, prepend=t[0]) for t in times]),
+            record=np.repeat(record_numbers(segments), [t.size for t in times]),
             line=np.concatenate([t / max(float(np.linalg.norm(t)), 1e-300) for t in centred]),
             time=np.concatenate([s.record.time[s.first : s.first + s.time.size : stride] for s in segments]),
             position=np.concatenate([s.position[::stride] for s in segments]),
@@ -104,13 +108,8 @@ class Thinned:
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
         """Return the forces per unit of each size, a row each."""
-        rows = [np.empty((0, self.time.size))]
-        for effect in effects:
-            law = regressor(type(effect))
-            for variant in waves(effect) if law.sizes else ():
-                shapes = [getattr(variant, name) for name in law.shapes]
-                rows.append(law.columns(self.time, self.position, self.velocity, *shapes))
-        return np.concatenate(rows)
+        seen = (self.time, self.position, self.velocity, self.record, int(self.record[-1]) + 1)
+        return np.concatenate([np.empty((0, self.time.size)), *(force_rows(effect, *seen) for effect in effects)])
 
     def _once(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Integrate each row over each stretch."""
@@ -138,6 +137,34 @@ def _swept(segment: Segment) -> NDArray[np.float64]:
     from scipy.integrate import cumulative_simpson
 
     return np.asarray(cumulative_simpson(segment.position, x=segment.time, initial=0.0))
+
+
+def record_numbers(segments: Sequence[Segment]) -> NDArray[np.intp]:
+    """Return the number of each segment's record, counted from 0 in the order of the segments."""
+    known: dict[int, int] = {}
+    return np.array([known.setdefault(id(segment.record), len(known)) for segment in segments], dtype=np.intp)
+
+
+def force_rows(
+    effect: Effect,
+    time: NDArray[np.float64],
+    position: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    record: NDArray[np.intp] | np.intp,
+    records: int,
+) -> NDArray[np.float64]:
+    """Return the force of `effect` per unit of each size, a row each; empty where no size is linear.
+
+    Sine and cosine of a wave are two; of one whose phase is each record's own, two for each of the `records`.
+    """
+    law = regressor(type(effect))
+    variants = waves(effect) if law.sizes else ()
+    shapes = [[getattr(variant, name) for name in law.shapes] for variant in variants]
+    rows = [law.columns(time, position, velocity, *values) for values in shapes]
+    found = np.concatenate([np.empty((0, time.size)), *rows])
+    if not effect.phase_per_record or records == 1:
+        return found
+    return np.concatenate([found * (record == number) for number in range(records)])
 
 
 def waves(effect: Effect) -> tuple[Effect, ...]:

@@ -9,6 +9,7 @@ bears what the model lacks (sticking above all) without drifting away.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
@@ -24,6 +25,7 @@ from servolens.identification.error_problem import (
     well_conditioned,
 )
 from servolens.identification.options import FitOptions
+from servolens.identification.phases import synchronised
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -52,6 +54,7 @@ __all__ = [
     "minimise_error",
     "refine",
     "refine_closed_loop",
+    "square_error",
 ]
 
 MOST_ITERATIONS = 60
@@ -178,14 +181,24 @@ def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
 
 
 def error_of(plant: Plant, runs: Sequence[Run]) -> float:
-    """Return the root mean square error of `plant` on `runs` [m or rad]; infinite if it cannot be simulated."""
+    """Return the root mean square error of `plant` on `runs` [m or rad]; infinite if it cannot be simulated.
+
+    Phases that are each record's own are chosen for each run.
+    """
+    squares = 0.0
+    for run in runs:
+        missed = partial(square_error, run)
+        squares += missed(synchronised(plant, missed))
+    return float(np.sqrt(squares / sum(run.measured.size for run in runs)))
+
+
+def square_error(run: Run, plant: Plant) -> float:
+    """Return the sum of the squared differences between `plant` and what was measured; infinite where it fails."""
     try:
-        residuals = [
-            run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured for run in runs
-        ]
+        residual = run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
     except (InputError, NumericalError):
         return float(np.inf)
-    return float(np.sqrt(sum(float(r @ r) for r in residuals) / sum(r.size for r in residuals)))
+    return float(residual @ residual)
 
 
 def minimise_error(

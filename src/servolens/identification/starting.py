@@ -11,7 +11,7 @@ import numpy as np
 from servolens.effects import Seen
 from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
-from servolens.identification.ranking import Thinned, waves
+from servolens.identification.ranking import Thinned, force_rows, record_numbers
 from servolens.identification.regressors import regressor
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
@@ -59,12 +59,15 @@ class Screen:
         The stretches.
     velocity : tuple of ndarray
         Theirs, smoothed.
+    numbers : ndarray of int, shape (segments,)
+        Of each stretch's record.
     thinned : Thinned
         A few thousand samples of them, on which many proposals are compared.
     """
 
     segments: tuple[Segment, ...]
     velocity: tuple[NDArray[np.float64], ...]
+    numbers: NDArray[np.intp]
     thinned: Thinned
 
     @classmethod
@@ -72,7 +75,17 @@ class Screen:
         """Differentiate the positions of `segments`."""
         window = smoothing_window(piece_duration(segments), segments[0].record.sample_time)
         velocity = [smooth(s.time, s.position, min(window, s.time.size))[1] for s in segments]
-        return cls(segments=tuple(segments), velocity=tuple(velocity), thinned=Thinned.of(segments, velocity))
+        return cls(
+            segments=tuple(segments),
+            velocity=tuple(velocity),
+            numbers=record_numbers(segments),
+            thinned=Thinned.of(segments, velocity),
+        )
+
+    @property
+    def records(self) -> int:
+        """How many records the stretches are of."""
+        return int(self.numbers[-1]) + 1
 
     def solve(self, effects: Sequence[Effect]) -> tuple[Plant, float]:
         """Return the plant whose sizes solve the integral equation, and the root mean square of its residual.
@@ -88,7 +101,7 @@ class Screen:
         factor = assemble(self.segments, forces=columns)
         damping, gain, *sizes = (float(v) for v in solve_integral(factor).x)
         samples = sum(s.time.size for s in self.segments)
-        found = [_sized(effect, sizes) for effect in effects]
+        found = [_sized(effect, sizes, self.records) for effect in effects]
         return Plant(gain=gain, damping=damping, effects=tuple(found)), float(abs(factor[-1, -1]) / np.sqrt(samples))
 
     def best_starts(self, plant: Plant, effect: Effect, count: int) -> list[Effect]:
@@ -129,25 +142,20 @@ class Screen:
     def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
         segment = self.segments[i]
         time = segment.record.time[segment.first : segment.first + segment.time.size]
-        rows = []
-        for effect in effects:
-            for variant in waves(effect):
-                law = regressor(type(effect))
-                if law.sizes:
-                    shapes = [getattr(variant, name) for name in law.shapes]
-                    rows.append(law.columns(time, segment.position, self.velocity[i], *shapes))
-        return np.vstack(rows) if rows else np.empty((0, segment.time.size))
+        seen = (time, segment.position, self.velocity[i], self.numbers[i], self.records)
+        return np.concatenate([np.empty((0, time.size)), *(force_rows(effect, *seen) for effect in effects)])
 
 
-def _sized(effect: Effect, sizes: list[float]) -> Effect:
-    """Return `effect` with its sizes, which are taken off the front of `sizes`."""
+def _sized(effect: Effect, sizes: list[float], records: int) -> Effect:
+    """Return `effect` with its sizes, which are taken off the front of `sizes`; its phase is the first record's."""
     names = regressor(type(effect)).sizes
     if not names:
         return effect
     if effect.wave is not None:
         amplitude, phase = effect.wave
-        sine, cosine = sizes.pop(0), sizes.pop(0)
-        return replace(effect, **{amplitude: float(np.hypot(sine, cosine)), phase: float(np.arctan2(cosine, sine))})
+        pairs = [(sizes.pop(0), sizes.pop(0)) for _ in range(records if effect.phase_per_record else 1)]
+        size = float(np.sqrt(np.mean([sine**2 + cosine**2 for sine, cosine in pairs])))
+        return replace(effect, **{amplitude: size, phase: float(np.arctan2(pairs[0][1], pairs[0][0]))})
     specs = {spec.name: spec for spec in effect.parameters()}
     values = {name: float(np.clip(sizes.pop(0), specs[name].low, specs[name].high)) for name in names}
     return replace(effect, **values)
