@@ -13,6 +13,7 @@ from servolens.errors import NumericalError
 from servolens.identification.phases import synchronised
 from servolens.identification.refine import square_error
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
+from servolens.quality.beginning import initial_motion
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     if len(runs) != 1 or runs[0].measured.size != len(record):
         runs = []
     if record.reference is not None and record.controller is not None:
-        runs.append(ClosedRun(record, 0))
+        runs.append(ClosedRun(record, 0, in_motion=initial_motion(record) != 0.0))
     closest = min((_difference(plant, run) for run in runs), key=_size, default=np.array([np.inf]))
     if np.isfinite(closest).all():
         return closest

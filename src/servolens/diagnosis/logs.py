@@ -18,28 +18,34 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["apart", "beyond", "log_findings"]
+__all__ = ["apart", "beyond", "is_blamed", "log_findings"]
 
 FAR_APART = 0.2
 """Relative difference of gains from which on two records are held to be of different axes."""
 BEYOND = 1.3
 """Times the largest command of the training records from which on a record is an extrapolation."""
-BLAMED = {
-    "law_contradicts_log",
-    "gains_contradict_log",
+BLAMED = (
+    "units_contradict",
+    "wrong_sign",
+    "impossible_controller",
+    "onset_missed",
+    "reference_shifted",
     "voltage_shifted",
+    "gains_contradict_log",
+    "law_contradicts_log",
     "clipped_voltage",
     "dead_voltage",
     "encoder_contradicts_log",
     "gaps",
-    "impossible_controller",
     "jitter",
-    "onset_missed",
-    "reference_shifted",
     "voltage_beyond_limit",
-    "wrong_sign",
-}
-"""Findings about a log that may look like physics."""
+)
+"""Findings about a log that may look like physics, the gravest first."""
+
+
+def is_blamed(finding: Finding) -> bool:
+    """Tell whether it warns of something about a log that may look like physics."""
+    return finding.code in BLAMED and finding.severity == "warning"
 
 
 def log_findings(records: Sequence[Record]) -> list[Finding]:
@@ -56,7 +62,7 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
             if finding.severity == "error":
                 raise InputError(f"{record.name}: {finding.message}")
             found.append(replace(finding, record=record.name))
-    return sorted(found, key=lambda f: (f.code not in BLAMED, f.severity != "warning"))
+    return sorted(found, key=lambda f: (not is_blamed(f), BLAMED.index(f.code) if f.code in BLAMED else len(BLAMED)))
 
 
 def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]:

@@ -127,6 +127,10 @@ def _from_diagnosis(data: Mapping[str, Any]) -> Proposal:
     experiment = proposed(plant, rivals, sure, logged, noise=noise)
     if any(rivals.values()):
         reason = "no safe step like those logged would tell the rivals apart"
+    elif any(cause.get("rivals") for cause in data["causes"]):
+        reason = (
+            "the rivals that the diagnosis names give the same records whatever is done: no experiment tells them apart"
+        )
     else:
         reason = "the diagnosis names no rivals, so there is nothing to tell apart"
     return _proposal(plant, experiment, reason)

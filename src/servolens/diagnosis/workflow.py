@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.errors import residual
+from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
-from servolens.diagnosis.logs import beyond, log_findings
+from servolens.diagnosis.logs import beyond, is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import Search, search
 from servolens.effects import CATALOGUE
-from servolens.errors import InputError
+from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from servolens.diagnosis.case import Gains
     from servolens.diagnosis.result import Verdict
@@ -36,6 +36,8 @@ __all__ = ["diagnose"]
 
 PARTLY, PARTLY_OF_LITTLE = 0.7, 0.4
 """Times the error of gain and damping alone up to which causes explain it in part; the same where it is little."""
+BORNE_OUT, OF_ALL = 3.0, 0.02
+"""Times the noise up to which errors elsewhere bear a verdict out; share of what gain and damping alone leave."""
 LITTLE = 0.005
 """Share of the travel up to which an error is little."""
 ALIKE = 10.0
@@ -88,8 +90,18 @@ def diagnose(
     others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
     together((*runs, *others))
     _check_priors(priors or {})
+    _check_copies(runs, others)
     findings = log_findings((*runs, *others))
-    case = Case.of(runs, others, dict(priors or {}))
+    try:
+        return _diagnosed(Case.of(runs, others, dict(priors or {})), findings, progress)
+    except NumericalError:
+        if not findings or not is_blamed(findings[0]):
+            raise
+        raise InputError(f"{findings[0].record}: {findings[0].message}") from None  # rather than what comes of it
+
+
+def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str, int, int], None]) -> Diagnosis:
+    runs, others = case.records, case.heldout
     if case.is_contradictory():  # nothing that one axis has can explain two
         found = Search((case.base,), (), ())
     else:
@@ -126,6 +138,14 @@ def diagnose(
     return replace(diagnosis, next_experiment=proposal)
 
 
+def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:
+    for other in heldout:
+        for record in records:
+            if len(other) == len(record) and np.array_equal(other.position, record.position):
+                same = f"{other.name}, held out, has the very samples of {record.name}, which is fitted"
+                raise InputError(f"{same}; hold out another run")
+
+
 def _check_priors(names: Iterable[str]) -> None:
     known = {f"{effect.name}.{spec.name}" for effect in CATALOGUE.values() for spec in effect.parameters()}
     for name in names:
@@ -152,12 +172,18 @@ def _confirmed(path: tuple[Hypothesis, ...], case: Case) -> tuple[tuple[Hypothes
 
 def _verdict(case: Case, chosen: Hypothesis, gains: Gains) -> Verdict:
     is_curve = sum(effect.bends_with_speed for effect in chosen.plant.effects) > 1
-    if case.is_explained(chosen) and not is_curve:
+    if case.is_explained(chosen) and not is_curve and _is_borne_out(case, gains):
         return "explained" if chosen.causes else "healthy"
     little = gains.of_travel(0) <= LITTLE
     if chosen.causes and gains.tested(-1) <= (PARTLY_OF_LITTLE if little else PARTLY) * gains.tested(0):
         return "partly_explained"
     return "healthy" if little else "unexplained"
+
+
+def _is_borne_out(case: Case, gains: Gains) -> bool:
+    """Tell whether other simulations agree that little is left: in closed loop, and of the records held out."""
+    worst = max(gains.train(-1), gains.tested(-1))
+    return worst <= max(BORNE_OUT * case.trials.noise, OF_ALL * gains.tested(0)) or gains.of_travel(-1) <= LITTLE
 
 
 def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsFit, gains: Gains) -> tuple[Cause, ...]:
@@ -223,9 +249,23 @@ def _rivals(case: Case, found: Search, chosen: Hypothesis, cause: str) -> list[H
     ]
 
 
+def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+    """Yield a finding for each record held out that is far off although those that were fitted are not."""
+    noise = case.trials.noise
+    fitted = max(gains.train(-1), noise)
+    for record, miss in zip(case.heldout, gains.held[-1], strict=False):
+        error = pooled([miss])
+        if error > max(BORNE_OUT * fitted, LITTLE * float(np.ptp(record.position))):
+            message = (
+                f"{record.name}, held out, is {error / noise:.0f} times the noise off, the records that were fitted"
+                f" {fitted / noise:.1f} times; is it of the same axis, load and units?"
+            )
+            yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
+
+
 def _said(case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict) -> list[Finding]:
     """Return what the verdict alone does not say: what is left, what contradicts itself, what was never tried."""
-    said = beyond(case.records, case.heldout)
+    said = [*beyond(case.records, case.heldout), *_strangers(case, gains)]
     if verdict == "healthy" and not case.is_explained(case.base):
         share = f"{100 * gains.of_travel(0):.2g} %"
         message = (

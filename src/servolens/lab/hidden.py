@@ -17,7 +17,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.lab.foreign import FOREIGN
 from servolens.lab.scene import NOISES, draw_scene, log_uniform
-from servolens.lab.search import Search, law, noises, sane_run
+from servolens.lab.search import Search, heard, law, noises, sane_run
 from servolens.lab.sizes import SIZES
 from servolens.record import Record
 
@@ -157,7 +157,7 @@ def _measured(
     truth, odd = law(scene, key, found.look.sizes)
     count, runs = len(scene.training), list(found.look.runs)
     for i, bench in enumerate(scene.heldout, start=count):
-        run = sane_run(truth, bench, noises(scene, key, i), odd(i), scene.step)
+        run = sane_run(heard(truth, key, i), bench, noises(scene, key, i), odd(i), scene.step)
         if run is None:
             return None
         runs.append(run)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["Found", "Look", "Search", "law", "noises", "sane_run"]
+__all__ = ["Found", "Look", "Search", "heard", "law", "noises", "sane_run"]
 
 CLOSE = 0.12
 """Distance of the logarithm of visibility at which the search for a size ends."""
@@ -102,7 +103,7 @@ class Search:
         truth, odd = law(scene, self._key, sizes)
         runs = []
         for i, bench in enumerate(scene.training):
-            run = sane_run(truth, bench, noises(scene, self._key, i), odd(i), scene.step)
+            run = sane_run(heard(truth, self._key, i), bench, noises(scene, self._key, i), odd(i), scene.step)
             if run is None:
                 return None
             runs.append(run)
@@ -151,6 +152,15 @@ def law(scene: Scene, key: tuple[int, int], sizes: Mapping[str, float]) -> tuple
         return truth, lambda _: None
     law, size = FOREIGN[odd], sizes[odd]
     return truth, lambda i: law.make(scene, size, np.random.default_rng([*key, 3]), np.random.default_rng([*key, 4, i]))
+
+
+def heard(truth: Truth, key: tuple[int, int], i: int) -> Truth:
+    """Return `truth` as run `i` meets it: what swings nearby does so with another phase in every run but the first."""
+    own = truth.effects.get("periodic_disturbance")
+    if own is None or i == 0:
+        return truth
+    phase = float(np.random.default_rng([*key, 5, i]).uniform(-math.pi, math.pi))
+    return replace(truth, effects={**truth.effects, "periodic_disturbance": {**own, "phase": phase}})
 
 
 def noises(scene: Scene, key: tuple[int, int], i: int) -> Array:

@@ -88,7 +88,7 @@ def assess(record: Record) -> RecordQuality:
     ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
     ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
     ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``gains_unknown``, ``no_reference``,
-    ``onset_missed``, ``reference_shifted``, ``voltage_reconstructed``.
+    ``onset_missed``, ``reference_shifted``, ``units_contradict``, ``voltage_reconstructed``.
 
     Examples
     --------

@@ -28,6 +28,8 @@ RINGING = 0.02
 MISFIT = 0.1
 """Share of the voltage beyond which no gains are said to fit it."""
 DIFFERENCE = 0.01
+SAME = 0.01
+"""Relative difference up to which a factor is a power of ten."""
 """Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much."""
 
 
@@ -155,9 +157,11 @@ def _law(record: Record, fit: LoopFit) -> Iterator[Finding]:
         )
         yield Finding(code="law_contradicts_log", severity="warning", message=message)
     elif fit.difference > max(DIFFERENCE, 0.5 * fit.misfit, 2 * fit.rounding):
-        message = (
-            f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}; correct the stated gains."
-        )
+        power = round(math.log10(abs(fit.kp / stated.kp))) if fit.kp * stated.kp > 0 else 0
+        cure = "correct the stated gains"
+        if power and abs(fit.kp / stated.kp / 10.0**power - 1.0) < SAME:
+            cure = f"the voltage is 10^{power} times that of the law: state its unit, as mV, or that of the gains"
+        message = f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}; {cure}."
         yield Finding(code="gains_contradict_log", severity="warning", message=message)
 
 

@@ -21,6 +21,16 @@ if TYPE_CHECKING:
 
 __all__ = ["motion_findings"]
 
+CLOSE = 0.1
+UNITS = (
+    (1e3, "one is in thousandths of the other's unit, as mm and m"),
+    (1e-3, "one is in thousandths of the other's unit, as mm and m"),
+    (100.0, "one is in hundredths of the other's unit, as cm and m"),
+    (0.01, "one is in hundredths of the other's unit, as cm and m"),
+    (180.0 / np.pi, "one is in degrees, the other in radians"),
+    (np.pi / 180.0, "one is in degrees, the other in radians"),
+)
+"""Ratios of position and reference that units explain, within a tenth."""
 MOST_SEGMENTS = 500
 """A reference with more edges than this is a trajectory, not a series of steps."""
 
@@ -32,6 +42,7 @@ def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
         yield excitation
     if excitation is not None and excitation.severity == "error":
         return
+    yield from _units(record)
     yield from _freezing(record, seen)
     yield from _against(record, seen)
     yield from _growing(record, seen)
@@ -55,6 +66,25 @@ def _excitation(record: Record, seen: Sampling) -> Finding | None:
         message = f"{travel}, {seen.travel / largest:.0f} times noise or encoder step; 50 times and more tell the gain."
         return Finding(code="weak_excitation", severity="warning", message=message)
     return None
+
+
+def _units(record: Record) -> Iterator[Finding]:
+    """Yield a position that comes to rest at its targets times what one unit is of another."""
+    edges = record.edges()
+    if record.reference is None or edges.size > MOST_SEGMENTS:
+        return
+    ends = np.array([*edges, len(record)]) - 1
+    target, reached = record.reference[ends], record.position[ends]
+    if not target.any():
+        return
+    weight = target / float(np.max(np.abs(target)))
+    ratio = float(weight @ reached) / float(weight @ target)
+    for factor, what in UNITS:
+        if abs(ratio / factor - 1.0) < CLOSE:
+            message = (
+                f"the position comes to rest at {ratio:.4g} times its reference: {what}; state the unit of each column."
+            )
+            yield Finding(code="units_contradict", severity="warning", message=message)
 
 
 def _freezing(record: Record, seen: Sampling) -> Iterator[Finding]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from servolens.diagnosis.logs import is_blamed
 from servolens.summaries.wording import listed, number, percent, plus_minus, scale, unit
 from servolens.summary import Summary, Table
 
@@ -60,7 +61,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
     diagnosis : Diagnosis
         Of one axis.
     """
-    sentences = [_verdict(diagnosis), *_left(diagnosis)]
+    sentences = [*_first_the_log(diagnosis), _verdict(diagnosis), *_left(diagnosis)]
     for cause in diagnosis.causes:
         sentences += _advice(cause, diagnosis)
     sentences += _next(diagnosis)
@@ -136,14 +137,20 @@ def cause_phrase(cause: Cause) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     """Return the sentence that matters most."""
     unit_ = diagnosis.plant.length_unit
+    if diagnosis.verdict == "healthy" and any(finding.code == "small_remainder" for finding in diagnosis.findings):
+        return (
+            f"Gain and damping leave {_length(_error(diagnosis, after=False), unit_)}{_data(diagnosis)}, more than the"
+            f" noise of {_length(diagnosis.noise_floor, unit_)} but little: nothing in the catalogue explains it."
+        )
     if diagnosis.verdict == "healthy":
         return (
             f"Gain and damping explain these records down to their noise, {_length(diagnosis.noise_floor, unit_)}:"
             " nothing else is wrong that they could show."
         )
     if diagnosis.verdict == "unexplained":
+        where, error = (f"{_where(diagnosis)}n", "it") if _where(diagnosis) else ("N", "the error")
         return (
-            f"{_where(diagnosis)}nothing in the catalogue explains it: a model of gain and damping is"
+            f"{where}othing in the catalogue explains {error}: a model of gain and damping is"
             f" {_length(_error(diagnosis, after=False), unit_)} off{_data(diagnosis)}, and no effect that was tried"
             " makes that much better."
         )
@@ -151,7 +158,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     causes = [cause_phrase(cause) for cause in diagnosis.causes]
     what = "cause is" if len(causes) == 1 else "causes are"
     names = listed(causes) if len(causes) > 1 else causes[0]
-    start = f"{_where(diagnosis)}the {what} " if not part else f"{_where(diagnosis)}part of it is explained by "
+    start = f"{_where(diagnosis)}the {what} " if not part else _part(diagnosis)
     before, after = (_error(diagnosis, after=flag) for flag in (False, True))
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
     return _capital(
@@ -160,11 +167,29 @@ def _verdict(diagnosis: Diagnosis) -> str:
     )
 
 
+def _first_the_log(diagnosis: Diagnosis) -> list[str]:
+    """Say what the logs themselves have wrong, before physics is blamed."""
+    blamed = [finding for finding in diagnosis.findings if is_blamed(finding)]
+    if not blamed:
+        return []
+    kinds = {finding.code for finding in blamed}
+    more = f" ({len(blamed) - 1} more such doubts below)" if len(blamed) > 1 else ""
+    lead = "First the log" if len(kinds) == 1 else "First the logs"
+    return [f"{lead}: {blamed[0].record}: {blamed[0].message.rstrip('.')}{more}. What follows may come of it."]
+
+
+def _part(diagnosis: Diagnosis) -> str:
+    where = _where(diagnosis)
+    return f"{where}part of it is explained by " if where else "part of the error is explained by "
+
+
 def _left(diagnosis: Diagnosis) -> list[str]:
     """Say what remains, where something does."""
     if diagnosis.verdict not in ("partly_explained", "unexplained"):
         return []
     unit_, floor = diagnosis.plant.length_unit, diagnosis.noise_floor
+    if diagnosis.remainder < floor:
+        return ["What was fitted is explained, other records are not: see the doubts below."]
     share = f", {number(diagnosis.remainder / floor, 2)} times the noise of {_length(floor, unit_)}" if floor else ""
     rest = f"What remains, {_length(diagnosis.remainder, unit_)}{share}, is no noise"
     if diagnosis.verdict == "partly_explained":
