@@ -13,6 +13,7 @@ from servolens.errors import NumericalError
 from servolens.identification.phases import synchronised
 from servolens.identification.refine import square_error
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
+from servolens.identification.segments import noise_level
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.rates import substeps_for
 
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["pooled", "residual", "rotated"]
 
-SETTLED = 3
-"""Steps in which an unknown initial state is found."""
+SETTLED, SURE, SMOOTHED = 3, 3.0, 12.0
+"""Steps in which an initial state is found, and its standard errors within which; samples that a velocity is as of."""
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
 
@@ -46,28 +47,32 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
         runs = []
     if record.reference is not None and record.controller is not None:
         runs.append(ClosedRun(record, 0, in_motion=initial_motion(record) != 0.0))
-    closest = min((_difference(plant, run) for run in runs), key=_size, default=np.array([np.inf]))
+    noise = noise_level(record)
+    closest = min((_difference(plant, run, noise) for run in runs), key=_size, default=np.array([np.inf]))
     if np.isfinite(closest).all():
         return closest
-    return _difference(plant, TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record]))))
+    return _difference(plant, TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record]))), noise)
 
 
-def _difference(plant: Plant, run: Run) -> NDArray[np.float64]:
-    """Return simulated minus measured position, with what the record alone has fitted: initial velocity and phases."""
+def _difference(plant: Plant, run: Run, noise: float) -> NDArray[np.float64]:
+    """Return simulated minus measured position.
+
+    What only the record can know is fitted: phases, and the initial state within its own errors.
+    """
     plant = synchronised(plant, partial(square_error, run))
     substeps, start = substeps_for(plant, run.sample_time), run.start
+    reach = SURE * noise * np.array([1.0, 1.0 / (SMOOTHED * run.sample_time)])[: start.size]
 
     def at(start: NDArray[np.float64]) -> NDArray[np.float64]:
         return run.simulated(plant, start, substeps) - run.measured
 
     try:
         found = at(start)
-        if start.size < 2:
-            return found
-        for _ in range(SETTLED):
+        for _ in range(SETTLED if start.size else 0):
             moves = np.diag(run.shifts)
             slopes = np.column_stack([(at(start + m) - at(start - m)) / (2.0 * m.sum()) for m in moves])
             further = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
+            further = np.clip(further, run.start - reach, run.start + reach)
             better = at(further)
             if _size(better) >= _size(found):
                 break

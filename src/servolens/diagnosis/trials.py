@@ -190,7 +190,10 @@ class Trials:
         except (InputError, NumericalError):
             return None
         best: Hypothesis | None = None
-        for start, iterations in (*starts, *((start, SECOND) for start in _swapped(plant, cls))):
+        for start, iterations in (
+            *starts,
+            *((start, SECOND) for start in _swapped(plant, cls, loop_rate(plant, self.records))),
+        ):
             found = self.fitted(start, iterations)
             if found is not None and (best is None or found.error < best.error):
                 best = found
@@ -228,17 +231,20 @@ class Trials:
         return starts
 
 
-def _swapped(plant: Plant, cls: type[Effect]) -> list[Plant]:
+def _swapped(plant: Plant, cls: type[Effect], loop: float) -> list[Plant]:
     """Return plants in which a lag is what seemed to be damping, and the damping is quicker.
 
     A linear axis is the same with the two exchanged; not so one whose force is limited. The way from here is long.
+    Where no damping is left to be seen, the lag is as slow as the `loop` [rad/s].
     """
-    if not cls.passes_for_damping or plant.damping <= 0.0 or all(effect.linear for effect in plant.effects):
+    if not cls.passes_for_damping or all(effect.linear for effect in plant.effects):
         return []
-    lag = cls(**{spec.name: 1.0 / plant.damping for spec in cls.parameters()})
-    return [
-        replace(plant, gain=times * plant.gain, damping=times * plant.damping).with_effect(lag) for times in (5.0, 50.0)
-    ]
+    found = []
+    for rate in (plant.damping,) if plant.damping > 0.1 * loop else (loop, 4.0 * loop):
+        lag = cls(**{spec.name: 1.0 / rate for spec in cls.parameters()})
+        quicker = ((times * plant.gain, times * rate) for times in (5.0, 50.0))
+        found += [replace(plant, gain=gain, damping=damping).with_effect(lag) for gain, damping in quicker]
+    return found
 
 
 def loop_rate(plant: Plant, records: Sequence[Record]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,8 +19,8 @@ __all__ = ["beginning_findings", "initial_motion"]
 
 BEGINNING = (24, 12)
 """Samples that tell whether a record begins in motion."""
-AGREES = 0.3
-"""Relative difference up to which two initial velocities are the same."""
+AGREES, ROUGH = 0.3, 2.0
+"""Relative difference up to which two initial velocities are the same; times the noise that a cubic may miss."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 FAST = 0.05
@@ -31,7 +32,8 @@ EARLY = 0.01
 def initial_motion(record: Record) -> float:
     """Return the velocity at the first sample [m/s or rad/s]; 0 where it is within its errors, or none can be told.
 
-    Of cubics through the first samples, many and few: those of an axis that is pushed off at once do not agree.
+    Of cubics through the first samples, many and few: of an axis that is pushed off at once they do not agree, or miss
+    the samples by more than the noise.
     """
     many, few = (_initial_velocity(record, min(count, len(record))) for count in BEGINNING)
     return few if abs(many - few) <= AGREES * abs(many) else 0.0
@@ -43,7 +45,11 @@ def _initial_velocity(record: Record, count: int) -> float:
     cubic = np.vander(span, min(4, count - 1), increasing=True)
     y = record.position[:count]
     found, *_ = np.linalg.lstsq(cubic, y, rcond=None)
-    scatter = float(np.sqrt(np.mean((y - cubic @ found) ** 2))) + (record.encoder_resolution or 0.0)
+    missed, step = float(np.sqrt(np.mean((y - cubic @ found) ** 2))), record.encoder_resolution or 0.0
+    noise = 1.4826 * float(np.median(np.abs(np.diff(record.position, 3)))) / math.sqrt(20.0)
+    if missed > ROUGH * (noise + step) + 1e-6 * float(np.ptp(record.position)):
+        return 0.0
+    scatter = missed + step
     error = scatter * float(np.sqrt(np.linalg.inv(cubic.T @ cubic)[1, 1]))
     return float(found[1]) / duration if abs(found[1]) > MOVES * error + 1e-12 else 0.0
 
