@@ -226,3 +226,48 @@ def test_single_effects_are_listed_once():
     campaign = lab.hidden_campaign(SEED + 8, effects=["return_spring"], visibility=30.0)
     names = [candidate.effects for candidate in diagnose(campaign.records, heldout=campaign.heldout).candidates]
     assert len(names) == len(set(names)) > 15
+
+
+def test_what_swings_nearby_has_another_phase_in_every_record():
+    def shaken(phase, kp):
+        effects = {"periodic_disturbance": {"amplitude": 0.4, "frequency": 7.3, "phase": phase}}
+        return lab.step_record(lab.Truth(gain=1.9, damping=6.0, effects=effects), kp, noise=1e-5, seed=kp)
+
+    records = [shaken(phase, kp) for phase, kp in ((0.4, 40), (2.5, 80), (-1.9, 60))]
+    diagnosis = diagnose(records[:2], heldout=records[2])
+    (cause,) = diagnosis.causes
+    assert (diagnosis.verdict, cause.effect) == ("explained", "periodic_disturbance")
+    assert cause.quantities["amplitude"].value == pytest.approx(0.4, rel=0.01)
+    assert cause.quantities["frequency"].value == pytest.approx(7.3, rel=0.001)
+    assert cause.quantities["phase"].value == pytest.approx(0.4, abs=0.05)
+    assert diagnosis.extended.heldout_rms_error < 1.2 * diagnosis.noise_floor
+
+
+def test_held_out_record_of_another_axis_is_no_sign_of_health():
+    near = steps_of(lab.LM1, [(40, 0), (80, 0)])
+    stranger = lab.step_record(lab.Truth(gain=1.2, damping=9.0), 60, noise=1e-5, seed=1)
+    diagnosis = diagnose(near, heldout=stranger)
+    assert diagnosis.verdict == "unexplained"
+    assert diagnosis.causes == ()
+    (said,) = [finding for finding in diagnosis.findings if finding.code == "heldout_contradicts"]
+    assert "is it of the same axis" in said.message
+
+
+def test_record_that_is_fitted_is_not_held_out_again():
+    record = lab.step_record(lab.LM1, 60, noise=1e-5, seed=1)
+    with pytest.raises(InputError, match="has the very samples of"):
+        diagnose(record, heldout=record)
+
+
+def test_wrong_sign_is_said_first():
+    record = lab.step_record(lab.LM1, 60, noise=1e-5, seed=1)
+    assert diagnose(record.with_({"voltage": -np.asarray(record.voltage)})).findings[0].code == "wrong_sign"
+
+
+def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
+    cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    records = [lab.step_record(cart, kp, noise=1e-5, seed=kp).slice(0.025, 1.4) for kp in (40, 80, 60)]
+    diagnosis = diagnose(records[:2], heldout=records[2])
+    assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
+    assert diagnosis.extended.heldout_rms_error < 4 * diagnosis.noise_floor < 0.1 * diagnosis.baseline.heldout_rms_error
+    assert diagnosis.findings[0].code == "onset_missed"

@@ -480,3 +480,18 @@ def test_reference_that_is_logged_late_is_said(late):
 def test_onset_within_the_record_is_not_missed(edge, delay):
     for kp in (20.0, 60.0, 150.0):
         assert codes(simulated(edge=edge, delay=delay, kp=kp, noise=1e-6)) == []
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm and m"), (180.0 / math.pi, "degrees"), (0.01, "cm and m")])
+def test_position_in_another_unit_than_its_reference_is_said(factor, unit):
+    record = simulated(noise=1e-6, kp=150.0)
+    found = [f for f in check(record.with_({"position": factor * record.position})) if f.code == "units_contradict"]
+    assert len(found) == 1
+    assert unit in found[0].message
+
+
+def test_voltage_in_another_unit_is_not_blamed_on_the_gains():
+    record = simulated(noise=1e-6)
+    finding = only(record.with_({"voltage": 1e3 * record.voltage}))
+    assert finding.code == "gains_contradict_log"
+    assert "10^3 times" in finding.message

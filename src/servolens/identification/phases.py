@@ -24,8 +24,9 @@ def own_phases(plant: Plant) -> tuple[str, ...]:
 
 
 def round_the_circle(phase: float) -> list[float]:
-    """Return phases evenly round the circle, `phase` first."""
-    return [phase + 2.0 * np.pi / TRIED * number for number in range(TRIED)]
+    """Return phases evenly round the circle from -π to π, `phase` first."""
+    turned = phase + 2.0 * np.pi / TRIED * np.arange(TRIED)
+    return [float(one) for one in (turned + np.pi) % (2.0 * np.pi) - np.pi]
 
 
 def synchronised(plant: Plant, miss: Callable[[Plant], float]) -> Plant:
