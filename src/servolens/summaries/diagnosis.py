@@ -66,8 +66,9 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         sentences += _advice(cause, diagnosis)
     sentences += _next(diagnosis)
     tables = [_causes(diagnosis)] if diagnosis.causes else []
+    names = listed([record.name for record in diagnosis.records])
     return Summary(
-        title=f"Diagnosis of {listed([record.name for record in diagnosis.records])}",
+        title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
         tables=(*tables, _records(diagnosis), *_candidates(diagnosis)),
         findings=diagnosis.findings,
