@@ -264,7 +264,7 @@ def _causes(diagnosis: Diagnosis) -> Table:
             first = i == 0
             rows.append(
                 (
-                    f"{cause.effect}.{name}",
+                    f"{cause.effect} {name}",
                     plus_minus(quantity),
                     unit(quantity.unit) if quantity.unit != "1" else "",
                     percent(100 * cause.confidence) if first else "",
