@@ -271,3 +271,15 @@ def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
     assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
     assert diagnosis.extended.heldout_rms_error < 4 * diagnosis.noise_floor < 0.1 * diagnosis.baseline.heldout_rms_error
     assert diagnosis.findings[0].code == "onset_missed"
+
+
+def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_most():
+    def rubbing(level, kp):
+        cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": level}})
+        return lab.step_record(cart, kp, reference=(0.1, 0.0), noise=1e-5, seed=kp)
+
+    records, drier = [rubbing(0.4, 40), rubbing(0.4, 80)], rubbing(0.45, 60)
+    diagnosis = diagnose(records, heldout=drier)
+    assert diagnosis.verdict == "partly_explained"
+    assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
+    assert "heldout_contradicts" in {finding.code for finding in diagnosis.findings}

@@ -172,7 +172,7 @@ def _confirmed(path: tuple[Hypothesis, ...], case: Case) -> tuple[tuple[Hypothes
 
 def _verdict(case: Case, chosen: Hypothesis, gains: Gains) -> Verdict:
     is_curve = sum(effect.bends_with_speed for effect in chosen.plant.effects) > 1
-    if case.is_explained(chosen) and not is_curve and _is_borne_out(case, gains):
+    if case.is_explained(chosen) and not is_curve and _is_borne_out(case, chosen, gains):
         return "explained" if chosen.causes else "healthy"
     little = gains.of_travel(0) <= LITTLE
     if chosen.causes and gains.tested(-1) <= (PARTLY_OF_LITTLE if little else PARTLY) * gains.tested(0):
@@ -180,10 +180,12 @@ def _verdict(case: Case, chosen: Hypothesis, gains: Gains) -> Verdict:
     return "healthy" if little else "unexplained"
 
 
-def _is_borne_out(case: Case, gains: Gains) -> bool:
-    """Tell whether other simulations agree that little is left: in closed loop, and of the records held out."""
+def _is_borne_out(case: Case, chosen: Hypothesis, gains: Gains) -> bool:
+    """Tell whether other simulations agree that nothing is left: in closed loop, and of the records held out."""
+    if not chosen.causes and gains.of_travel(-1) <= LITTLE:
+        return True
     worst = max(gains.train(-1), gains.tested(-1))
-    return worst <= max(BORNE_OUT * case.trials.noise, OF_ALL * gains.tested(0)) or gains.of_travel(-1) <= LITTLE
+    return worst <= max(BORNE_OUT * case.trials.noise, OF_ALL * gains.tested(0))
 
 
 def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsFit, gains: Gains) -> tuple[Cause, ...]:
@@ -249,13 +251,14 @@ def _rivals(case: Case, found: Search, chosen: Hypothesis, cause: str) -> list[H
     ]
 
 
-def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+def _strangers(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding]:
     """Yield a finding for each record held out that is far off although those that were fitted are not."""
     noise = case.trials.noise
     fitted = max(gains.train(-1), noise)
     for record, miss in zip(case.heldout, gains.held[-1], strict=False):
         error = pooled([miss])
-        if error > max(BORNE_OUT * fitted, LITTLE * float(np.ptp(record.position))):
+        little = 0.0 if chosen.causes else LITTLE * float(np.ptp(record.position))
+        if error > max(BORNE_OUT * fitted, little):
             message = (
                 f"{record.name}, held out, is {error / noise:.0f} times the noise off, the records that were fitted"
                 f" {fitted / noise:.1f} times; is it of the same axis, load and units?"
@@ -265,7 +268,7 @@ def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
 
 def _said(case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict) -> list[Finding]:
     """Return what the verdict alone does not say: what is left, what contradicts itself, what was never tried."""
-    said = [*beyond(case.records, case.heldout), *_strangers(case, gains)]
+    said = [*beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
     if verdict == "healthy" and not case.is_explained(case.base):
         share = f"{100 * gains.of_travel(0):.2g} %"
         message = (
