@@ -13,6 +13,7 @@ from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
 from servolens.errors import InputError
 from servolens.simulation import simulate_voltage
+from servolens.summaries import diagnosis_summary
 
 SEED = 9000
 TWINS = {"actuator_lag": {"sensor_lag"}, "sensor_lag": {"actuator_lag"}}
@@ -251,6 +252,7 @@ def test_held_out_record_of_another_axis_is_no_sign_of_health():
     assert diagnosis.causes == ()
     (said,) = [finding for finding in diagnosis.findings if finding.code == "heldout_contradicts"]
     assert "is it of the same axis" in said.message
+    assert "Records that were held out are much farther off" in " ".join(diagnosis_summary(diagnosis).sentences)
 
 
 def test_record_that_is_fitted_is_not_held_out_again():

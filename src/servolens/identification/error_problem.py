@@ -127,7 +127,7 @@ class Problem:
             values[k] = phase
             trial = [(i, _Trial(values, point.starts[i])) for i, run in enumerate(self.runs) if run.group == group]
             missed.append(sum(np.inf if r is None else self._loss(r) for r in self._evaluate(trial)))
-        return float(phases[int(np.argmin(missed))])
+        return phases[int(np.argmin(missed))]
 
     def plant_at(self, values: NDArray[np.float64], i: int) -> Plant:
         """Return the plant of run `i`."""

@@ -29,7 +29,6 @@ __all__ = [
     "TetheredRun",
     "VoltageRun",
     "closed_runs",
-    "initial_velocity",
     "tether",
     "voltage_runs",
 ]
@@ -224,12 +223,6 @@ def rest(record: Record) -> int:
     count = min(int(edges[0]), LEAD) if edges.size else 1
     still = 6.0 * noise_level(record) + 2.0 * (record.encoder_resolution or 0.0)
     return count if float(np.ptp(record.position[:count])) <= still else 1
-
-
-def initial_velocity(record: Record) -> float:
-    """Return the velocity at the first sample, of a cubic through the first twelve [m/s or rad/s]."""
-    count = min(12, len(record))
-    return float(np.polyfit(record.time[:count] - record.time[0], record.position[:count], min(3, count - 1))[-2])
 
 
 def _moving(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servolens.findings import Finding
+from servolens.quality.sampling import white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,8 +46,7 @@ def _initial_velocity(record: Record, count: int) -> float:
     y = record.position[:count]
     found, *_ = np.linalg.lstsq(cubic, y, rcond=None)
     missed, step = float(np.sqrt(np.mean((y - cubic @ found) ** 2))), record.encoder_resolution or 0.0
-    noise = 1.4826 * float(np.median(np.abs(np.diff(record.position, 3)))) / math.sqrt(20.0)
-    if missed > ROUGH * (noise + step) + 1e-6 * float(np.ptp(record.position)):
+    if missed > ROUGH * (white_noise(record.position) + step) + 1e-6 * float(np.ptp(record.position)):
         return 0.0
     scatter = missed + step
     error = scatter * float(np.sqrt(np.linalg.inv(cubic.T @ cubic)[1, 1]))

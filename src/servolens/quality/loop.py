@@ -28,9 +28,9 @@ RINGING = 0.02
 MISFIT = 0.1
 """Share of the voltage beyond which no gains are said to fit it."""
 DIFFERENCE = 0.01
+"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much."""
 SAME = 0.01
 """Relative difference up to which a factor is a power of ten."""
-"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much."""
 
 
 @final

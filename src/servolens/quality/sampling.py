@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Sampling", "measure", "sampling_findings"]
+__all__ = ["Sampling", "measure", "sampling_findings", "white_noise"]
 
 FEWEST_SAMPLES = 20
 """Five samples for each of the four unknowns of the smallest model."""
@@ -78,7 +78,7 @@ def measure(record: Record) -> Sampling:
         lost=int(np.sum(np.rint(intervals[gaps] / h) - 1)),
         gaps=gaps.size,
         first_gap=int(gaps[0]) + 1 if gaps.size else 0,
-        noise=_noise(y),
+        noise=white_noise(y),
         step=quantisation_step(y),
         travel=float(np.ptp(y)),
         top_speed=float(np.max(np.abs(y[span:] - y[:-span]) / (record.time[span:] - record.time[:-span]))),
@@ -176,7 +176,8 @@ def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(moves[:: max(moves.size // MOST_DIFFERENCES, 1)])
 
 
-def _noise(position: NDArray[np.float64]) -> float:
+def white_noise(position: NDArray[np.float64]) -> float:
+    """Return the standard deviation of the white noise in `position`, 0 where there are too few samples [m or rad]."""
     if position.size < FEWEST_SAMPLES:
         return 0.0
     return float(1.4826 * np.median(np.abs(np.diff(position, 3))) / np.sqrt(20.0))

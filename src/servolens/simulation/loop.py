@@ -152,8 +152,9 @@ def simulate_loop(
     """
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
-    settings = [*_loop_settings(controller, _sample_time(grid)), resolution, ANY_NUMBER]
-    count = substeps or substeps_for(plant, _sample_time(grid))
+    period = _sample_time(grid)
+    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER]
+    count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
 

@@ -149,9 +149,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " nothing else is wrong that they could show."
         )
     if diagnosis.verdict == "unexplained":
-        where, error = (f"{_where(diagnosis)}n", "it") if _where(diagnosis) else ("N", "the error")
-        return (
-            f"{where}othing in the catalogue explains {error}: a model of gain and damping is"
+        where = _where(diagnosis)
+        return _capital(
+            f"{where}nothing in the catalogue explains {'it' if where else 'the error'}: a model of gain and damping is"
             f" {_length(_error(diagnosis, after=False), unit_)} off{_data(diagnosis)}, and no effect that was tried"
             " makes that much better."
         )
@@ -173,10 +173,8 @@ def _first_the_log(diagnosis: Diagnosis) -> list[str]:
     blamed = [finding for finding in diagnosis.findings if is_blamed(finding)]
     if not blamed:
         return []
-    kinds = {finding.code for finding in blamed}
     more = f" ({len(blamed) - 1} more such doubts below)" if len(blamed) > 1 else ""
-    lead = "First the log" if len(kinds) == 1 else "First the logs"
-    return [f"{lead}: {blamed[0].record}: {blamed[0].message.rstrip('.')}{more}. What follows may come of it."]
+    return [f"First the log: {blamed[0].record}: {blamed[0].message.rstrip('.')}{more}. What follows may come of it."]
 
 
 def _part(diagnosis: Diagnosis) -> str:
@@ -189,8 +187,10 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict not in ("partly_explained", "unexplained"):
         return []
     unit_, floor = diagnosis.plant.length_unit, diagnosis.noise_floor
-    if diagnosis.remainder < floor:
-        return ["What was fitted is explained, other records are not: see the doubts below."]
+    if any(finding.code == "heldout_contradicts" for finding in diagnosis.findings):
+        return ["Records that were held out are much farther off than those that were fitted: see the doubts below."]
+    if diagnosis.remainder == 0.0:
+        return ["Driven by their voltage the records leave nothing but noise, but that is not borne out otherwise."]
     share = f", {number(diagnosis.remainder / floor, 2)} times the noise of {_length(floor, unit_)}" if floor else ""
     rest = f"What remains, {_length(diagnosis.remainder, unit_)}{share}, is no noise"
     if diagnosis.verdict == "partly_explained":
