@@ -142,7 +142,7 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
         return []
     substeps, n = substeps_for(CART, PERIOD), grid.size
     mine, theirs = [np.empty((3, n)), np.empty(n)], [np.empty(n) for _ in range(4)]
-    settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, PERIOD, 0.0, 0.0])
+    settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, PERIOD, *[0.0] * 4])
     start, held, numbers = np.zeros(2), np.zeros(n), np.array(CART.values)
     compiled, done = native(CART.structure).run, ctypes.c_int64()
     given = (grid, held, levels, settings, start, numbers, *mine)

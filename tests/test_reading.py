@@ -68,12 +68,13 @@ def refusal(path, **options):
 def test_example_of_the_manual(write):
     path = write(
         "# name = cart, kp 60\n# kp = 60 V/m\n# kd = 0 V s/m\n# encoder_resolution = 1e-5 m\n# voltage_limit = 10 V\n"
-        "# derivative_filter = 0.3\ntime [s],reference [m],position [m],voltage [V]\n0.000,0.1,0.0,6.0\n0.001,0.1,0,6\n"
+        "# voltage_before = 500 mV\n# derivative_filter = 0.3\n"
+        "time [s],reference [m],position [m],voltage [V]\n0.000,0.1,0.0,6.0\n0.001,0.1,0,6\n"
     )
     record = read_record(path)
     assert record.name == "cart, kp 60"
     assert record.controller == Controller(kp=60.0, kd=0.0, derivative_filter=0.3)
-    assert (record.encoder_resolution, record.voltage_limit) == (1e-5, 10.0)
+    assert (record.encoder_resolution, record.voltage_limit, record.voltage_before) == (1e-5, 10.0, 0.5)
     assert (record.length_unit, record.command_unit) == ("m", "V")
     assert record.voltage.tolist() == [6.0, 6.0]
     assert record.remarks == ()

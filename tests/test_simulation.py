@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from servolens.effects import CoulombFriction, Saturation, SensorLag, VelocityDecayDamping
+from servolens.effects import ActuatorLag, CoulombFriction, Delay, Saturation, SensorLag, VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
@@ -279,3 +279,26 @@ def test_a_damaged_cache_is_replaced(tmp_path) -> None:
     again = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert again.stdout == first.stdout
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_nothing_is_applied_before_where_the_record_says_so(closed):
+    time = np.arange(301) * 1e-3
+    plant = Plant(gain=2.0, damping=0.0).with_effect(Delay(time=0.0305))
+    held = 3.0 + np.zeros(time.size)
+    if closed:  # so slow that the voltage stays what it is
+        record = Record(time=time, position=0 * time, reference=3e9 + 0 * time, controller=Controller(kp=1e-9))
+    else:
+        record = Record(time=time, position=0 * time, voltage=held)
+    always = simulate(plant, record).position
+    then = simulate(plant, record.with_({"voltage_before": 0.0})).position
+    push = 2.0 * 3.0
+    np.testing.assert_allclose(always, 0.5 * push * time**2, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(then, 0.5 * push * np.maximum(time - 0.0305, 0.0) ** 2, rtol=1e-8, atol=1e-12)
+
+
+def test_lag_begins_at_what_was_applied_before():
+    time, lag = np.arange(201) * 1e-3, 0.02
+    plant = Plant(gain=1.0, damping=0.0).with_effect(ActuatorLag(time_constant=lag))
+    velocity = simulate_voltage(plant, time, np.ones(time.size), before=-1.0).velocity
+    np.testing.assert_allclose(velocity, time - 2.0 * lag * (1.0 - np.exp(-time / lag)), atol=1e-9)

@@ -117,6 +117,8 @@ class Record:
         Smallest step of the position sensor [m or rad], positive.
     voltage_limit : float, optional
         The amplifier's limit [`command_unit`], positive.
+    voltage_before : float, optional
+        What was applied before the first sample [`command_unit`]; None takes the first voltage for it.
     name, source : str
         What people call the record; where it came from.
     length_unit : {"m", "rad"}
@@ -146,6 +148,7 @@ class Record:
     controller: Controller | None = None
     encoder_resolution: float | None = None
     voltage_limit: float | None = None
+    voltage_before: float | None = None
     name: str = "record"
     source: str = ""
     length_unit: LengthUnit = "m"
@@ -181,6 +184,9 @@ class Record:
                 value is None or (np.isfinite(value) and value > 0),
                 f"{self.name}: {quantity} must be positive, got {value!r}",
             )
+
+        before = self.voltage_before
+        _require(before is None or np.isfinite(before), f"{self.name}: voltage_before must be finite, got {before!r}")
 
     def __len__(self) -> int:
         return self.time.size
@@ -287,7 +293,7 @@ class Record:
 
     def _take(self, first: int, last: int) -> Record:
         parts = {s: v[first:last] for s in SIGNALS if (v := getattr(self, s)) is not None}
-        return replace(self, **parts)
+        return replace(self, **parts, voltage_before=self.voltage_before if first == 0 else None)
 
     def _lead(self) -> int:
         """Count the samples before the reference's first edge; without one, a twentieth of the record."""

@@ -36,6 +36,7 @@ KINDS = {
     "kp": "{command}/{length}",
     "kd": "{command} s/{length}",
     "voltage_limit": "{command}",
+    "voltage_before": "{command}",
     "control_period": "s",
     "counts_per_unit": "1/{length}",
 }
@@ -91,6 +92,7 @@ def assemble(
         "controller": controller,
         "encoder_resolution": numbers.get("encoder_resolution", per_count),
         "voltage_limit": numbers.get("voltage_limit"),
+        "voltage_before": numbers.get("voltage_before"),
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
     }
     return _record(values, made, (length, command), title, source)

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["KEYS", "Amount", "Settings", "comment_settings", "parse_settings"]
 
-DIMENSIONED = ("kp", "kd", "encoder_resolution", "voltage_limit", "control_period", "counts_per_unit", "ki")
+DIMENSIONED = (
+    "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
+)  # fmt: skip
 PURE = ("derivative_filter", "derivative_window")
 WORDS = {
     "controller": ("pd",),

@@ -33,7 +33,7 @@ __all__ = [
 PATIENCE, ANY_NUMBER = 5.0, 0.0
 """Pieces into which a substep of a trial may be split on average; most pieces, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, ANY_NUMBER]
-"""What the rule is told of a loop where there is none."""
+"""What the rule is told of a loop where there is none, but for what was applied before."""
 
 
 @final
@@ -97,7 +97,10 @@ def simulate(
         plant = plant.with_effect(Saturation(limit=record.voltage_limit))
     start = (float(record.position[0]), initial_velocity)
     if driven:
-        return simulate_voltage(plant, record.time, _given(record.voltage), start=start, substeps=substeps)
+        before = record.voltage_before
+        return simulate_voltage(
+            plant, record.time, _given(record.voltage), start=start, before=before, substeps=substeps
+        )
     controller = record.controller
     assert controller is not None  # noqa: S101 - can_close
     grid, index = without_gaps(record.time)
@@ -109,6 +112,7 @@ def simulate(
         _given(record.reference)[held],
         feedforward=None if record.feedforward is None else record.feedforward[held],
         start=start,
+        before=record.voltage_before,
         resolution=record.encoder_resolution or 0.0,
         substeps=substeps,
     )
@@ -117,7 +121,7 @@ def simulate(
     return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
 
 
-def simulate_loop(
+def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     plant: Plant,
     controller: Controller,
     time: ArrayLike,
@@ -125,6 +129,7 @@ def simulate_loop(
     *,
     feedforward: ArrayLike | None = None,
     start: tuple[float, float] = (0.0, 0.0),
+    before: float | None = None,
     resolution: float = 0.0,
     substeps: int | None = None,
 ) -> Simulation:
@@ -138,6 +143,8 @@ def simulate_loop(
         Samples [s], set point [m or rad], voltage added to the controller's [V].
     start : tuple of float
         Initial position [m or rad] and velocity.
+    before : float, optional
+        Voltage applied before the first sample [V]; None is the first one.
     resolution : float
         Encoder step [m or rad]; 0 is none.
     substeps : int, optional
@@ -153,7 +160,7 @@ def simulate_loop(
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
-    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER]
+    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER, *_known(before)]
     count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
@@ -166,13 +173,14 @@ def simulate_trial(
     *,
     feedforward: NDArray[np.float64] | None,
     start: tuple[float, float],
+    before: float | None,
     substeps: int,
 ) -> Simulation:
     """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
 
     Parameters
     ----------
-    plant, controller, time, reference, feedforward, start, substeps
+    plant, controller, time, reference, feedforward, start, before, substeps
         As of :func:`simulate_loop`.
 
     Raises
@@ -183,7 +191,8 @@ def simulate_trial(
         If the loop is unstable, or dry friction and contacts split a step into more than `PATIENCE` pieces on average.
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
-    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, PATIENCE * time.size * substeps]
+    granted = PATIENCE * time.size * substeps
+    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, granted, *_known(before)]
     return _run(plant, time, held, reference, settings, start, substeps)
 
 
@@ -203,19 +212,31 @@ def _loop_settings(controller: Controller, period: float) -> list[float]:
     ]
 
 
+def _known(before: float | None) -> tuple[float, float]:
+    """Return what the rule is told of the time before the first sample."""
+    return (0.0, 0.0) if before is None else (1.0, before)
+
+
 def simulate_voltage(
     plant: Plant,
     time: ArrayLike,
     voltage: ArrayLike,
     *,
     start: tuple[float, float] = (0.0, 0.0),
+    before: float | None = None,
     substeps: int | None = None,
 ) -> Simulation:
-    """Simulate the axis under a `voltage` [V] that is held from sample to sample."""
+    """Simulate the axis under a `voltage` [V] that is held from sample to sample.
+
+    Parameters
+    ----------
+    plant, time, voltage, start, before, substeps
+        As of :func:`simulate_loop`.
+    """
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
-    return _run(plant, grid, held, held, OPEN_LOOP, start, substeps or substeps_for(plant, step))
+    return _run(plant, grid, held, held, [*OPEN_LOOP, *_known(before)], start, substeps or substeps_for(plant, step))
 
 
 def simulate_continuous(
@@ -244,7 +265,7 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    result = _run(plant, grid, held, held, OPEN_LOOP, start, count, gains=(kp, kd))
+    result = _run(plant, grid, held, held, [*OPEN_LOOP, *_known(None)], start, count, gains=(kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured

@@ -303,6 +303,13 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop
 
 
 @njit(**OPTIONS)
+def sent(results: Any, n: int, k: int, before: float) -> float:
+    """Return the voltage of sample `k`, `before` where that is earlier than the first."""
+    voltage: float = results[2 * n + k] if k >= 0 else before
+    return voltage
+
+
+@njit(**OPTIONS)
 def hold(
     x: Any, p: Any, room: Any, begin: float, span: float, first: float, old: float, new: float, substeps: int
 ) -> int:
@@ -341,9 +348,10 @@ def run(
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
-    pieces). Minus one is returned where more pieces than granted would be needed; zero grants any number.
-    Without a closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input
-    reaches the actuator `delay` seconds late; before the record the first one was applied.
+    pieces, whether it is known what was applied before, what was). Minus one is returned where more pieces than granted
+    would be needed; zero grants any number. Without a closed loop the input is `held`; with one, `held` is added to
+    what the controller asks for. The input reaches the actuator `delay` seconds late; before the record the first one
+    was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
@@ -352,7 +360,8 @@ def run(
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
     closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[9], loop[10]
-    set_out(x, p, states, time[0], held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0), start)
+    before = loop[12] if loop[11] != 0.0 else held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0)
+    set_out(x, p, states, time[0], before, start)
     derivative[0], voltage, wait = 0.0, 0.0, 0
     late, due = lateness(delay, time, n)
     pieces = 0
@@ -368,13 +377,15 @@ def run(
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
+        if k == 0 and loop[11] == 0.0:
+            before = results[2 * n]
         if not abs(x[Y]) < FARTHEST:
             return k
         if k + 1 == n:
             break
         span = time[k + 1] - time[k]
-        new = results[2 * n + max(k - late, 0)]
-        old = results[2 * n + max(k - late - 1, 0)] if due > 0.0 else new
+        new = sent(results, n, k - late, before)
+        old = sent(results, n, k - late - 1, before) if due > 0.0 else new
         pieces += hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps)
         if pieces > granted > 0.0:
             return -1
