@@ -285,3 +285,29 @@ def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_mos
     assert diagnosis.verdict == "partly_explained"
     assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
     assert "heldout_contradicts" in {finding.code for finding in diagnosis.findings}
+
+
+@pytest.mark.slow
+def test_delay_of_records_that_begin_with_their_step_from_rest_is_seen():
+    axis = lab.Truth(gain=60.0, damping=12.0, effects={"delay": {"time": 0.012}})
+    levels = ([1.0, 0.0, 0.5], [0.7, -0.2, 0.9], [1.0, 0.3, -0.5])
+    whole = [
+        lab.step_record(axis, kp=kp, kd=kd, reference=r, duration=0.8, rest=0.1, noise=1e-4, seed=i, length_unit="rad")
+        for i, (kp, kd, r) in enumerate(zip((4.0, 8.0, 2.5), (0.02, 0.1, 0.0), levels, strict=True))
+    ]
+    cut = [record.slice(record.time[record.edges()[0]], record.time[-1]) for record in whole]
+    for records, doubts in ((whole, 0), (cut, 1)):
+        diagnosis = diagnose(records)
+        (cause,) = diagnosis.causes
+        assert cause.effect == "delay"
+        assert cause.quantities["time"].value == pytest.approx(0.012, abs=1e-5)
+        assert [finding.code for finding in diagnosis.findings].count("unpowered_before") == doubts
+
+
+@pytest.mark.slow
+def test_wave_of_which_a_part_is_seen_gives_way_to_what_is_simpler():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"return_spring": {"stiffness": 20.0}})
+    records = [lab.step_record(axis, kp=kp, reference=[0.1, 0.02], noise=1e-5, seed=kp) for kp in (40, 80)]
+    diagnosis = diagnose(records)
+    assert [cause.effect for cause in diagnosis.causes] == ["return_spring"]
+    assert "cogging" not in diagnosis.causes[0].rivals

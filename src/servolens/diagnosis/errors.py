@@ -59,8 +59,8 @@ def _difference(plant: Plant, run: Run, noise: float) -> NDArray[np.float64]:
 
     What only the record can know is fitted: phases, and the initial state within its own errors.
     """
-    plant = synchronised(plant, partial(square_error, run))
     substeps, start = substeps_for(plant, run.sample_time), run.start
+    plant = synchronised(plant, partial(square_error, run, substeps))
     reach = SURE * noise * np.array([1.0, 1.0 / (SMOOTHED * run.sample_time)])[: start.size]
 
     def at(start: NDArray[np.float64]) -> NDArray[np.float64]:

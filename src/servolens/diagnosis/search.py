@@ -27,8 +27,9 @@ BEAM, FAR, CLOSE = 2, 2.0, 1.25
 """Hypotheses that are extended further, up to this many times the least error; within a family that many times."""
 WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
-LESS = (0.8, 0.7, 0.5, 0.2)
-"""Share of the squared error beyond the noise that the first, the second … effect may leave."""
+LESS, HARDLY = (0.8, 0.7, 0.5, 0.2), 0.95
+"""Share of the squared error beyond the noise that the first, the second … effect may leave; the share that one may
+leave that comes into its own beside others only."""
 HOPELESS = (np.inf, np.inf, 100.0, 20.0)
 """Times the noise from which on no first, second … effect is looked for: too much would be left."""
 REFITTED, HOPEFUL, POLISHED, ALIKE = 12, 30.0, 1.3, 1.1
@@ -80,6 +81,7 @@ def search(
     base: Hypothesis,
     enough: Callable[[Hypothesis], bool],
     tell: Callable[[str, float], None] = lambda _, __: None,
+    give_up: Callable[[Hypothesis], bool] = lambda _: False,
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
 
@@ -93,19 +95,27 @@ def search(
         Tells whether a hypothesis leaves nothing to be explained.
     tell : callable
         Is told what is done and the share of it that is.
+    give_up : callable
+        Tells of the best with another effect whether to search no further: the records are to be understood otherwise.
     """
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         explorer = _Explorer(trials, pool, tell)
-        path, beam = [base], [base]
+        path, beam, sure = [base], [base], 0
         while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
             if path[-1].error > HOPELESS[count] * trials.noise:
                 break
             jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
             found = explorer.explore(jobs, f"effect {count + 1}")
-            if not found or not _worth_it(found[0], path[-1], trials, LESS[count]):
+            if not found or not _worth_it(found[0], path[-1], trials, max(LESS[count], HARDLY)):
                 break
             path.append(found[0])
+            if _worth_it(found[0], path[sure], trials, LESS[sure]):
+                sure = count + 1
+            if not enough(found[0]) and give_up(found[0]):
+                return Search(tuple(path), tuple(explorer.known), ())
             beam = _beam(found)
+        if not enough(path[-1]):
+            path = path[: sure + 1]
         for _ in range(MOST_ROUNDS):
             path, rivals, settled = _reconsidered(path, explorer, enough)
             if settled:
@@ -186,14 +196,14 @@ def _reconsidered(
     for other, will_do in ((special, _will_do(special, chosen, noise, enough)), (united, False)):
         if other is not None and (will_do or score(other) <= score(chosen) + ROUNDING):
             return [*(h for h in path[:-1] if len(h.causes) < len(other.causes)), other], (), False
-    if not enough(chosen):
+    if not enough(chosen) and (len(chosen.causes) < 2 or chosen.error > HOPELESS[-1] * noise):
         return path, (), True
     rivals = tuple(tuple(explorer.instead(chosen, cause)) for cause in chosen.causes)
     swaps = [h for found in rivals for h in found if not (_contains(h, chosen) and _will_do(chosen, h, noise, enough))]
     better = min(swaps, key=score, default=chosen)
     if score(better) < score(chosen) - 1e-6:
         return [*path[:-1], better], (), False
-    return path, rivals, True
+    return path, rivals if enough(chosen) else (), True
 
 
 def _will_do(

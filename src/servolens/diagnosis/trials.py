@@ -15,7 +15,7 @@ from servolens.identification.refine import error_of, lead
 from servolens.identification.regressors import regressor
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
 from servolens.identification.segments import motion_segments, moving_parts, noise_level
-from servolens.identification.starting import Screen
+from servolens.identification.starting import Screen, seen_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LAST", "LOOSE", "SECOND", "Hypothesis", "Trials", "loop_rate"]
 
-STARTS = 3
-"""Proposals of an effect from which it is fitted."""
+STARTS, TELLING = 3, 2
+"""Proposals of an effect from which it is fitted; records, the farthest off, on which they are compared."""
 FIRST, SECOND, LAST = 3, 8, 30
 """Iterations from every start, from the best of them, and for a hypothesis that is worth it."""
 MOST_SUBSTEPS = 12
@@ -106,6 +106,7 @@ class Trials:
             length_unit=records[0].length_unit,
             command_unit=records[0].command_unit,
         )
+        self.seen = seen_in(moving, self.start)
         self.tether = tether(self.start, LOOSE * loop_rate(self.start, records))
         self.runs: list[Run]
         if moving != segments and all(r.reference is not None and r.controller is not None for r in records):
@@ -147,7 +148,7 @@ class Trials:
         return hypothesis if tied is None else replace(tied, tied=True)
 
     def _led(self, plant: Plant, runs: Sequence[Run], iterations: int) -> Hypothesis | None:
-        """Return `plant` fitted to the runs; None where it cannot be simulated.
+        """Return `plant` fitted to the runs; None where it cannot be simulated, or one of its effects is hardly shown.
 
         Contacts crumple the error on a small scale: there wide differences find the way, and fine ones its end.
         """
@@ -166,7 +167,9 @@ class Trials:
             except (InputError, NumericalError):
                 break
             found = further if found is None or further.error < found.error else found
-        return None if found is None else Hypothesis(found.plant, found.error, found.residuals)
+        if found is None or not all(effect.is_whole(self.seen) for effect in found.plant.effects):
+            return None
+        return Hypothesis(found.plant, found.error, found.residuals)
 
     def options(self, plant: Plant) -> FitOptions:
         """Return how `plant` is fitted: with the priors on its own parameters, and phases of each record's own."""
@@ -212,7 +215,8 @@ class Trials:
             tried = [plant.with_effect(effect) for effect in proposals]
             if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
                 tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
-        ranked = sorted((error_of(candidate, self.runs), i) for i, candidate in enumerate(tried))
+        worst = sorted(self.runs, key=lambda run: -error_of(plant, [run]))[:TELLING]
+        ranked = sorted((error_of(candidate, worst, fine=False), i) for i, candidate in enumerate(tried))
         return [tried[i] for _, i in ranked[:STARTS]]
 
     def _solved(self, plant: Plant, cls: type[Effect], proposals: list[Effect]) -> list[Plant]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.diagnosis.before import UNPOWERED, understood
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
@@ -14,7 +15,7 @@ from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import beyond, is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
-from servolens.diagnosis.search import Search, search
+from servolens.diagnosis.search import WORTH, Search, search
 from servolens.effects import CATALOGUE
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
@@ -101,12 +102,15 @@ def diagnose(
 
 
 def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str, int, int], None]) -> Diagnosis:
-    runs, others = case.records, case.heldout
     if case.is_contradictory():  # nothing that one axis has can explain two
         found = Search((case.base,), (), ())
     else:
-        found = search(case.trials, case.base, case.is_explained, lambda what, of: progress(what, int(100 * of), 100))
+        found, other = _searched(case, progress)
+        again = None if other is None else _searched(other, progress)[0]
+        if other is not None and again is not None and _is_better(other, again.chosen, case, found.chosen):
+            case, found, findings = other, again, [*findings, UNPOWERED]
     progress("Measuring the gain", 0, 0)
+    runs, others = case.records, case.heldout
     path, doubts = _confirmed(found.path, case)
     fits = [case.fitted(hypothesis.plant) for hypothesis in (path[0], path[-1])][: len(path)]
     gains = case.gains([fits[0].plant, *(h.plant for h in path[1:-1]), *(fit.plant for fit in fits[1:])])
@@ -136,6 +140,28 @@ def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str,
     sure = {cause.effect: cause.confidence for cause in causes}
     proposal = proposed(diagnosis.plant, diagnosis.rival_plants, sure, runs, noise=diagnosis.noise_floor)
     return replace(diagnosis, next_experiment=proposal)
+
+
+def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Search, Case | None]:
+    """Return what was found, and the case with nothing applied before its records if that promises more."""
+    other: tuple[Case, bool] | None = None
+
+    def is_better(chosen: Hypothesis) -> bool:
+        nonlocal other
+        other = understood(case, chosen)
+        return other is not None and other[1]
+
+    def tell(what: str, share: float) -> None:
+        progress(what, int(100 * share), 100)
+
+    found = search(case.trials, case.base, case.is_explained, tell, is_better)
+    if other is None or not other[1]:
+        is_better(found.chosen)
+    return found, None if other is None else other[0]
+
+
+def _is_better(case: Case, chosen: Hypothesis, than: Case, other: Hypothesis) -> bool:
+    return case.trials.score(chosen) < than.trials.score(other) - WORTH
 
 
 def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -207,6 +207,10 @@ class Effect(ABC):
         middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
         yield cls(**middle)
 
+    def is_whole(self, seen: Seen) -> bool:
+        """Tell whether records show enough of it: of a part, as of a wave's, something simpler would do as well."""
+        return True
+
     @classmethod
     def united(cls, *parts: Effect) -> Self | None:
         """Return what `parts`, effects of the names in ``unites``, are together; None where they are more than that."""

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Cogging"]
 
+MOST_PITCH = 1.5
+"""Share of the travel from which on a wave is as good as a spring."""
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,3 +60,7 @@ class Cogging(Force):
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for pitch in pitches(seen):
             yield within(cls, amplitude=0.05 * seen.push, pitch=pitch, phase=0.0)
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`."""
+        return self.pitch <= MOST_PITCH * seen.travel

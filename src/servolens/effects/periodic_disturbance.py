@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PeriodicDisturbance"]
 
+FEWEST_PERIODS = 0.5
+"""In the longest record; less of it is as good as a drift."""
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,3 +58,7 @@ class PeriodicDisturbance(Force):
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for frequency in frequencies(seen):
             yield within(cls, amplitude=0.05 * seen.push, frequency=frequency, phase=0.0)
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`."""
+        return self.frequency * seen.duration >= FEWEST_PERIODS

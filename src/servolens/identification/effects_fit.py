@@ -360,7 +360,7 @@ def _candidates(plant: Plant, effect: Effect, trial: _Trial) -> list[Plant]:
         starts = [plant.with_effect(start) for start in trial.screen.best_starts(plant, effect, STARTS)]
         return [candidate for start in starts for candidate in (start, *_solved(start, trial.screen))]
     trials = [plant.with_effect(start) for start in trial.screen.proposals(plant, effect)]
-    ranked = sorted(((error_of(plant, trial.runs), i) for i, plant in enumerate(trials)))
+    ranked = sorted(((error_of(plant, trial.runs, fine=False), i) for i, plant in enumerate(trials)))
     return [trials[i] for _, i in ranked[:STARTS]]
 
 

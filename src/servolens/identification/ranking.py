@@ -54,6 +54,8 @@ class Thinned:
         As in the records.
     swept, pushed : ndarray, shape (n,)
         Position integrated once over time, voltage twice, in each stretch.
+    stride : int
+        Every how many samples one is kept.
     """
 
     first: NDArray[np.intp]
@@ -65,6 +67,8 @@ class Thinned:
     velocity: NDArray[np.float64]
     swept: NDArray[np.float64]
     pushed: NDArray[np.float64]
+
+    stride: int
 
     @classmethod
     def of(cls, segments: Sequence[Segment], velocity: Sequence[NDArray[np.float64]]) -> Thinned:
@@ -81,8 +85,13 @@ class Thinned:
             position=np.concatenate([s.position[::stride] for s in segments]),
             velocity=np.concatenate([v[::stride] for v in velocity]),
             swept=np.concatenate([_swept(s)[::stride] for s in segments]),
-            pushed=np.concatenate([held_twice_integrated(s.time, s.voltage)[::stride] for s in segments]),
+            pushed=_pushed(segments, stride),
+            stride=stride,
         )
+
+    def pushed_by(self, segments: Sequence[Segment]) -> Thinned:
+        """Return the samples with the voltages of `segments`, which are the same stretches."""
+        return replace(self, pushed=_pushed(segments, self.stride))
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
@@ -131,6 +140,10 @@ class Thinned:
     def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Repeat one value a stretch over its samples."""
         return np.repeat(values, np.diff(self.first, append=self.time.size), axis=1)
+
+
+def _pushed(segments: Sequence[Segment], stride: int) -> NDArray[np.float64]:
+    return np.concatenate([held_twice_integrated(s.time, s.voltage)[::stride] for s in segments])
 
 
 def _swept(segment: Segment) -> NDArray[np.float64]:

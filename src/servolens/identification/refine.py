@@ -180,22 +180,22 @@ def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
     return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
 
 
-def error_of(plant: Plant, runs: Sequence[Run]) -> float:
+def error_of(plant: Plant, runs: Sequence[Run], *, fine: bool = True) -> float:
     """Return the root mean square error of `plant` on `runs` [m or rad]; infinite if it cannot be simulated.
 
-    Phases that are each record's own are chosen for each run.
+    Phases that are each record's own are chosen for each run; not `fine`, nearly the best.
     """
     squares = 0.0
     for run in runs:
-        missed = partial(square_error, run)
-        squares += missed(synchronised(plant, missed))
+        missed = partial(square_error, run, substeps_for(plant, run.sample_time))
+        squares += missed(synchronised(plant, missed, fine=fine))
     return float(np.sqrt(squares / sum(run.measured.size for run in runs)))
 
 
-def square_error(run: Run, plant: Plant) -> float:
+def square_error(run: Run, substeps: int, plant: Plant) -> float:
     """Return the sum of the squared differences between `plant` and what was measured; infinite where it fails."""
     try:
-        residual = run.simulated(plant, run.start, substeps_for(plant, run.sample_time)) - run.measured
+        residual = run.simulated(plant, run.start, substeps) - run.measured
     except (InputError, NumericalError):
         return float(np.inf)
     return float(residual @ residual)

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Seen
+from servolens.effects import Actuator, Seen, TimeShift
 from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
 from servolens.identification.ranking import Thinned, force_rows, record_numbers
 from servolens.identification.regressors import regressor
+from servolens.identification.segments import applied_voltage
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.plant import Plant
+from servolens.simulation.loop import simulate_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,23 +65,28 @@ class Screen:
         Of each stretch's record.
     thinned : Thinned
         A few thousand samples of them, on which many proposals are compared.
+    acted : dict
+        Stretches and samples as they are behind actuators that were asked for.
     """
 
     segments: tuple[Segment, ...]
     velocity: tuple[NDArray[np.float64], ...]
     numbers: NDArray[np.intp]
     thinned: Thinned
+    acted: dict[tuple[Effect, ...], tuple[tuple[Segment, ...], Thinned]]
 
     @classmethod
     def of(cls, segments: Sequence[Segment]) -> Screen:
         """Differentiate the positions of `segments`."""
         window = smoothing_window(piece_duration(segments), segments[0].record.sample_time)
         velocity = [smooth(s.time, s.position, min(window, s.time.size))[1] for s in segments]
+        thinned = Thinned.of(segments, velocity)
         return cls(
             segments=tuple(segments),
             velocity=tuple(velocity),
             numbers=record_numbers(segments),
-            thinned=Thinned.of(segments, velocity),
+            thinned=thinned,
+            acted={(): (tuple(segments), thinned)},
         )
 
     @property
@@ -98,7 +105,7 @@ class Screen:
             If the data do not determine the sizes.
         """
         columns = [self._columns(i, effects) for i in range(len(self.segments))]
-        factor = assemble(self.segments, forces=columns)
+        factor = assemble(self._behind(effects)[0], forces=columns)
         damping, gain, *sizes = (float(v) for v in solve_integral(factor).x)
         samples = sum(s.time.size for s in self.segments)
         found = [_sized(effect, sizes, self.records) for effect in effects]
@@ -118,7 +125,7 @@ class Screen:
     ) -> list[Effect]:
         """Return the best of the `proposals` for one force beside `others`, and `also`, with sizes solved for."""
         found: list[tuple[float, Effect]] = []
-        ranked = [proposal for _, proposal in self.thinned.ranked(others, proposals)]
+        ranked = [proposal for _, proposal in self._behind(others)[1].ranked(others, proposals)]
         for proposal in (*ranked, *([] if also is None else [also])):
             if len(found) >= count and proposal is not also:
                 continue
@@ -138,6 +145,26 @@ class Screen:
     def proposals_of(self, plant: Plant, cls: type[Effect]) -> list[Effect]:
         """Return what the effect `cls` proposes itself beside `plant`."""
         return [*islice(cls.starts(seen_in(self.segments, plant)), MOST_STARTS)]
+
+    def _behind(self, effects: Sequence[Effect]) -> tuple[tuple[Segment, ...], Thinned]:
+        """Return the stretches as they are behind the actuators among `effects`, in full and thinned.
+
+        Simulated with them alone, an axis of gain one accelerates by what reaches it: its mean over a sample is held.
+        """
+        actuators = tuple(effect for effect in effects if isinstance(effect, Actuator | TimeShift))
+        if actuators not in self.acted:
+            plant, pushes = Plant(gain=1.0, damping=0.0, effects=actuators), {}
+            for record in {id(s.record): s.record for s in self.segments}.values():
+                before = record.voltage_before
+                run = simulate_voltage(plant, record.time, applied_voltage(record), before=before)
+                push = np.diff(run.velocity) / np.diff(record.time)
+                pushes[id(record)] = np.append(push, push[-1])
+            segments = tuple(
+                replace(s, voltage=np.ascontiguousarray(pushes[id(s.record)][s.first : s.first + s.time.size]))
+                for s in self.segments
+            )
+            self.acted[actuators] = segments, self.thinned.pushed_by(segments)
+        return self.acted[actuators]
 
     def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
         segment = self.segments[i]
