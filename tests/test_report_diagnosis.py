@@ -12,13 +12,28 @@ from test_report import HOSTILE, assert_self_contained
 
 from servolens import lab
 from servolens.diagnosis import diagnose
-from servolens.diagnosis.evidence import Instrument
+from servolens.diagnosis.evidence import Instrument, Share
+from servolens.effects import CATALOGUE
 from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.plant import Plant
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
-from servolens.report.figures_diagnosis import instrument_sentence, telling_instrument
+from servolens.report.equation import motion_latex
+from servolens.report.figures_diagnosis import telling_instrument
 from servolens.report.laws import law_along
-from servolens.report.plots_diagnosis import plot_candidates, plot_pieces, plot_record_errors, plot_shares
+from servolens.report.plots_diagnosis import (
+    plot_candidates,
+    plot_pieces,
+    plot_record_errors,
+    plot_residuals,
+    plot_shares,
+)
+from servolens.report.wording import symbol_text
+from servolens.summaries import diagnosis_summary
+from servolens.summaries.diagnosis import grouped, log_doubts
+from servolens.summaries.diagnosis_tables import data_kinds
+from servolens.summaries.evidence import instrument_sentence, where_phrase
 
 CART = {"gain": 1.9, "damping": 6.0}
 
@@ -57,23 +72,100 @@ def test_page_says_the_cause_first_and_shows_it(rubbing, tmp_path):
     assert text.count("<figure") == 5
     assert "goes with the direction of motion" in text
     assert "is what the model with its causes says" in text
-    assert "held-out data: the record took no part in fit and choice" in text
+    assert "Held out: the record took no part in fit and choice" in text
+    assert "Fitted to kp 40 and kp 60; tested on kp 90, held out." in text
+
+
+def test_every_figure_says_whether_its_data_are_held_out(rubbing, tmp_path):
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", page_of(rubbing, tmp_path))
+    assert len(captions) == 5
+    assert [caption for caption in captions if "held out" not in caption.lower()] == []
 
 
 @pytest.mark.parametrize(
-    ("count", "tells"), [(2, "the record by models that were fitted without it"), (1, "the record&#39;s end by models")]
+    ("count", "kind", "tells"),
+    [
+        (2, "left out", "each record in turn, by a model fitted to the others; causes were chosen on all of them"),
+        (1, "its end", "the last 40 % of the record, by a model fitted to its beginning."),
+    ],
 )
-def test_page_says_what_was_held_out_where_no_record_was(rubbing, tmp_path, count, tells):
-    text = page_of(replace(rubbing, heldout=(), records=rubbing.records[:count]), tmp_path)
+def test_page_says_what_was_held_out_where_no_record_was(rubbing, tmp_path, count, kind, tells):
+    alone = replace(rubbing, heldout=(), records=(rubbing.records[0],) * count)
+    text = page_of(alone, tmp_path)
+    assert data_kinds(alone)[-1] == kind
     assert tells in text
     assert "(held out)" not in text
+
+
+def test_record_beyond_all_others_is_not_said_to_be_left_out(rubbing):
+    assert data_kinds(replace(rubbing, heldout=(), gains=(*rubbing.gains, rubbing.gains[-1])))[2:] == (
+        "left out",
+        "its end",
+    )
 
 
 def test_page_of_a_healthy_axis_shows_no_cause(healthy, tmp_path):
     text = page_of(healthy, tmp_path)
     assert text.count("<figure") == 1
     assert "than chance would have it" in text
-    assert "gain and damping leave nothing to be explained" in text
+    assert "none of the 24 effects of the catalogue was added" in text
+    assert "with the causes" not in text.lower()
+    assert "Before" not in text
+    assert text.count('<th scope="col">Error</th>') == 1
+
+
+def test_doubts_about_the_logs_follow_the_sentence_at_once(rubbing, tmp_path):
+    lost = [Finding(code="gaps", severity="warning", message="samples are lost.", record=f"kp {kp}") for kp in (40, 60)]
+    small = Finding(code="strongly_correlated", severity="note", message="gain and damping are correlated.")
+    doubtful = replace(rubbing, findings=(*lost, small))
+    text = page_of(doubtful, tmp_path)
+    lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
+    assert lead.startswith("The logs are in doubt; taken as they are, ")
+    assert "kp 40 and kp 60: samples are lost." in text[: text.index("<nav")]
+    assert "are correlated" not in text[: text.index("<nav")]
+    first, second, *_ = diagnosis_summary(doubtful).sentences
+    assert first == lead
+    assert second.startswith("First mend the logs: kp 40 and kp 60: samples are lost.")
+
+
+def test_doubts_of_one_kind_are_told_once():
+    found = [
+        Finding(code="gaps", severity="warning", message=f"{n} samples are lost.", record=f"run {n}") for n in (3, 4, 4)
+    ]
+    assert [(f.record, f.message) for f in grouped(found)] == [
+        ("run 3", "3 samples are lost."),
+        ("run 4", "4 samples are lost."),
+    ]
+
+
+def test_first_doubt_of_a_kind_names_the_other_records(healthy):
+    found = tuple(
+        Finding(code="gaps", severity="warning", message=f"{n} samples are lost.", record=f"run {n}") for n in (3, 4, 5)
+    )
+    (told,) = log_doubts(replace(healthy, findings=found))
+    assert (told.record, told.message) == ("run 3", "3 samples are lost. Likewise run 4 and run 5.")
+
+
+def test_effects_that_together_are_the_cause_are_no_rivals_to_be_parted(rubbing):
+    (cause,) = rubbing.causes
+    same = replace(cause, effect="asymmetric_friction", rivals=("coulomb_friction", "constant_force"))
+    text = " ".join(diagnosis_summary(replace(rubbing, causes=(same,))).sentences)
+    assert "It is the same as Coulomb friction together with a constant force." in text
+    assert "cannot tell" not in text
+    assert "apart" not in text
+
+
+def test_records_that_contradict_each_other_are_not_said_to_have_been_searched(healthy):
+    doubt = Finding(code="records_contradict", severity="warning", message="the records contradict each other?")
+    told = diagnosis_summary(replace(healthy, verdict="unexplained", findings=(doubt,))).sentences[0]
+    assert told == "The records contradict each other? No effect was tried."
+
+
+def test_few_samples_are_said_to_show_little(healthy):
+    short = tuple(record.slice(0.0, 0.049) for record in healthy.records)
+    told = diagnosis_summary(replace(healthy, records=short)).sentences
+    assert any(sentence.startswith("100 samples in 0.098 s show little") for sentence in told)
+    assert not any("show little" in sentence for sentence in diagnosis_summary(healthy).sentences)
 
 
 def test_page_of_an_unexplained_axis_keeps_to_the_evidence(rubbing, tmp_path):
@@ -81,7 +173,40 @@ def test_page_of_an_unexplained_axis_keeps_to_the_evidence(rubbing, tmp_path):
     text = page_of(linear, tmp_path)
     assert "nothing in the catalogue explains it" in text
     assert "with the causes" not in re.sub(r"<table.*?</table>", "", text, flags=re.DOTALL)
-    assert "fitted to these very records" in text
+    assert "Fitted to these very data: not held out." in text
+
+
+def test_frequency_is_told_only_where_the_error_has_one():
+    def share(held):
+        bins = tuple((float(low), low + 1.0, part, 0.25) for low, part in enumerate(held))
+        return Share(
+            quantity="frequency", low=0.0, high=4.0, unit="Hz", share_of_error=1.0, share_of_samples=0.1, bins=bins
+        )
+
+    assert where_phrase([share((0.05, 0.5, 0.4, 0.05))]) == "90 % of the error has a frequency between 1 and 3 Hz"
+    assert where_phrase([share((0.25, 0.25, 0.25, 0.25))]) == ""
+
+
+@pytest.mark.parametrize(
+    ("effects", "latex"),
+    [
+        (("sensor_lag",), r"\dot v = \beta\,V - c\,v,\quad v = \dot y,\quad \tau\,\dot y_m = y - y_m"),
+        (("delay",), r"\dot v = \beta\,a - c\,v,\quad v = \dot y,\quad a(t)=V(t-\tau)"),
+        (("cogging", "saturation"), r"\dot v = \beta\,a - c\,v - A\,\sin(2\pi\,y/p + \phi),\quad v = \dot y,\quad a ="),
+    ],
+    ids="+".join,
+)
+def test_equation_subtracts_forces_and_nothing_else(effects, latex):
+    parts = [CATALOGUE[name] for name in effects]
+    values = [{spec.name: max(spec.low, 0.1) for spec in part.parameters()} for part in parts]
+    plant = Plant(gain=1.9, damping=6.0, effects=tuple(part(**own) for part, own in zip(parts, values, strict=True)))
+    assert motion_latex(plant).startswith(latex)
+
+
+def test_no_symbol_is_written_in_code():
+    symbols = [symbol_text(spec.symbol) for effect in CATALOGUE.values() for spec in effect.parameters()]
+    assert [symbol for symbol in symbols if "_" in symbol] == []
+    assert {"F₊", "F₋", "Vₘₐₓ"} <= set(symbols)
 
 
 def test_page_tells_which_simulation_ran_away(rubbing, tmp_path):
@@ -164,9 +289,18 @@ def test_pieces_are_points_with_the_law_through_them():
     assert any(np.array_equal(line, [6.0, 6.0]) for line in drawn)
 
 
-def test_candidates_are_bars_up_to_what_they_leave():
+def test_band_of_the_noise_has_edges_where_it_can_be_seen():
+    small, large = (curve("", [0, 1], [0.0, size], "constant") for size in (1.0, 100.0))
+    edges = [
+        [line.get_ydata()[0] for line in plot_residuals([drawn], 2.0).get_lines() if line.get_zorder() == 5]
+        for drawn in (small, large)
+    ]
+    assert edges == [[-2.0, 2.0], []]
+
+
+def test_candidates_are_dots_at_what_they_leave():
     ax = plot_candidates(["one", "two"], np.array([0.01, 3.0]), [True, False], floor=0.009, xlabel="Error [mm]")
-    assert [line.get_xdata()[-1] for line in ax.get_lines()] == [0.01, 3.0, 0.009]
+    assert [float(np.ravel(line.get_xdata())[0]) for line in ax.get_lines() if line.get_marker() == "o"] == [0.01, 3.0]
     assert ax.get_xscale() == "log"
     assert [label.get_fontweight() for label in ax.get_yticklabels()] == ["bold", "normal"]
 

@@ -6,23 +6,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.report.content import Findings, Section
-from servolens.report.figures import plant_formula
+from servolens.report.content import Details, Findings, Section
+from servolens.report.figures import plant_equation
 from servolens.report.figures_diagnosis import (
-    CLEAR,
     candidates_figure,
     gains_figure,
     instrument_figure,
-    instrument_sentence,
-    residuals_figure,
     shares_figure,
     telling_instrument,
 )
+from servolens.report.figures_residuals import residuals_figure
 from servolens.report.page import write_page
-from servolens.report.wording import shown
-from servolens.summaries.diagnosis import diagnosis_summary
-from servolens.summaries.wording import listed
-from servolens.summary import Summary
+from servolens.report.wording import shown, symbol_text
+from servolens.summaries.diagnosis import (
+    advice,
+    grouped,
+    log_doubts,
+    next_sentences,
+    remaining_sentences,
+    verdict_sentence,
+    why_enough,
+)
+from servolens.summaries.diagnosis_tables import candidates_table, records_table
+from servolens.summaries.evidence import CLEAR, instrument_sentence
+from servolens.summaries.names import spoken, spoken_parameter
+from servolens.summaries.wording import capital, listed, plus_minus, unit
+from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,6 +42,12 @@ if TYPE_CHECKING:
 __all__ = ["WRONG", "diagnosis_section", "write_diagnosis_report"]
 
 WRONG = "What the simulation gets wrong"
+WHY = {
+    "healthy": "Why nothing more is needed",
+    "explained": "Why, and what to do",
+    "partly_explained": "Why, as far as is known, and what to do",
+    "unexplained": "What was tried",
+}
 
 
 def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
@@ -50,63 +65,94 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
     InputError
         If the file cannot be written.
     """
-    told = diagnosis_summary(diagnosis)
     names = [shown(record.name) for record in diagnosis.records]
-    wrong = Section(key="wrong", title=WRONG, blocks=(*_where(diagnosis), *_instrument(diagnosis)))
-    sections = [wrong, _causes(diagnosis, told), _gain(diagnosis, told), _doubts(diagnosis)]
-    write_page(path, f"Diagnosis: {listed(names)}", told.sentences[0], (), sections)
+    wrong = "What the simulation leaves" if diagnosis.verdict == "healthy" else WRONG
+    sections = [
+        Section(key="wrong", title=wrong, blocks=_wrong(diagnosis)),
+        Section(key="causes", title=WHY[diagnosis.verdict], blocks=_why(diagnosis)),
+        Section(key="gain", title="Record by record", blocks=_gain(diagnosis)),
+        Section(key="doubts", title="Doubts", blocks=_doubts(diagnosis)),
+    ]
+    more = [*_log(diagnosis), *remaining_sentences(diagnosis), _tested(diagnosis)]
+    write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """Return the report's section: the sentence first, then the pictures, then what follows from it."""
-    told = diagnosis_summary(diagnosis)
-    blocks = [
-        told.sentences[0],
-        *_where(diagnosis),
-        *_instrument(diagnosis),
-        *_causes(diagnosis, told).blocks,
-        *_gain(diagnosis, told).blocks,
-    ]
-    return Section(key="wrong", title=WRONG, blocks=tuple(blocks))
+    first = [verdict_sentence(diagnosis), *_log(diagnosis), *remaining_sentences(diagnosis)]
+    return Section(key="wrong", title=WRONG, blocks=(*first, *_wrong(diagnosis), *_why(diagnosis), *_gain(diagnosis)))
 
 
-def _where(diagnosis: Diagnosis) -> list[Block]:
+def _log(diagnosis: Diagnosis) -> list[str | Findings]:
+    """Return what is wrong with the logs, which comes before all physics."""
+    doubts = log_doubts(diagnosis)
+    return ["First mend the logs: what follows may come of this.", Findings(findings=doubts)] if doubts else []
+
+
+def _tested(diagnosis: Diagnosis) -> str:
+    """Say which records were fitted, and on which the models were tested."""
+    if diagnosis.heldout:
+        fitted, held = (listed([shown(r.name) for r in runs]) for runs in (diagnosis.records, diagnosis.heldout))
+        return f"Fitted to {fitted}; tested on {held}, held out."
+    if len(diagnosis.records) > 1:
+        return "No record was held out; as a test, each in turn was left out of the fit."
+    return "There is one record; as a test, its end was held out of a second fit."
+
+
+def _wrong(diagnosis: Diagnosis) -> tuple[Block, ...]:
+    """Show what the simulation misses, and where."""
     blocks: list[Block] = [residuals_figure("wrong-residuals", diagnosis)]
     if diagnosis.verdict != "healthy" and diagnosis.where:
         blocks.append(shares_figure("wrong-shares", diagnosis.where))
-    return blocks
-
-
-def _instrument(diagnosis: Diagnosis) -> list[Block]:
     best, law = telling_instrument(diagnosis)
-    blocks: list[Block] = [instrument_sentence(best)]
+    said = instrument_sentence(best)
+    blocks += [said] if said not in remaining_sentences(diagnosis) else []
     if best is not None and best.significance <= CLEAR:
         blocks.append(instrument_figure("wrong-instrument", diagnosis, best, law))
-    return blocks
+    return tuple(blocks)
 
 
-def _causes(diagnosis: Diagnosis, told: Summary) -> Section:
-    """Tell causes, what to do, and what else was tried."""
-    blocks: list[Block] = [Summary(title="", sentences=told.sentences[1:])]
-    if diagnosis.causes:
-        blocks += [plant_formula("wrong-model", diagnosis.plant), Summary(title="", tables=told.tables[:1])]
-    if diagnosis.candidates:
-        blocks.append(candidates_figure("wrong-candidates", diagnosis))
-    elif not diagnosis.causes:
-        blocks.append("No other effect was tried: gain and damping leave nothing to be explained.")
-    return Section(key="causes", title="Why, and what to do", blocks=tuple(blocks))
+def _why(diagnosis: Diagnosis) -> tuple[Block, ...]:
+    """Tell causes, what to do, the model, and what else was tried."""
+    blocks: list[Block] = [*(why_enough(diagnosis) if diagnosis.verdict == "healthy" else ())]
+    blocks += [
+        Summary(title=capital(spoken(c.effect)), sentences=tuple(advice(c, diagnosis))) for c in diagnosis.causes
+    ]
+    follows = next_sentences(diagnosis)
+    if follows:
+        blocks.append(Summary(title="To be sure", sentences=tuple(follows)))
+    title = "The model with the causes" if diagnosis.causes else "The model of gain and damping"
+    blocks += [Summary(title=title), plant_equation("wrong-model", diagnosis.plant), _symbols(diagnosis)]
+    best = candidates_table(diagnosis)
+    if best is not None:
+        blocks += [Summary(title="Effects that were tried"), candidates_figure("wrong-candidates", diagnosis)]
+        blocks.append(Details(title="The best in numbers", blocks=(best,)))
+    return tuple(blocks)
 
 
-def _gain(diagnosis: Diagnosis, told: Summary) -> Section:
+def _symbols(diagnosis: Diagnosis) -> Table:
+    """Return what each symbol of the equation means, and its value."""
+    specs, rows = diagnosis.plant.parameters, []
+    for name, quantity in diagnosis.model.quantities.items():
+        effect, spec = name.rpartition(".")[0], specs[name]
+        said = f"{spoken_parameter(spec.name)}{f' ({spoken(effect)})' if len(diagnosis.causes) > 1 and effect else ''}"
+        text = unit(quantity.unit) if quantity.unit != "1" else ""
+        rows.append((f"{capital(said)}: {spec.meaning}", symbol_text(spec.symbol), plus_minus(quantity), text))
+    return Table(
+        title="Its parameters, from the training records",
+        columns=("Parameter", "Symbol", "Value ± standard error", "Unit"),
+        rows=tuple(rows),
+    )
+
+
+def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Tell what the causes are worth, record by record."""
-    blocks: list[Block] = []
-    if diagnosis.causes and any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains):
-        blocks.append(gains_figure("wrong-gains", diagnosis))
-    blocks.append(Summary(title="", tables=told.tables[1 if diagnosis.causes else 0 :]))
-    return Section(key="gain", title="Record by record", blocks=tuple(blocks))
+    drawable = any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains)
+    figure = [gains_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
+    return (*figure, records_table(diagnosis))
 
 
-def _doubts(diagnosis: Diagnosis) -> Section:
+def _doubts(diagnosis: Diagnosis) -> tuple[Block, ...]:
     if not diagnosis.findings:
-        return Section(key="doubts", title="Doubts", blocks=("Neither the records nor the fits gave cause for doubt.",))
-    return Section(key="doubts", title="Doubts", blocks=(Findings(findings=diagnosis.findings),))
+        return ("Neither the records nor the fits gave cause for doubt.",)
+    return (Findings(findings=grouped(diagnosis.findings)),)

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Actuator
 from servolens.errors import NumericalError
 from servolens.identification.piecewise import varying_plant
 from servolens.plant import Plant
 from servolens.report.content import Drawing
 from servolens.report.curves import Curve, curve
+from servolens.report.equation import in_order, motion_latex
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
 from servolens.report.style import FULL_WIDTH, new_figure, styled
 from servolens.report.svg import formula_svg, svg
 from servolens.report.wording import shown, symbol_text
 from servolens.simulation import simulate
+from servolens.summaries.names import spoken_parameter
 from servolens.summaries.wording import scale
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ __all__ = [
     "errors_figure",
     "law_curve",
     "match_figure",
+    "plant_equation",
     "plant_formula",
     "record_figure",
     "varying_position",
@@ -238,15 +240,19 @@ def errors_figure(
 
 
 def plant_formula(key: str, plant: Plant) -> Drawing:
+    """Return the equation of motion, in symbols and in words, and what its symbols mean."""
+    drawing = plant_equation(key, plant)
+    meanings = "; ".join(
+        f"{symbol_text(p.symbol)}, {spoken_parameter(p.name)}: {p.meaning}" for p in plant.parameters.values()
+    )
+    return replace(drawing, caption=f"{drawing.caption} {meanings}.")
+
+
+def plant_equation(key: str, plant: Plant) -> Drawing:
     """Return the equation of motion, made from what each effect says of itself, in symbols and in words."""
-    force = [e for e in plant.effects if not isinstance(e, Actuator)]
-    chain = [e for e in plant.effects if isinstance(e, Actuator)]
-    command = "V" if not chain else "a(V)"
-    latex = rf"\dot v = \beta\,{command} - c\,v" + "".join(f" - {e.latex}" for e in force) + r",\quad v = \dot y"
     words = "Acceleration is the gain times the command, less the damping times the speed"
-    words += "".join(f"; {e.sentence[0].lower()}{e.sentence[1:].rstrip('.')}" for e in (*force, *chain))
-    meanings = "; ".join(f"{symbol_text(p.symbol)}, {p.name}: {p.meaning}" for p in plant.parameters.values())
-    return Drawing(svg=formula_svg(latex, key), caption=f"{words}. {meanings}.", formula=True)
+    words += "".join(f"; {e.sentence[0].lower()}{e.sentence[1:].rstrip('.')}" for e in in_order(plant))
+    return Drawing(svg=formula_svg(motion_latex(plant), key), caption=f"{words}.", formula=True)
 
 
 def varying_position(varying: VaryingDamping, record: Record) -> NDArray[np.float64]:

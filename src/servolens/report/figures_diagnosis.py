@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.errors import residual
 from servolens.report.content import Drawing
 from servolens.report.curves import curve
 from servolens.report.laws import law_along
-from servolens.report.plots import plot_curves
 from servolens.report.plots_diagnosis import plot_candidates, plot_pieces, plot_record_errors, plot_shares
 from servolens.report.style import COLOURS, INK, new_figure, styled
 from servolens.report.svg import svg
 from servolens.report.wording import shown
-from servolens.summaries.diagnosis import spoken
-from servolens.summaries.wording import number, scale, unit
+from servolens.summaries.diagnosis_tables import data_kinds, kinds_sentence
+from servolens.summaries.evidence import CLEAR, QUANTITIES, correlation
+from servolens.summaries.names import spoken
+from servolens.summaries.wording import capital, minus, number, scale, unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,98 +26,30 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis import Diagnosis
     from servolens.diagnosis.evidence import Instrument, Share
-    from servolens.record import Record
-    from servolens.report.curves import Curve, Role
+    from servolens.report.curves import Curve
 
 __all__ = [
     "candidates_figure",
     "gains_figure",
     "instrument_figure",
-    "instrument_sentence",
-    "residuals_figure",
     "shares_figure",
     "telling_instrument",
 ]
 
-MOST_RECORDS, MOST_CANDIDATES, MOST_SHARES = 8, 12, 6
+MOST_ROWS, MOST_CANDIDATES, MOST_SHARES = 24, 12, 6
 TELLING = 0.1
 """By how much the share of the error in a range must exceed that of the samples to be stressed."""
-CLEAR = 1e-3
-"""Significance from which on an instrument is drawn."""
 SHOWS = 0.7
 """Correlation of the pieces with the causes' law from which on it is drawn."""
 SAYS_LITTLE = 6.0
 """Times the median standard error from which on a piece is left out of the picture."""
-QUANTITIES = {
-    "constant": "time",
-    "direction": "direction of motion",
-    "distance": "distance from zero",
-    "frequency": "frequency",
-    "position": "position",
-    "speed": "speed",
-    "time": "time of the record",
-    "time_since_step": "time since the step",
-    "velocity": "velocity",
-    "voltage": "command",
-    "voltage_size": "size of the command",
-}
 VARIES = {"damping": "damping", "force": "free force", "gain": "gain"}
-
-
-@styled
-def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
-    """Draw what the simulation misses in each record, without and with the causes, two records abreast."""
-    runs = [*((r, False) for r in diagnosis.records), *((r, True) for r in diagnosis.heldout)]
-    drawn = runs if len(runs) <= MOST_RECORDS else [*runs[: MOST_RECORDS - 2], *runs[-2:]]
-    columns = min(len(drawn), 2)
-    rows = -(-len(drawn) // columns)
-    figure = new_figure(1.75 * rows + 0.5)
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    before = [residual(diagnosis.linear.plant, record) for record, _ in drawn]
-    factor, length = scale([float(np.abs(r).max()) for r in before], diagnosis.plant.length_unit)
-    lost = []
-    for i, (ax, (record, held)) in enumerate(zip(axes.flat, drawn, strict=False)):
-        lost += [
-            f"{label} on {shown(record.name)}" for label in _draw_residual(ax, record, before[i], factor, diagnosis)
-        ]
-        ax.set_title(f"{shown(record.name)}{' (held out)' if held else ''}")
-        ax.set(xlabel="Time [s]" if i >= len(drawn) - columns else "")
-    for spare in list(axes.flat)[len(drawn) :]:
-        spare.remove()
-    figure.supylabel(f"Simulated − measured [{length}]", fontsize=9.5)
-    handles, labels = next((a.get_legend_handles_labels() for a in axes.flat if a.lines), ([], []))
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, handlelength=2.6)
-    caption = "Simulated minus measured position"
-    caption += ", without and with the causes" if diagnosis.causes else ", by the model of gain and damping"
-    caption += "; in the green band it is noise. " + _which_are_held_out(diagnosis)
-    if len(runs) > len(drawn):
-        caption += f" {len(runs) - len(drawn)} more records are in the table only."
-    if lost:
-        caption += f" Not drawn, because the simulation leaves all bounds: {', '.join(lost)}."
-    return Drawing(svg=svg(figure, key), caption=caption)
-
-
-def _draw_residual(
-    ax: Axes, record: Record, before: NDArray[np.float64], factor: float, diagnosis: Diagnosis
-) -> list[str]:
-    """Draw one record's panel; return the names of models whose simulation leaves all bounds."""
-    models: list[tuple[str, Role, NDArray[np.float64]]] = [("gain and damping", "constant", before)]
-    if diagnosis.causes:
-        models.append(("with the causes", "velocity", residual(diagnosis.plant, record)))
-    known = [(label, role, miss) for label, role, miss in models if np.isfinite(miss).all()]
-    noise = 2.0 * factor * diagnosis.noise_floor
-    ax.axhspan(-noise, noise, color=COLOURS["green"], alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
-    lines = [curve(label, record.time, factor * miss, role).thinned() for label, role, miss in known]
-    plot_curves(lines, xlabel="", ylabel="", legend=False, zero_line=True, ax=ax)
-    for line in ax.lines[1:]:  # errors are near noise, of which dashes make a blot
-        line.set(linewidth=1.0, linestyle="-")
-    return [label for label, *_ in models if label not in [name for name, *_ in known]]
 
 
 @styled
 def shares_figure(key: str, shares: Sequence[Share]) -> Drawing:
     """Draw of each measured quantity how error and samples are shared over its range."""
-    drawn = shares[:MOST_SHARES]
+    drawn = sorted(shares, key=lambda share: share.quantity == "frequency")[:MOST_SHARES]
     columns = min(len(drawn), 3)
     rows = -(-len(drawn) // columns)
     figure = new_figure(2.25 * rows + 0.35)
@@ -134,9 +66,9 @@ def shares_figure(key: str, shares: Sequence[Share]) -> Drawing:
     handles = [Patch(color=COLOURS["vermilion"]), Line2D([], [], color=INK)]
     figure.legend(handles, ["of the squared error", "of the samples"], loc="outside upper center", ncols=2)
     caption = (
-        "Where the error of gain and damping alone arises. Of each quantity, bars are the share of the squared error in"
-        " a part of its range, lines across them the share of the samples: were the error everywhere the same, bars"
-        " would end at the lines. Full colour: the range whose bars exceed their lines most. From the training records."
+        "Where the error of gain and damping alone arises. Bars: share of the squared error in each part of a"
+        " quantity's range; lines: share of the samples. Were the error the same everywhere, bars would end at the"
+        " lines. Full colour: where they exceed them most. Training records, not held out."
     )
     return Drawing(svg=svg(figure, key), caption=caption)
 
@@ -149,7 +81,7 @@ def _draw_share(ax: Axes, share: Share) -> None:
     if share.share_of_error - share.share_of_samples < TELLING:
         worst[:], title = False, "nowhere in particular"
     if share.quantity == "direction":
-        names = {-1: "back", 0: "rest", 1: "forth"}
+        names = {-1: "backward", 0: "rest", 1: "forward"}
         ticks = [(i + 0.5, names[round(0.5 * (a + b))]) for i, (a, b) in enumerate(zip(low, high, strict=True))]
         xlabel = name.capitalize()
     else:
@@ -165,7 +97,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
 def _tick(edges: NDArray[np.float64], place: int) -> str:
     """Return an edge with the digits that the others leave it."""
     largest = float(np.abs(edges).max())
-    return "0" if place == 0 and abs(edges[0]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
+    text = "0" if place == 0 and abs(edges[0]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
+    return minus(text)
 
 
 def _apart(places: Sequence[int], size: int) -> list[int]:
@@ -207,30 +140,6 @@ def _agreement(instrument: Instrument, law: Curve) -> float:
     return float(np.corrcoef(said, np.array(instrument.value)[told])[0, 1]) if np.ptp(said) > 0 else 0.0
 
 
-def instrument_sentence(instrument: Instrument | None) -> str:
-    """Say what the paper's own instrument shows."""
-    if instrument is None:
-        return "There are too few samples of motion to let damping, gain or a force vary in time."
-    if instrument.significance > CLEAR:
-        return (
-            "Let vary in time, neither damping nor gain nor a free force goes with anything that was measured more than"
-            " chance would have it."
-        )
-    if instrument.goes_with == "constant":
-        start = "Without any catalogue: a constant force beside gain and damping"
-        return f"{start} would make up for the error (correlation {_correlation(instrument)})."
-    how = "rises" if instrument.correlation > 0 else "falls"
-    if instrument.varies == "force":
-        return (
-            "Without any catalogue: a free force that would make up for the error"
-            f" goes with the {QUANTITIES[instrument.goes_with]} (correlation {_correlation(instrument)})."
-        )
-    return (
-        f"Without any catalogue: let vary in time, the {instrument.varies} {how} with the"
-        f" {QUANTITIES[instrument.goes_with]} (correlation {_correlation(instrument)})."
-    )
-
-
 @styled
 def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, law: Curve | None) -> Drawing:
     """Draw what varies against the quantity it goes with, and the law that the causes say of it."""
@@ -244,7 +153,7 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         law = curve(f"the model with {name}", factor * law.x, law.y, "velocity")
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
     chance = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
-    title = f"correlation {_correlation(instrument)}, by chance less than once in {_times(float(chance))}"
+    title = f"correlation {correlation(instrument)}, by chance less than once in {_times(float(chance))}"
     figure = new_figure(3.2)
     plot_pieces(
         factor * x,
@@ -254,13 +163,15 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         ylabel=_varying_label(diagnosis, instrument),
         law=law,
         held=held[instrument.varies],
-        title=title[0].upper() + title[1:],
-        ax=figure.add_subplot(),
+        title=capital(title),
+        ax=(ax := figure.add_subplot()),
     )
+    if instrument.goes_with == "direction":
+        ax.set_xticks([-1, 0, 1], ["backward", "turns round", "forward"])
     caption = (
-        f"The {VARIES[instrument.varies]} that each of a few pieces of every motion needs in the integral equation,"
-        f" against the mean {QUANTITIES[instrument.goes_with]} there. No effect was assumed; gain and damping are those"
-        " that suit it best. From the training records."
+        f"Every motion is cut into pieces. Points: the {VARIES[instrument.varies]} that each piece needs to be as"
+        f" measured, against the mean {QUANTITIES[instrument.goes_with]} there; no effect is assumed, and gain and"
+        " damping are free. Training records, not held out."
     )
     if rest:
         caption += f" {rest} pieces of which the data say little are left out."
@@ -274,9 +185,9 @@ def _labelled(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float6
     units = {"speed": f"{length}/s", "velocity": f"{length}/s", "position": length, "distance": length}
     units |= {"time": "s", "time_since_step": "s", "constant": "s"}
     units |= {"voltage": diagnosis.plant.command_unit, "voltage_size": diagnosis.plant.command_unit}
-    title = QUANTITIES[name][0].upper() + QUANTITIES[name][1:]
+    title = capital(QUANTITIES[name])
     if name == "direction":
-        return 1.0, f"{title}: back −1, forth 1"
+        return 1.0, f"Mean {title.lower()}"
     factor, text = _scaled(float(np.abs(x).max()), units[name])
     return factor, f"Mean {title.lower()} [{text}]"
 
@@ -287,14 +198,7 @@ def _varying_label(diagnosis: Diagnosis, instrument: Instrument) -> str:
         return "Damping [1/s]"
     if instrument.varies == "gain":
         return f"Gain [{unit(diagnosis.plant.unit('gain'))}]"
-    return f"Force against\npositive motion [{length}/s²]"
-
-
-def _correlation(instrument: Instrument) -> str:
-    """Return the correlation with two digits, or as many as keep it from 1."""
-    r = instrument.correlation
-    text = f"{r:.2f}" if abs(r) < 0.995 else f"{np.clip(r, -0.999, 0.999):.3f}"
-    return text.replace("-", "−")
+    return f"Force against forward\nmotion, by mass [{length}/s²]"
 
 
 def _times(chance: float) -> str:
@@ -315,42 +219,45 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         name = candidate.effects[-1]
         best[name] = min(candidate.error, best.get(name, np.inf))
     ranked = sorted(best.items(), key=lambda pair: pair[1])
-    rows = [(spoken(name), error, chosen == {name}) for name, error in ranked[:MOST_CANDIDATES]]
+    rows = [(capital(spoken(name)), error, chosen == {name}) for name, error in ranked[:MOST_CANDIDATES]]
     if len(chosen) > 1:
-        together = " and ".join(spoken(cause.effect) for cause in diagnosis.causes)
-        rows.insert(0, (shown(together, 60), diagnosis.extended.rms_error, True))
+        rows.insert(0, ("The causes together", float(np.hypot(diagnosis.remainder, diagnosis.noise_floor)), True))
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
     factor, length = scale([max(error for _, error, _ in rows)], diagnosis.plant.length_unit)
     figure = new_figure(0.25 * len(rows) + 1.0)
     plot_candidates(
-        [name[0].upper() + name[1:] for name, *_ in rows],
+        [name for name, *_ in rows],
         np.array([factor * error for _, error, _ in rows]),
         [answer for *_, answer in rows],
         floor=factor * max(diagnosis.noise_floor, 1e-300),
-        xlabel=f"R.m.s. error left in the training records [{length}], logarithmic",
+        xlabel=f"R.m.s. error left [{length}], logarithmic",
         ax=figure.add_subplot(),
     )
-    caption = "What is left when one effect is added to gain and damping, the best first; bold: the answer."
+    caption = "What is left in the training records when one effect is added to gain and damping, the best first."
+    caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
+    if chosen and not rows[0][2]:
+        caption += " It is what explains most for its parameters, which need not leave least."
     rest = len(ranked) - MOST_CANDIDATES
     if rest > 0:
-        caption += f" {rest} more effects leave more: those that do not help leave what gain and damping leave."
-    caption += " Fitted to these very records, not held out; driven by their voltage."
+        caption += f" {rest} more effects leave more."
+    caption += " Not held out. Mostly driven by the logged voltage: errors are larger than where a loop corrects them."
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
 @styled
 def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw each record's error without and with the causes."""
-    gains = diagnosis.gains
-    if len(gains) > 3 * MOST_RECORDS:  # those held out come last
-        gains = (*gains[:MOST_RECORDS], *gains[-2 * MOST_RECORDS :])
+    rows = [*zip(diagnosis.gains, data_kinds(diagnosis), strict=True)]
+    if len(rows) > MOST_ROWS:  # those held out come last
+        rows = [*rows[: MOST_ROWS // 3], *rows[-2 * MOST_ROWS // 3 :]]
+    gains = [gain for gain, _ in rows]
     factor, length = scale([g.before for g in gains if np.isfinite(g.before)], diagnosis.plant.length_unit)
     figure = new_figure(0.3 * len(gains) + 1.2)
     before, after, noise = (
         _positive([factor * getattr(g, name) for g in gains]) for name in ("before", "after", "noise")
     )
     plot_record_errors(
-        [f"{shown(g.name)}{', held out' if g.heldout else ''}" for g in gains],
+        [f"{shown(gain.name)}, {kind}" for gain, kind in rows],
         before,
         after,
         noise,
@@ -358,13 +265,10 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         xlabel=f"R.m.s. error [{length}], logarithmic",
         ax=figure.add_subplot(),
     )
-    caption = "Error of each record without and with the causes, and its noise. Filled marks are of held-out data: "
-    if diagnosis.heldout:
-        caption += "the record took no part in fit and choice."
-    elif len(diagnosis.records) > 1:
-        caption += "the record by models that were fitted without it."
-    else:
-        caption += "the record's end by models that were fitted to its beginning."
+    caption = (
+        "Error of each record without and with the causes, and its noise. Hollow: the model was fitted to these data."
+    )
+    caption += f" Filled: it was not. {kinds_sentence(diagnosis)}"
     if len(diagnosis.gains) > len(gains):
         caption += f" {len(diagnosis.gains) - len(gains)} more are in the table only."
     return Drawing(svg=svg(figure, key), caption=caption)
@@ -373,9 +277,3 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
 def _positive(values: Sequence[float]) -> NDArray[np.float64]:
     found = np.array(values)
     return np.where(np.isfinite(found) & (found > 0), found, np.nan)
-
-
-def _which_are_held_out(diagnosis: Diagnosis) -> str:
-    if diagnosis.heldout:
-        return "Records marked as held out took no part in fit and choice."
-    return "Both models were fitted to these very records."

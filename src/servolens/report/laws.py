@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["law_along"]
 
-POINTS = 201
+POINTS = 101
+VISITED, STRIDES = 40, 200
+"""Places and times of the records over whose forces a law is the mean; samples of each record among which they are."""
 VISIBLE = 0.05
 """Least change of the law, as a share of the pieces' spread, that is worth a line."""
 KNOWN = {
@@ -26,7 +28,7 @@ KNOWN = {
     "gain": ("time", "voltage", "voltage_size"),
     "force": ("constant", "direction", "position", "time", "velocity"),
 }
-"""Along which quantities the state of the axis is known, all else being zero."""
+"""Along which quantities the state of the axis is known, all else being zero or as in the records."""
 
 
 def law_along(diagnosis: Diagnosis, instrument: Instrument) -> Curve | None:
@@ -57,8 +59,18 @@ def _law(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -
         return plant.damping + _force(plant, nothing, moving, nothing) / moving
     if along == "direction":  # the mean of a piece that turns round lies between the two ways
         ways = np.array([-1.0, 1.0])
-        return np.interp(x, ways, _force(plant, np.zeros(2), ways * _typical_speed(diagnosis), np.zeros(2)))
-    return _force(plant, x if along == "position" else nothing, x if along == "velocity" else nothing, time)
+        typical = float(np.mean(_in_motion(diagnosis)[2]))
+        return np.interp(x, ways, _mean_force(diagnosis, "velocity", ways * typical))
+    return _mean_force(diagnosis, along, x)
+
+
+def _mean_force(diagnosis: Diagnosis, along: str, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the force along `x`: the mean over the places and times of the records, where `x` is not one of those."""
+    position, time, _ = _in_motion(diagnosis)
+    shape = (x.size, position.size)
+    given = {"position": position, "velocity": np.zeros(1), "time": time}
+    states = [np.broadcast_to(x[:, None] if name == along else a, shape).ravel() for name, a in given.items()]
+    return np.asarray(_force(diagnosis.plant, *states).reshape(shape).mean(axis=1))
 
 
 def _force(
@@ -82,9 +94,14 @@ def _acceleration(plant: Plant, *states: NDArray[np.float64]) -> NDArray[np.floa
     return np.array([float(function(y, v, t, u, s, plant.values, remembered)) for y, v, t, u, s in rows])
 
 
-def _typical_speed(diagnosis: Diagnosis) -> float:
-    """Return the mean speed of the first record while the axis moves [m/s or rad/s]."""
-    record = diagnosis.records[0]
-    stride = max(len(record) // 200, 1)
-    speed = np.abs(np.gradient(record.position[::stride], record.time[::stride]))
-    return float(speed[speed >= 0.1 * speed.max()].mean())
+def _in_motion(diagnosis: Diagnosis) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return position, time and speed of some samples of the records at which the axis moves."""
+    found = []
+    for record in diagnosis.records:
+        stride = max(len(record) // STRIDES, 1)
+        position, time = record.position[::stride], record.time[::stride]
+        speed = np.abs(np.gradient(position, time))
+        found.append(np.array([position, time, speed])[:, speed >= 0.1 * speed.max()])
+    position, time, speed = np.concatenate(found, axis=1)
+    stride = max(position.size // VISITED, 1)
+    return position[::stride], time[::stride], speed[::stride]

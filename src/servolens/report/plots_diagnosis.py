@@ -17,10 +17,40 @@ if TYPE_CHECKING:
 
     from servolens.report.curves import Curve
 
-__all__ = ["plot_candidates", "plot_pieces", "plot_record_errors", "plot_shares"]
+__all__ = ["plot_candidates", "plot_pieces", "plot_record_errors", "plot_residuals", "plot_shares"]
 
 BEFORE, AFTER = LOOKS["constant"]["color"], LOOKS["velocity"]["color"]
 FLOOR = COLOURS["green"]
+VISIBLE = 0.1
+"""Share of the largest error from which on the band of the noise is seen, and its edges do not hide the error."""
+
+
+@styled
+def plot_residuals(curves: Sequence[Curve], noise: float, *, title: str = "", ax: Axes | None = None) -> Axes:
+    """Draw what simulations miss over time, and the band in which it is noise.
+
+    Parameters
+    ----------
+    curves : sequence of Curve
+        Simulated minus measured position, by model.
+    noise : float
+        Half the height of the band, in the unit of the curves.
+    title : str
+        Above the axes.
+    ax : Axes, optional
+        Where; a new figure when None.
+    """
+    ax = axes_of(ax, 1.75)
+    ax.margins(x=0.01)
+    ax.axhspan(-noise, noise, color=FLOOR, alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
+    ax.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
+    for line in curves:  # errors are near noise, of which dashes make a blot
+        ax.plot(line.x, line.y, label=line.label, **{**LOOKS[line.role], "linewidth": 0.8, "linestyle": "-"})
+    if all(noise > VISIBLE * float(abs(line.y).max()) for line in curves):
+        for edge in (-noise, noise):  # above the noise itself
+            ax.axhline(edge, color=FLOOR, linewidth=1.1, zorder=5)
+    ax.set_title(title)
+    return ax
 
 
 @styled
@@ -114,7 +144,7 @@ def plot_pieces(  # noqa: PLR0913 - points, their look's labels and two lines, t
     if law is not None:
         ax.plot(law.x, law.y, label=law.label, **{**LOOKS[law.role], "zorder": 4})
     ax.set(xlabel=xlabel, ylabel=ylabel, title=title)
-    ax.legend(handlelength=3.0)
+    ax.legend(handlelength=3.0, frameon=True, framealpha=0.9, edgecolor="none")
     return ax
 
 
@@ -128,7 +158,7 @@ def plot_candidates(
     xlabel: str,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw what each candidate leaves of the error, on a logarithmic scale, with the noise as a line.
+    """Draw what each candidate leaves of the error as a dot, on a logarithmic scale, with the noise as a line.
 
     Parameters
     ----------
@@ -137,7 +167,7 @@ def plot_candidates(
     left : ndarray, shape (n,)
         Positive.
     chosen : sequence of bool, length n
-        Which bar is that of the answer.
+        Which dot is that of the answer.
     floor : float
         The noise, in the unit of `left`.
     xlabel : str
@@ -147,9 +177,9 @@ def plot_candidates(
     """
     ax = axes_of(ax, 0.27 * len(names) + 1.0)
     for i, (value, answer) in enumerate(zip(left, chosen, strict=True)):
-        ax.plot(
-            [0.0, value], [i, i], color=AFTER if answer else "#b9b9b9", linewidth=7.0, solid_capstyle="butt", zorder=2
-        )
+        colour = AFTER if answer else GREY
+        ax.plot([floor, value], [i, i], color=colour, linewidth=1.6 if answer else 1.0, zorder=2)
+        ax.plot(value, i, marker="o", color=colour, markersize=6.5 if answer else 5.0, zorder=4)
     ax.axvline(floor, color=FLOOR, linewidth=1.6, zorder=3, label="noise of the position")
     _error_axis(ax, min(float(left.min()), floor), max(float(left.max()), floor))
     _rows(ax, names)
@@ -208,7 +238,7 @@ def plot_record_errors(
     if not held_out.all():
         ax.plot([], [], linestyle="none", marker="o", color=INK, markerfacecolor="white", label="fitted to it")
     if held_out.any():
-        ax.plot([], [], linestyle="none", marker="o", color=INK, label="held out")
+        ax.plot([], [], linestyle="none", marker="o", color=INK, label="not fitted to it")
     seen = [v for v in (*before, *after, *floor) if 0 < v < float("inf")]
     _error_axis(ax, min(seen, default=1.0), max(seen, default=1.0))
     _rows(ax, rows)

@@ -8,6 +8,7 @@ import unicodedata
 __all__ = ["shown", "symbol_text"]
 
 LONGEST = 40
+LOWERED = str.maketrans("0123456789+-aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉₊₋ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 
 
 def shown(name: str, longest: int = LONGEST) -> str:
@@ -28,11 +29,11 @@ def symbol_text(latex: str) -> str:
     Examples
     --------
     >>> symbol_text(r"\alpha_1"), symbol_text(r"V_\mathrm{max}"), symbol_text("F")
-    ('α₁', 'V_max', 'F')
+    ('α₁', 'Vₘₐₓ', 'F')
     """
     text = re.sub(r"\\mathrm|[{}\s]", "", latex)
     text = re.sub(r"\\([a-z]+)", _greek, text)
-    return re.sub(r"_(\d)", lambda m: chr(0x2080 + int(m[1])), text)
+    return re.sub(r"_([-+\w]+)", lambda m: m[1].translate(LOWERED), text)
 
 
 def _greek(match: re.Match[str]) -> str:

@@ -2,55 +2,41 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
-from servolens.summaries.wording import listed, number, percent, plus_minus, scale, unit
+from servolens.effects import CATALOGUE
+from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
+from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
+from servolens.summaries.names import cause_phrase, spoken
+from servolens.summaries.wording import capital, length, listed, number, percent, scale, unit
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.diagnosis.evidence import Share
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.diagnosis.result import Cause, Diagnosis
-    from servolens.model import Quantity
+    from servolens.findings import Finding
 
-__all__ = ["cause_phrase", "diagnosis_summary", "experiment_sentence", "experiment_summary", "spoken"]
+__all__ = [
+    "advice",
+    "cause_phrase",
+    "diagnosis_summary",
+    "experiment_sentence",
+    "experiment_summary",
+    "grouped",
+    "log_doubts",
+    "next_sentences",
+    "remaining_sentences",
+    "spoken",
+    "verdict_sentence",
+    "why_enough",
+]
 
-TELLING = 0.2
-"""By how much the share of the error in a range must exceed its share of the samples to be worth a sentence."""
-CANDIDATES = 5
-PLACES = ("speed", "direction", "position", "time_since_step", "voltage", "frequency")
-"""Quantities by how much they tell people; the first is taken of those that come close to the best."""
-CLOSE = 0.2
-NAMES = {
-    "gain_and_damping": "gain and damping alone",
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "presliding": "presliding friction",
-    "asymmetric_friction": "friction that differs by direction",
-    "asymmetric_damping": "damping that differs by direction",
-    "position_friction": "a tight spot",
-    "velocity_decay_damping": "damping that falls with speed",
-    "pendulum_gravity": "gravity on a pendulum",
-    "constant_force": "a constant force",
-    "return_spring": "a spring",
-    "hardening_spring": "a hardening spring",
-    "periodic_disturbance": "a periodic disturbance",
-    "gain_drift": "a gain that drifts",
-    "dead_zone": "a dead zone",
-    "delay": "a delay",
-    "actuator_lag": "a lag of the actuator",
-    "sensor_lag": "a lag of the sensor",
-    "force_limit": "a limit of force",
-    "speed_servo": "a speed loop in the drive",
-    "flexible_coupling": "a flexible coupling",
-}
-"""Where the effect's name, with spaces for underscores, is not what people say."""
-PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
-"""Units of which people write thousandths with a prefix."""
+FEW = 200
+"""Samples up to which records show little."""
 
 
 def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
@@ -61,17 +47,18 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
     diagnosis : Diagnosis
         Of one axis.
     """
-    sentences = [*_first_the_log(diagnosis), _verdict(diagnosis), *_left(diagnosis)]
+    sentences = [verdict_sentence(diagnosis), *_first_the_log(diagnosis), *remaining_sentences(diagnosis)]
     for cause in diagnosis.causes:
-        sentences += _advice(cause, diagnosis)
-    sentences += _next(diagnosis)
-    tables = [_causes(diagnosis)] if diagnosis.causes else []
+        looks, *rest = advice(cause, diagnosis)
+        sentences += [f"{capital(spoken(cause.effect))}: {looks}", *rest]
+    sentences += next_sentences(diagnosis)
+    best = candidates_table(diagnosis)
     names = listed([record.name for record in diagnosis.records])
     return Summary(
         title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
-        tables=(*tables, _records(diagnosis), *_candidates(diagnosis)),
-        findings=diagnosis.findings,
+        tables=(parameters_table(diagnosis), records_table(diagnosis), *([best] if best else [])),
+        findings=grouped(diagnosis.findings),
     )
 
 
@@ -85,12 +72,12 @@ def experiment_summary(experiment: Experiment, *, length_unit: str, command_unit
     length_unit, command_unit : str
         Of the plant.
     """
-    factor, length = scale([experiment.start, experiment.reference], length_unit)
+    factor, scaled = scale([experiment.start, experiment.reference], length_unit)
     rows = (
         (f"kp [{command_unit}/{length_unit}]", number(experiment.kp)),
         (f"kd [{command_unit} s/{length_unit}]", number(experiment.kd)),
-        (f"From [{length}]", number(factor * experiment.start)),
-        (f"To [{length}]", number(factor * experiment.reference)),
+        (f"From [{scaled}]", number(factor * experiment.start)),
+        (f"To [{scaled}]", number(factor * experiment.reference)),
         ("And back", "yes" if experiment.back else "no"),
         ("Time at each level [s]", number(experiment.duration)),
         ("Sample time [ms]", number(1e3 * experiment.sample_time)),
@@ -104,229 +91,186 @@ def experiment_summary(experiment: Experiment, *, length_unit: str, command_unit
 
 def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: str) -> str:
     """Return what to log next and what it tells apart."""
-    factor, length = scale([experiment.start, experiment.reference], length_unit)
+    factor, scaled = scale([experiment.start, experiment.reference], length_unit)
     first, second = (spoken(name) for name in experiment.separates)
-    step = f"a step from {number(factor * experiment.start)} to {number(factor * experiment.reference)} {length}"
+    step = f"a step from {number(factor * experiment.start)} to {number(factor * experiment.reference)} {scaled}"
     gains = f"kp = {number(experiment.kp)} {command_unit}/{length_unit}"
     gains += f" and kd = {number(experiment.kd)} {command_unit} s/{length_unit}" if experiment.kd else " without kd"
     return (
-        f"Log next {step}{' and back' if experiment.back else ''} with {gains}: there {first} and {second} differ by"
+        f"Log next {step}{' and back' if experiment.back else ''}, {number(experiment.duration, 2)} s at each"
+        f" level, with {gains}: there {first} and {second} differ by"
         f" {number(experiment.separation, 2)} times the noise."
     )
 
 
-def spoken(name: str) -> str:
-    """Return an effect's name as people say it.
-
-    Examples
-    --------
-    >>> spoken("coulomb_friction"), spoken("backlash"), spoken("without delay")
-    ('Coulomb friction', 'backlash', 'without delay')
-    """
-    return NAMES.get(name, name.replace("_", " "))
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """Return the sentence that matters most; where the logs are in doubt, it says so."""
+    told = _verdict(diagnosis)
+    if not log_doubts(diagnosis):
+        return capital(told)
+    return f"The logs are in doubt; taken as they are, {told}"
 
 
-def cause_phrase(cause: Cause) -> str:
-    """Return a cause with its parameters: name and value ± error, each with its unit."""
-    values = [_value(quantity) for quantity in cause.quantities.values()]
-    if len(values) == 1:
-        return f"{spoken(cause.effect)}, {values[0]}"
-    named = [f"{name.replace('_', ' ')} {value}" for name, value in zip(cause.quantities, values, strict=True)]
-    return f"{spoken(cause.effect)} ({', '.join(named)})"
+def log_doubts(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Return what the logs themselves have wrong that may look like physics: of each kind one, the gravest first."""
+    found = grouped([finding for finding in diagnosis.findings if is_blamed(finding)])
+    told = []
+    for code in dict.fromkeys(finding.code for finding in found):
+        first, *more = (finding for finding in found if finding.code == code)
+        likewise = f" Likewise {listed([str(finding.record) for finding in more])}." if more else ""
+        told.append(replace(first, message=f"{first.message.rstrip('.')}.{likewise}"))
+    return tuple(told)
+
+
+def grouped(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """Return `findings` with units as people write them, those that say the same of several records as one."""
+    kept = {(finding.code, finding.severity, finding.message): finding for finding in findings}
+    names = {key: list[str]() for key in kept}
+    for finding in findings:
+        about = names[finding.code, finding.severity, finding.message]
+        about += [finding.record] if finding.record and finding.record not in about else []
+    return tuple(
+        replace(kept[key], record=listed(about) if about else None, message=unit(kept[key].message))
+        for key, about in names.items()
+    )
+
+
+def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Say what remains where something does, and what the records are too short to show."""
+    told = _left(diagnosis)
+    if diagnosis.verdict in ("partly_explained", "unexplained"):
+        told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
+    samples = sum(len(record) for record in diagnosis.records)
+    if samples <= FEW:
+        seconds = number(sum(record.duration for record in diagnosis.records), 2)
+        told.append(
+            f"{samples} samples in {seconds} s show little: before you trust this, log whole moves, up to rest."
+        )
+    return told
+
+
+def why_enough(diagnosis: Diagnosis) -> list[str]:
+    """Say of a healthy axis what was done, and why nothing more was needed."""
+    rest = f"{length(diagnosis.remainder, diagnosis.plant.length_unit)} (r.m.s.)" if diagnosis.remainder else "nothing"
+    told = [
+        "Gain and damping were fitted, and what their simulation leaves was averaged over neighbouring samples. Noise"
+        f" averages out, an effect that is missing does not: beside the noise {rest} is left."
+    ]
+    if not diagnosis.candidates:
+        told.append(
+            f"So none of the {len(CATALOGUE)} effects of the catalogue was added: it could only have fitted noise."
+        )
+    reach = reach_sentence(diagnosis.where)
+    return [*told, reach] if reach else told
+
+
+def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
+    """Return what the cause looks like, what to do, what it means for the gain, and what it may be instead."""
+    kind = cause.kind
+    told = [kind.looks_like or kind.sentence]
+    told += [f"What to do: {kind.remedy}"] if kind.remedy else []
+    told += [f"For the PD gain: {kind.for_the_gain}"] if kind.for_the_gain else []
+    sure = f"Confidence {percent(100 * cause.confidence)} among the effects tried"
+    rivals = _rivals(cause)
+    if rivals:
+        told.append(f"{sure}. These data cannot tell it from {' or '.join(spoken(rival) for rival in rivals)}.")
+    elif diagnosis.verdict == "partly_explained":
+        told.append(f"{sure}, as far as the error is explained at all.")
+    else:
+        told.append(f"{sure}: none does as well with as few parameters.")
+    if len(rivals) < len(cause.rivals):
+        told.append(f"It is the same as {' together with '.join(spoken(part) for part in kind.unites)}.")
+    return told
+
+
+def next_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Return what to log next where causes have rivals."""
+    plant = diagnosis.plant
+    if diagnosis.next_experiment is not None:
+        return [experiment_sentence(diagnosis.next_experiment, plant.length_unit, plant.command_unit)]
+    if any(_rivals(cause) for cause in diagnosis.causes):
+        return ["No safe step like those logged would tell them apart; look at the machine, or measure something else."]
+    return []
+
+
+def _rivals(cause: Cause) -> list[str]:
+    """Return the rivals of a cause but for those that together are the same thing."""
+    parts = cause.kind.unites if set(cause.kind.unites) <= set(cause.rivals) else ()
+    return [rival for rival in cause.rivals if rival not in parts]
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    """Return the sentence that matters most."""
-    unit_ = diagnosis.plant.length_unit
-    if diagnosis.verdict == "healthy" and any(finding.code == "small_remainder" for finding in diagnosis.findings):
-        return (
-            f"Gain and damping leave {_length(_error(diagnosis, after=False), unit_)}{_data(diagnosis)}, more than the"
-            f" noise of {_length(diagnosis.noise_floor, unit_)} but little: nothing in the catalogue explains it."
-        )
     if diagnosis.verdict == "healthy":
-        return (
-            f"Gain and damping explain these records down to their noise, {_length(diagnosis.noise_floor, unit_)}:"
-            " nothing else is wrong that they could show."
-        )
+        return _healthy(diagnosis)
     if diagnosis.verdict == "unexplained":
-        where = _where(diagnosis)
-        return _capital(
-            f"{where}nothing in the catalogue explains {'it' if where else 'the error'}: a model of gain and damping is"
-            f" {_length(_error(diagnosis, after=False), unit_)} off{_data(diagnosis)}, and no effect that was tried"
-            " makes that much better."
-        )
-    part = "" if diagnosis.verdict == "explained" else "part of "
+        return _unexplained(diagnosis)
     causes = [cause_phrase(cause) for cause in diagnosis.causes]
-    what = "cause is" if len(causes) == 1 else "causes are"
-    names = listed(causes) if len(causes) > 1 else causes[0]
-    start = f"{_where(diagnosis)}the {what} " if not part else _part(diagnosis)
-    before, after = (_error(diagnosis, after=flag) for flag in (False, True))
+    names, them = (listed(causes), "them") if len(causes) > 1 else (causes[0], "it")
+    where = where_phrase(diagnosis.where)
+    start = f"{where}; " if where else ""
+    if diagnosis.verdict == "explained":
+        start += f"the cause{'s are' if len(causes) > 1 else ' is'} {names}"
+    else:
+        start += f"part of {'it' if where else 'the error'} is explained by {names}"
+    unit_ = diagnosis.plant.length_unit
+    errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
+    before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
-    return _capital(
-        f"{start}{names}; with {'it' if len(causes) == 1 else 'them'} the {held}error falls from"
-        f" {_length(before, unit_)} to {_length(after, unit_)}."
+    return f"{start}; with {them} the {held}error falls from {before} to {after} (r.m.s., the noise is {noise})."
+
+
+def _healthy(diagnosis: Diagnosis) -> str:
+    several = len(diagnosis.records) > 1
+    noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
+    if any(finding.code == "small_remainder" for finding in diagnosis.findings):
+        error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
+        return (
+            f"gain and damping leave {error} (r.m.s.){_data(diagnosis)}, more than the noise of {noise} but little:"
+            " nothing in the catalogue explains it."
+        )
+    these, their, they = ("these records", "their", "they") if several else ("this record", "its", "it")
+    return (
+        f"gain and damping explain {these} down to {their} noise, {noise} (r.m.s.): nothing else is wrong that {they}"
+        " could show."
+    )
+
+
+def _unexplained(diagnosis: Diagnosis) -> str:
+    contradiction = [finding for finding in diagnosis.findings if finding.code == "records_contradict"]
+    if contradiction and not diagnosis.candidates:
+        return f"{unit(contradiction[0].message.rstrip('.'))} No effect was tried."
+    where = where_phrase(diagnosis.where)
+    start = f"{where}; " if where else ""
+    error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
+    return (
+        f"{start}nothing in the catalogue explains {'it' if where else 'the error'}: a model of gain and damping is"
+        f" {error} (r.m.s.) off{_data(diagnosis)}, and no effect that was tried makes that much better."
     )
 
 
 def _first_the_log(diagnosis: Diagnosis) -> list[str]:
     """Say what the logs themselves have wrong, before physics is blamed."""
-    blamed = [finding for finding in diagnosis.findings if is_blamed(finding)]
+    blamed = log_doubts(diagnosis)
     if not blamed:
         return []
-    more = f" ({len(blamed) - 1} more such doubts below)" if len(blamed) > 1 else ""
-    return [f"First the log: {blamed[0].record}: {blamed[0].message.rstrip('.')}{more}. What follows may come of it."]
-
-
-def _part(diagnosis: Diagnosis) -> str:
-    where = _where(diagnosis)
-    return f"{where}part of it is explained by " if where else "part of the error is explained by "
+    told = " ".join(f"{finding.record}: {finding.message}" for finding in blamed)
+    return [f"First mend the logs: {told} What follows may come of it."]
 
 
 def _left(diagnosis: Diagnosis) -> list[str]:
     """Say what remains, where something does."""
     if diagnosis.verdict not in ("partly_explained", "unexplained"):
         return []
-    unit_, floor = diagnosis.plant.length_unit, diagnosis.noise_floor
+    floor, unit_ = diagnosis.noise_floor, diagnosis.plant.length_unit
     if any(finding.code == "heldout_contradicts" for finding in diagnosis.findings):
-        return ["Records that were held out are much farther off than those that were fitted: see the doubts below."]
+        return ["Records that were held out are much farther off than those that were fitted: see the warnings below."]
     if diagnosis.remainder == 0.0:
         return ["Driven by their voltage the records leave nothing but noise, but that is not borne out otherwise."]
-    share = f", {number(diagnosis.remainder / floor, 2)} times the noise of {_length(floor, unit_)}" if floor else ""
-    rest = f"What remains, {_length(diagnosis.remainder, unit_)}{share}, is no noise"
+    share = f", {number(diagnosis.remainder / floor, 2)} times the noise" if floor else ""
+    rest = f"The training records, driven by their voltage, leave {length(diagnosis.remainder, unit_)} (r.m.s.){share}"
     if diagnosis.verdict == "partly_explained":
         return [f"{rest}: something else is wrong too, and the causes below may stand for it in part."]
-    doubts = ", and at the doubts below about the logs," if diagnosis.findings else ""
-    return [f"{rest}. Look at where the error arises{doubts} before tuning."]
-
-
-def _advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
-    """Return what the cause looks like, what to do, what it means for the gain, and what it may be instead."""
-    kind = cause.kind
-    name = _capital(spoken(cause.effect))
-    told = [f"{name}: {kind.looks_like or kind.sentence}"]
-    told += [f"What to do: {kind.remedy}"] if kind.remedy else []
-    told += [f"For the PD gain: {kind.for_the_gain}"] if kind.for_the_gain else []
-    if cause.rivals:
-        others = listed([spoken(rival) for rival in cause.rivals])
-        told.append(f"These data cannot tell {spoken(cause.effect)} from {others}.")
-    return told
-
-
-def _next(diagnosis: Diagnosis) -> list[str]:
-    """Return what to log next where causes have rivals."""
-    plant = diagnosis.plant
-    if diagnosis.next_experiment is not None:
-        return [experiment_sentence(diagnosis.next_experiment, plant.length_unit, plant.command_unit)]
-    if any(cause.rivals for cause in diagnosis.causes):
-        return ["No safe step like those logged would tell them apart; look at the machine, or measure something else."]
-    return []
-
-
-def _where(diagnosis: Diagnosis) -> str:
-    """Return the beginning of a sentence about where the error arises; empty if it arises everywhere."""
-    telling = [share for share in diagnosis.where if _is_telling(share)]
-    if not telling:
-        return ""
-    most = max(share.share_of_error - share.share_of_samples for share in telling)
-    close = [share for share in telling if share.share_of_error - share.share_of_samples >= most - CLOSE]
-    share = min(close, key=lambda share: PLACES.index(share.quantity) if share.quantity in PLACES else len(PLACES))
-    return f"{number(100 * share.share_of_error, 2)} % of the error arises {_range(share)}; "
-
-
-def _is_telling(share: Share) -> bool:
-    """Tell whether the range says something; that an error is slow, every error of a model is."""
-    slow = share.quantity == "frequency" and share.low <= share.bins[0][0]
-    return not slow and share.share_of_error - share.share_of_samples >= TELLING
-
-
-def _range(share: Share) -> str:
-    """Return a range of a measured quantity as people say it."""
-    factor, unit_ = _scaled([share.low, share.high], share.unit)
-    low, high = number(factor * share.low, 2), number(factor * share.high, 2)
-    from_start, to_end = share.low <= share.bins[0][0], share.high >= share.bins[-1][1]
-    if share.quantity == "direction":
-        return "in forward motion" if to_end else "in backward motion" if from_start else "at rest"
-    if share.quantity == "time_since_step":
-        return (
-            f"in the first {high} {unit_} after the step" if from_start else f"{low} to {high} {unit_} after the step"
-        )
-    at = {"speed": "", "frequency": ""}.get(share.quantity, f"at a {share.quantity} ")
-    if from_start != to_end:
-        return f"{at}below {high} {unit_}" if from_start else f"{at}above {low} {unit_}"
-    return f"{at}between {low} and {high} {unit_}"
-
-
-def _causes(diagnosis: Diagnosis) -> Table:
-    rows = []
-    for cause in diagnosis.causes:
-        rivals = ", ".join(cause.rivals) or "none"
-        for i, (name, quantity) in enumerate(cause.quantities.items()):
-            first = i == 0
-            rows.append(
-                (
-                    f"{cause.effect} {name}",
-                    plus_minus(quantity),
-                    unit(quantity.unit) if quantity.unit != "1" else "",
-                    percent(100 * cause.confidence) if first else "",
-                    rivals if first else "",
-                )
-            )
-    return Table(
-        title="Causes, in the order found",
-        columns=("Parameter", "Value ± standard error", "Unit", "Confidence", "Rivals"),
-        rows=tuple(rows),
-        note="Confidence: how likely the cause is among what was tried. Rivals: what these data cannot tell from it.",
-    )
-
-
-def _records(diagnosis: Diagnosis) -> Table:
-    factor, length = scale([gain.before for gain in diagnosis.gains], diagnosis.plant.length_unit)
-    rows = [
-        (
-            gain.name,
-            number(factor * gain.before, 3),
-            number(factor * gain.after, 3),
-            number(factor * gain.noise, 2),
-            "held out" if gain.heldout else "used",
-        )
-        for gain in diagnosis.gains
-    ]
-    return Table(
-        title=f"R.m.s. error without and with the causes [{length}]",
-        columns=("Record", "Before", "After", "Noise", "Data"),
-        rows=tuple(rows),
-        note=_meaning_of_held_out(diagnosis),
-    )
-
-
-def _meaning_of_held_out(diagnosis: Diagnosis) -> str:
-    if diagnosis.heldout:
-        return "Held out: the record took no part in fit and choice."
-    if len(diagnosis.records) > 1:
-        return "Held out: each record by the model fitted without it."
-    return "Held out: the end of the record, by the model fitted to its beginning."
-
-
-def _candidates(diagnosis: Diagnosis) -> list[Table]:
-    """Return the best single effects and what each leaves."""
-    best = [*{candidate.effects: candidate for candidate in reversed(diagnosis.candidates)}.values()]
-    best = sorted(best, key=lambda candidate: candidate.error)[:CANDIDATES]
-    if not best:
-        return []
-    floor = max(diagnosis.noise_floor, 1e-300)
-    factor, length = scale([candidate.error for candidate in best], diagnosis.plant.length_unit)
-    rows = [
-        (" + ".join(candidate.effects), number(factor * candidate.error, 3), number(candidate.error / floor, 3))
-        for candidate in best
-    ]
-    return [
-        Table(
-            title="Best single effects beside gain and damping",
-            columns=("Effect", f"Leaves [{length}]", "In units of the noise"),
-            rows=tuple(rows),
-            note="R.m.s. of what is left of the training records, driven by their voltage.",
-        )
-    ]
+    return [f"{rest}. Look at where the error arises, and at the warnings if there are any, before tuning."]
 
 
 def _error(diagnosis: Diagnosis, *, after: bool) -> float:
@@ -336,38 +280,3 @@ def _error(diagnosis: Diagnosis, *, after: bool) -> float:
 
 def _data(diagnosis: Diagnosis) -> str:
     return "" if diagnosis.baseline.heldout_rms_error is None else " on held-out data"
-
-
-def _length(value: float, length_unit: str) -> str:
-    """Return a length or angle with two digits and the prefix that suits it."""
-    if not math.isfinite(value):
-        return "more than can be said"
-    factor, unit_ = scale([value], length_unit)
-    return f"{number(float(f'{factor * value:.1e}'), 2)} {unit_}"
-
-
-def _value(quantity: Quantity) -> str:
-    """Return value ± error to the one digit of the error that matters, with a prefix where the value is small."""
-    factor, unit_ = _scaled([quantity.value], quantity.unit)
-    shown = "" if unit_ == "1" else f" {unit(unit_)}"
-    value, error = factor * quantity.value, factor * (quantity.stderr or 0.0)
-    if error <= 0 or not math.isfinite(error):
-        return f"{number(value)}{shown}"
-    leading, exponent = f"{error:.0e}".split("e")
-    decimals = max((leading == "1") - int(exponent), 0)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}{shown}"
-
-
-def _scaled(values: Sequence[float], text: str) -> tuple[float, str]:
-    """Return factor and unit in which the largest of `values` is at least about 1, down to billionths."""
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    if text not in PREFIXED or largest == 0:
-        return 1.0, text
-    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n")):
-        if largest * factor >= (0.1 if factor == 1.0 and text not in ("m", "rad", "s") else 0.5):
-            return factor, prefix + text
-    return 1e9, f"n{text}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

@@ -11,20 +11,27 @@ if TYPE_CHECKING:
     from servolens.model import Quantity
 
 __all__ = [
+    "capital",
     "inside",
     "interval",
+    "length",
     "listed",
+    "minus",
     "number",
     "number_down",
     "number_up",
     "percent",
     "plus_minus",
+    "prefixed",
     "scale",
     "unit",
+    "value_and_error",
 ]
 
 DIGITS = 4
 LARGEST_PLAIN, SMALLEST_PLAIN = 1e6, 1e-4
+PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
+"""Units of which people write thousandths with a prefix."""
 
 
 def number(value: float | None, digits: int = DIGITS) -> str:
@@ -146,6 +153,79 @@ def scale(values: Iterable[float], length_unit: str) -> tuple[float, str]:
         if largest * factor >= 0.5:
             return factor, prefix + length_unit
     return (1e3, "m" + length_unit) if largest == 0 or largest * 1e3 >= 0.05 else (1e6, "µ" + length_unit)
+
+
+def length(value: float, length_unit: str, *, beside: float | None = None) -> str:
+    """Return a length or angle with two digits and the prefix that suits it, or the one `beside` it.
+
+    Examples
+    --------
+    >>> length(0.00183, "m"), length(1.1e-5, "m"), length(1.1e-5, "m", beside=0.00183)
+    ('1.8 mm', '11 µm', '0.011 mm')
+    """
+    if not math.isfinite(value):
+        return "more than can be said"
+    factor, unit_ = scale([value if beside is None or not math.isfinite(beside) else beside], length_unit)
+    return f"{number(float(f'{factor * value:.1e}'), 2)} {unit_}"
+
+
+def value_and_error(quantity: Quantity) -> str:
+    """Return value ± error to the one digit of the error that matters, with a prefix where both are small.
+
+    Examples
+    --------
+    >>> from servolens.model import Quantity
+    >>> value_and_error(Quantity(value=0.00412, stderr=0.00003, unit="s"))
+    '4.12 ± 0.03 ms'
+    """
+    error = quantity.stderr or 0.0
+    factor, unit_ = prefixed([quantity.value, error], quantity.unit)
+    shown = "" if unit_ == "1" else f" {unit(unit_)}"
+    value, error = factor * quantity.value, factor * error
+    if error <= 0 or not math.isfinite(error):
+        return minus(f"{number(value)}{shown}")
+    leading, exponent = f"{error:.0e}".split("e")
+    decimals = max((leading == "1") - int(exponent), 0)
+    return minus(f"{value:.{decimals}f} ± {error:.{decimals}f}{shown}")
+
+
+def minus(text: str) -> str:
+    """Return `text`, a number, with the sign that people write.
+
+    Examples
+    --------
+    >>> minus("-3.2 V"), minus("3.2 V")
+    ('−3.2 V', '3.2 V')
+    """
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def prefixed(values: Iterable[float], text: str) -> tuple[float, str]:
+    """Return factor and unit in which the largest of `values` is at least about 1, down to billionths.
+
+    Examples
+    --------
+    >>> prefixed([0.004], "s"), prefixed([0.3], "m/s"), prefixed([0.004], "V")
+    ((1000.0, 'ms'), (1.0, 'm/s'), (1.0, 'V'))
+    """
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    if text not in PREFIXED or largest == 0:
+        return 1.0, text
+    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n")):
+        if largest * factor >= (0.1 if factor == 1.0 and text not in ("m", "rad", "s") else 0.5):
+            return factor, prefix + text
+    return 1e9, f"n{text}"
+
+
+def capital(text: str) -> str:
+    """Return `text` with its first letter in upper case.
+
+    Examples
+    --------
+    >>> capital("a dead zone"), capital("11 mm")
+    ('A dead zone', '11 mm')
+    """
+    return text[:1].upper() + text[1:]
 
 
 def listed(words: Sequence[str], most: int = 4) -> str:

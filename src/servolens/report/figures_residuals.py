@@ -1,0 +1,149 @@
+"""The figure of what a simulation misses, record by record, without and with the causes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.diagnosis.errors import residual
+from servolens.report.content import Drawing
+from servolens.report.curves import curve
+from servolens.report.plots_diagnosis import plot_residuals
+from servolens.report.style import new_figure, styled
+from servolens.report.svg import svg
+from servolens.report.wording import shown
+from servolens.summaries.wording import scale
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+    from servolens.diagnosis import Diagnosis
+    from servolens.record import Record
+    from servolens.report.curves import Curve, Role
+
+__all__ = ["residuals_figure"]
+
+MOST_RECORDS, MOST_ROWS = 8, 6
+"""Records drawn two abreast; one a row."""
+HELD_OUT = 2
+"""How many of them are the last that were held out."""
+DEVIATIONS = 2.0
+ENLARGED = 2.0
+"""Times from which on what is left with the causes is drawn again, enlarged."""
+MODELS: dict[str, Role] = {"gain and damping": "constant", "with the causes": "velocity"}
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _Missed:
+    """What the simulations of a record miss, in the unit of the figure; not finite where one leaves all bounds."""
+
+    record: Record
+    title: str
+    by_model: dict[str, NDArray[np.float64]]
+
+    def known(self, *names: str) -> list[str]:
+        """Return those of the models `names` whose simulation stays in bounds."""
+        return [name for name in names or self.by_model if np.isfinite(self.by_model[name]).all()]
+
+    def largest(self, name: str) -> float:
+        """Return the largest size of what a model misses, 0 if it is not known."""
+        return float(np.abs(self.by_model[name]).max()) if self.known(name) else 0.0
+
+    def curves(self, *names: str) -> list[Curve]:
+        """Return what is missed over time."""
+        return [curve(name, self.record.time, self.by_model[name], MODELS[name]).thinned() for name in names]
+
+
+@styled
+def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
+    """Draw what the simulation misses in each record; with causes, what is left beside it, enlarged."""
+    plants = dict(zip(MODELS, [diagnosis.linear.plant, *([diagnosis.plant] if diagnosis.causes else [])], strict=False))
+    runs = [*((r, False) for r in diagnosis.records), *((r, True) for r in diagnosis.heldout)]
+    drawn = runs if len(runs) <= _most(diagnosis) else [*runs[: _most(diagnosis) - HELD_OUT], *runs[-HELD_OUT:]]
+    found = [{name: residual(plant, record) for name, plant in plants.items()} for record, _ in drawn]
+    sizes = [float(np.abs(r).max()) for missed in found for r in missed.values()]
+    factor, length = scale([*sizes, diagnosis.noise_floor], diagnosis.plant.length_unit)
+    missed = [
+        _Missed(record, shown(record.name) + held * " (held out)", {name: factor * r for name, r in own.items()})
+        for (record, held), own in zip(drawn, found, strict=True)
+    ]
+    noise = DEVIATIONS * factor * diagnosis.noise_floor
+    times = _enlargement(missed, noise)
+    figure = _abreast(missed, noise) if times is None else _side_by_side(missed, noise, times)
+    figure.supylabel(f"Simulated − measured [{length}]", fontsize=9.5)
+    caption = _caption(diagnosis, missed, enlarged=times is not None, left_out=len(runs) - len(drawn))
+    return Drawing(svg=svg(figure, key), caption=caption)
+
+
+def _most(diagnosis: Diagnosis) -> int:
+    return MOST_ROWS if diagnosis.causes else MOST_RECORDS
+
+
+def _enlargement(missed: Sequence[_Missed], noise: float) -> float | None:
+    """Return by how much the errors with the causes can be enlarged; None if there are none, or hardly."""
+    before, after = MODELS
+    left = [m.largest(after) for m in missed if after in m.by_model and m.known(after)]
+    if not left:
+        return None
+    times = max(m.largest(name) for m in missed for name in (before, after)) / max(*left, noise)
+    return times if times >= ENLARGED else None
+
+
+def _abreast(missed: Sequence[_Missed], noise: float) -> Figure:
+    """Draw two records abreast."""
+    columns = min(len(missed), 2)
+    rows = -(-len(missed) // columns)
+    figure = new_figure(1.75 * rows + 0.5)
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for i, (ax, own) in enumerate(zip(axes.flat, missed, strict=False)):
+        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=ax)
+        ax.set(xlabel="Time [s]" if i >= len(missed) - columns else "")
+    for spare in list(axes.flat)[len(missed) :]:
+        spare.remove()
+    _name_lines(figure, axes.flat)
+    return figure
+
+
+def _side_by_side(missed: Sequence[_Missed], noise: float, times: float) -> Figure:
+    """Draw each record in a row: both models, and enlarged what is left with the causes."""
+    figure = new_figure(1.5 * len(missed) + 0.6)
+    axes = figure.subplots(len(missed), 2, squeeze=False, sharex="row", sharey="col")
+    after = [*MODELS][1]
+    title = f"{after}, enlarged {float(f'{times:.1g}'):g} times"
+    for (left, right), own in zip(axes, missed, strict=True):
+        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=left)
+        plot_residuals(own.curves(*own.known(after)), noise, title=title, ax=right)
+    for ax in axes[-1]:
+        ax.set_xlabel("Time [s]")
+    _name_lines(figure, axes.flat)
+    return figure
+
+
+def _name_lines(figure: Figure, axes: Iterable[Axes]) -> None:
+    """Name the lines once, above all panels."""
+    named = max((ax.get_legend_handles_labels() for ax in axes), key=lambda found: len(found[1]))
+    figure.legend(*named, loc="outside upper center", ncols=3, handlelength=2.6)
+
+
+def _caption(diagnosis: Diagnosis, missed: Sequence[_Missed], *, enlarged: bool, left_out: int) -> str:
+    told = ["Simulated minus measured position."]
+    if enlarged:
+        told = ["Simulated minus measured position; on the right only what is left with the causes, enlarged."]
+    told.append(f"Green: the noise of the position, ± {DEVIATIONS:g} standard deviations.")
+    if diagnosis.heldout:
+        told.append("Records marked as held out took no part in fit and choice; the others were fitted.")
+    else:
+        told.append("Fitted to these very data: not held out.")
+    if left_out:
+        told.append(f"{left_out} more records are in the table only.")
+    lost = [f"{name} on {shown(own.record.name)}" for own in missed for name in own.by_model if not own.known(name)]
+    if lost:
+        told.append(f"Not drawn, because the simulation leaves all bounds: {', '.join(lost)}.")
+    return " ".join(told)

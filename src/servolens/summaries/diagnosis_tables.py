@@ -1,0 +1,110 @@
+"""The tables of a diagnosis: its parameters, its errors record by record, and what else was tried."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from servolens.diagnosis.errors import KEPT
+from servolens.diagnosis.logs import beyond
+from servolens.summaries.names import spoken
+from servolens.summaries.wording import capital, number, plus_minus, scale, unit
+from servolens.summary import Table
+
+if TYPE_CHECKING:
+    from servolens.diagnosis.result import Diagnosis
+    from servolens.model import Quantity
+
+__all__ = ["candidates_table", "data_kinds", "kinds_sentence", "parameters_table", "records_table"]
+
+CANDIDATES = 5
+FITTED, HELD_OUT, LEFT_OUT, ITS_END = "fitted", "held out", "left out", "its end"
+
+
+def parameters_table(diagnosis: Diagnosis) -> Table:
+    """Return gain, damping and the causes' parameters with their errors, by the names that the files use."""
+    rows = [
+        (name.replace(".", " "), _value(quantity), unit(quantity.unit) if quantity.unit != "1" else "")
+        for name, quantity in diagnosis.model.quantities.items()
+    ]
+    title = "Model with the causes" if diagnosis.causes else "Model of gain and damping"
+    return Table(title=title, columns=("Parameter", "Value ± standard error", "Unit"), rows=tuple(rows))
+
+
+def records_table(diagnosis: Diagnosis) -> Table:
+    """Return the error of each record, without and with the causes where there are any."""
+    factor, length = scale([gain.before for gain in diagnosis.gains], diagnosis.plant.length_unit)
+    rows = []
+    for gain, kind in zip(diagnosis.gains, data_kinds(diagnosis), strict=True):
+        errors = (gain.before, gain.after) if diagnosis.causes else (gain.before,)
+        told = [number(factor * error, 3) for error in errors]
+        rows.append((gain.name, kind, *told, number(factor * gain.noise, 2)))
+    columns = ("Gain and damping", "With the causes") if diagnosis.causes else ("Error",)
+    return Table(
+        title=f"R.m.s. error [{length}]",
+        columns=("Record", "Data", *columns, "Noise"),
+        rows=tuple(rows),
+        note=kinds_sentence(diagnosis),
+    )
+
+
+def data_kinds(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return of each entry of ``gains`` what its model knew of the record."""
+    fitted = [FITTED for gain in diagnosis.gains if not gain.heldout]
+    return (*fitted, *(_held_out(diagnosis, i) for i in range(len(diagnosis.gains) - len(fitted))))
+
+
+def kinds_sentence(diagnosis: Diagnosis) -> str:
+    """Say what was held out, and from what."""
+    kinds = data_kinds(diagnosis)
+    told = []
+    if HELD_OUT in kinds:
+        told.append("Held out: the record took no part in fit and choice.")
+    if LEFT_OUT in kinds:
+        told.append(
+            "Left out: each record in turn, by a model fitted to the others; causes were chosen on all of them."
+            if diagnosis.causes
+            else "Left out: each record in turn, by a model fitted to the others."
+        )
+    if ITS_END in kinds:
+        end = f"Its end: the last {100 * (1 - KEPT):.0f} % of the record, by a model fitted to its beginning"
+        alone = len(diagnosis.records) == 1
+        told.append(f"{end}." if alone else f"{end} and to the others, whose commands are much smaller.")
+    return " ".join(told)
+
+
+def candidates_table(diagnosis: Diagnosis) -> Table | None:
+    """Return the best single effects and what each leaves; None where none was tried."""
+    best = [*{candidate.effects: candidate for candidate in reversed(diagnosis.candidates)}.values()]
+    best = sorted(best, key=lambda candidate: candidate.error)[:CANDIDATES]
+    if not best:
+        return None
+    floor = max(diagnosis.noise_floor, 1e-300)
+    factor, length = scale([candidate.error for candidate in best], diagnosis.plant.length_unit)
+    rows = [
+        (
+            capital(" and ".join(spoken(name) for name in candidate.effects)),
+            number(factor * candidate.error, 3),
+            number(candidate.error / floor, 3),
+        )
+        for candidate in best
+    ]
+    return Table(
+        title="Best single effects beside gain and damping",
+        columns=("Effect", f"Leaves [{length}]", "Times the noise"),
+        rows=tuple(rows),
+        note="R.m.s. of what is left of the training records, driven by their voltage; not held out.",
+    )
+
+
+def _value(quantity: Quantity) -> str:
+    """Return value ± error without the percentage, which would break names on a narrow screen."""
+    told = plus_minus(quantity)
+    return told.partition(" (")[0] if quantity.stderr is not None else told
+
+
+def _held_out(diagnosis: Diagnosis, i: int) -> str:
+    """Return how record `i` of those held out was kept from the fit."""
+    if diagnosis.heldout:
+        return HELD_OUT
+    others = [record for k, record in enumerate(diagnosis.records) if k != i]
+    return LEFT_OUT if others and not beyond(others, [diagnosis.records[i]]) else ITS_END
