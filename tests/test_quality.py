@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import time
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from servolens import lab
+from servolens.control_law import controller_voltage
 from servolens.quality import assess, check
 from servolens.quality.sampling import quantisation_step
 from servolens.reading import read_record
@@ -228,6 +232,84 @@ def test_sensor_that_freezes_is_said():
     assert finding.message.startswith("the position stands still for 29 samples from 0.1 s and then jumps by ")
 
 
+def lost_silently(record, lost):
+    """Return the record without some samples, its time renumbered."""
+    short = cut(record, np.delete(np.arange(len(record)), lost))
+    return short.with_({"time": record.time[: len(short)].copy()})
+
+
+@pytest.mark.parametrize("count", [1, 5, 20])
+@pytest.mark.parametrize("missing", [(), ("voltage",), ("reference", "controller")], ids=["none", "V", "r"])
+def test_lost_samples_that_the_time_column_hides_are_said(count, missing):
+    record = lost_silently(lab.step_record(lab.NLM2, 60, noise=1e-5, seed=4), np.arange(100, 100 + count))
+    (finding,) = [f for f in check(record.with_(dict.fromkeys(missing))) if f.severity == "warning"]
+    assert finding.code == "position_jumps"
+    assert " at 0.1 s, as far as in " in finding.message
+    assert int(re.search(r"in (\d+) samples", finding.message)[1]) == pytest.approx(count, abs=2)
+
+
+def test_lost_samples_of_an_axis_almost_at_rest_are_told_by_the_control_law():
+    record = lab.step_record(lab.NLM1, 100, 4, noise=1e-5, seed=4)
+    still = int(np.argmax(record.position)) + 10
+    (finding,) = check(lost_silently(record, np.arange(still, still + 20)))
+    assert finding.code == "position_jumps"
+    assert "the logged voltage knows nothing of it: samples are lost, whatever the time column says" in finding.message
+
+
+def test_jump_that_the_controller_has_seen_is_the_sensor_s():
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, seed=4)
+    slipped = record.with_({"position": record.position + np.where(np.arange(len(record)) < 100, 0.0, 0.003)})
+    (finding,) = check(slipped.with_({"voltage": controller_voltage(slipped)}))
+    assert finding.code == "position_jumps"
+    assert "and the voltage with it: check the sensor for lost counts" in finding.message
+
+
+HARD = {
+    "backlash": {"gap": 2e-3, "load_share": 0.5},
+    "flexible_coupling": {"frequency": 60.0, "damping_ratio": 0.01, "load_ratio": 0.4},
+    "coulomb_friction": {"level": 4.0},
+    "delay": {"time": 0.03},
+    "speed_servo": {"speed_per_volt": 0.019, "proportional": 100.0, "integral": 500.0},
+}
+
+
+@cache
+def driven(effect):
+    """Records of an axis with a hard effect, the last with a coarse encoder."""
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={effect: HARD[effect]})
+    levels = {"reference": (0.1, 0.02, 0.07), "duration": 1.0}
+    loops = ((60, 0, 1e-5), (40, 2, 1e-5), (60, 1, 5e-4))
+    return [lab.step_record(truth, kp, kd, **levels, noise=1e-5, seed=1, encoder=step) for kp, kd, step in loops]
+
+
+@pytest.mark.parametrize("effect", HARD)
+@pytest.mark.parametrize("every", [1, 5, 20, 50])
+def test_motion_has_no_jumps_however_slowly_it_is_logged(effect, every):
+    for record in driven(effect):
+        slow = cut(record, slice(0, None, every)).with_({"voltage": None})
+        assert "position_jumps" not in codes(slow)
+
+
+def test_knocks_and_trajectories_are_no_jumps():
+    def knocks(y, v):
+        return 300.0 if 0.03 < y < 0.0305 else 0.0
+
+    assert "position_jumps" not in codes(simulated(force=knocks, noise=1e-5))
+    way = 0.1 * np.sin(40.0 * np.arange(3000) * 1e-3)
+    assert codes(lab.step_record(lab.NLM2, 60, 2, trajectory=way, noise=1e-5, seed=1)) == []
+
+
+@pytest.mark.parametrize(
+    "hidden",
+    [["backlash"], ["flexible_coupling", "dead_zone"], ["presliding"], ["sensor_lag"], ["periodic_disturbance"]],
+)
+def test_hidden_campaign_raises_nothing(hidden):
+    campaign = lab.hidden_campaign(7, effects=hidden, visibility=60.0)
+    assert [codes(record) for record in (*campaign.records, *campaign.heldout)] == [[]] * (
+        len(campaign.records) + len(campaign.heldout)
+    )
+
+
 # ---- motion
 
 
@@ -330,13 +412,108 @@ def test_voltage_that_follows_no_pd_law_is_said():
     assert "law_contradicts_log" in codes(record.with_({"voltage": record.voltage + other}))
 
 
-@pytest.mark.parametrize("shift", [-2, -1, 1, 2])
+@pytest.mark.parametrize("shift", [-12, -2, -1, 1, 2, 12])
 def test_shifted_voltage_is_said(shift):
     record = simulated(kd=5.0, edge=100)
     shifted = np.roll(record.voltage, shift)
     (finding,) = [f for f in check(record.with_({"voltage": shifted})) if f.code == "voltage_shifted"]
+    count = "1 sample" if abs(shift) == 1 else f"{abs(shift)} samples"
     when = "after" if shift > 0 else "before"
-    assert finding.message == f"the voltage is logged {abs(shift)} sample(s) {when} its position; shift the column."
+    assert finding.message == f"the voltage is logged {count} {when} its position; shift the column."
+
+
+def staircase(kp=60, kd=0.0, **settings):
+    """Steps of a laboratory cart, the first at the first sample."""
+    settings = {"reference": (0.1, 0.02, 0.07), "duration": 0.6, "noise": 1e-5, "seed": 1, **settings}
+    return lab.step_record(lab.NLM2, kp, kd, **settings)
+
+
+def logged_late(record, column, samples):
+    signal = getattr(record, column)
+    return record.with_({column: signal[np.clip(np.arange(signal.size) - samples, 0, signal.size - 1)]})
+
+
+@pytest.mark.parametrize("samples", [-20, -5, -1, 1, 3, 5, 20])
+@pytest.mark.parametrize(("column", "other"), [("position", "reference"), ("reference", "position")])
+@pytest.mark.parametrize(("kp", "kd"), [(60, 0), (100, 4)])
+def test_column_that_is_logged_late_or_early_is_said_instead_of_other_gains(column, other, samples, kp, kd):
+    record = staircase(kp, kd)
+    assert codes(record) == []
+    late = logged_late(record, column, samples)
+    (finding,) = [f for f in check(late) if f.code != "onset_missed"]  # an early position begins in motion
+    count = "1 sample" if abs(samples) == 1 else f"{abs(samples)} samples"
+    assert (finding.code, finding.severity) == (f"{column}_shifted", "warning")
+    assert finding.message == (
+        f"the {column} is logged {count} {'late' if samples > 0 else 'early'} against {other} and voltage;"
+        f" shift the column, and the voltage fits kp = {kp}, kd = {kd}."
+    )
+
+
+@pytest.mark.parametrize("step", [1e-4, 1e-3])
+def test_shift_is_seen_through_the_rounding_of_the_voltage(step):
+    record = staircase(60, 2)
+    rounded = record.with_({"voltage": np.round(record.voltage / step) * step})
+    assert codes(rounded) == []
+    assert codes(logged_late(rounded, "position", 3)) == ["position_shifted"]
+    assert codes(logged_late(rounded, "reference", 5)) == ["reference_shifted"]
+
+
+def test_shift_of_the_first_step_alone_is_seen():
+    record = lab.step_record(lab.NLM2, 60, 3, noise=1e-5, seed=2)
+    late = np.where(np.arange(len(record)) < 5, 0.0, record.reference)
+    (finding,) = [f for f in check(record.with_({"reference": late})) if f.code == "reference_shifted"]
+    assert "logged 5 samples late" in finding.message
+
+
+def test_shift_after_a_rest_is_said_once_and_in_samples():
+    late = logged_late(staircase(150, 2, rest=0.1), "reference", 15)
+    found = [finding for finding in check(late) if finding.code == "reference_shifted"]
+    assert len(found) == 1
+    assert "15 samples late" in found[0].message
+
+
+@pytest.mark.parametrize("column", ["position", "reference", "voltage"])
+def test_shift_is_found_in_a_long_record(column):
+    levels = tuple(0.1 * (-1.0) ** k for k in range(50))
+    record = staircase(60, 3, reference=levels, derivative_filter=0.3)
+    assert len(record) > 25_000
+    assert codes(record) == []
+    assert codes(logged_late(record, column, 3)) == [f"{column}_shifted"]
+
+
+def test_shift_and_wrong_gains_are_both_said():
+    late = logged_late(staircase(100, 4), "position", 3)
+    assert codes(late.with_({"controller": Controller(kp=120, kd=4)})) == ["position_shifted", "gains_contradict_log"]
+    assert codes(late.with_({"controller": None})) == ["position_shifted", "gains_unknown"]
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"kp": 72.0},
+        {"kp": 61.0},
+        {"kd": 0.0},
+        {"kd": 4.18},  # 3 kp h more, what a shift by 3 samples looks like
+        {"kd": 3.82},
+        {"derivative_filter": 0.3},
+        {"derivative_window": 3},
+        {"derivative_on": "error"},
+    ],
+    ids=str,
+)
+def test_wrong_settings_are_not_taken_for_a_shift(stated):
+    record = staircase(60, 4)
+    wrong = record.with_({"controller": replace(record.controller, **stated)})
+    assert not [code for code in codes(wrong) if code.endswith("shifted")]
+
+
+@pytest.mark.parametrize("lag", [0.5, 2.0, 5.0])
+def test_lagging_voltage_is_not_taken_for_a_shift(lag):
+    record = staircase(60, 4)
+    share, voltage = 1.0 - math.exp(-1.0 / lag), record.voltage.copy()
+    for k in range(1, voltage.size):
+        voltage[k] = voltage[k - 1] + share * (record.voltage[k] - voltage[k - 1])
+    assert not [code for code in codes(record.with_({"voltage": voltage})) if code.endswith("shifted")]
 
 
 def test_slow_loop_is_judged_at_its_own_ticks():

@@ -10,11 +10,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.quality.beginning import beginning_findings
+from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from servolens.findings import Finding
     from servolens.record import Record
 
@@ -87,8 +90,9 @@ def assess(record: Record) -> RecordQuality:
     Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``repeated_samples``, ``frozen_position``,
     ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
     ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
-    ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``gains_unknown``, ``no_reference``,
-    ``onset_missed``, ``reference_shifted``, ``units_contradict``, ``voltage_reconstructed``.
+    ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``position_shifted``,
+    ``reference_shifted``, ``position_jumps``, ``gains_unknown``, ``no_reference``, ``onset_missed``,
+    ``units_contradict``, ``voltage_reconstructed``.
 
     Examples
     --------
@@ -102,7 +106,8 @@ def assess(record: Record) -> RecordQuality:
     seen = (
         *sampling_findings(record, sampling),
         *motion_findings(record, sampling),
-        *beginning_findings(record, sampling),
+        *jump_findings(record, sampling),
+        *_beginning(record, sampling, fit),
         *loop_findings(record, fit),
     )
     findings = (*record.remarks, *(replace(finding, record=record.name) for finding in seen))
@@ -121,6 +126,13 @@ def check(record: Record) -> tuple[Finding, ...]:
     ['constant_position']
     """
     return assess(record).findings
+
+
+def _beginning(record: Record, sampling: Sampling, fit: LoopFit | None) -> Iterator[Finding]:
+    """Yield doubts about the beginning, but for a shift that the control law tells better."""
+    for finding in beginning_findings(record, sampling):
+        if finding.code != "reference_shifted" or fit is None or fit.shift is None:
+            yield finding
 
 
 def _quality(record: Record, sampling: Sampling, fit: LoopFit | None, findings: tuple[Finding, ...]) -> RecordQuality:

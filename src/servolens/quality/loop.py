@@ -11,6 +11,7 @@ import numpy as np
 from servolens.control_law import law_columns
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.quality.shifts import find_shift, fit_gains, realigned, remembered, rms
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.quality.sampling import Sampling
+    from servolens.quality.shifts import Shift
     from servolens.record import Record
 
 __all__ = ["LoopFit", "fit_loop", "loop_findings"]
@@ -52,8 +54,8 @@ class LoopFit:
         Samples at which the voltage sits at a limit.
     limits : tuple of float
         Least and largest logged voltage.
-    shift : int
-        Samples by which the voltage is logged late (positive) or early.
+    shift : Shift or None
+        Of the column that is logged late or early; the gains are those that fit without it.
     """
 
     kp: float
@@ -63,7 +65,7 @@ class LoopFit:
     rounding: float
     clipped: int
     limits: tuple[float, float]
-    shift: int
+    shift: Shift | None
 
 
 def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
@@ -76,6 +78,8 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
         return None
     aligned = _aligned(record)
     try:
+        shift = find_shift(aligned, _clipped(aligned, seen))
+        aligned = aligned if shift is None else _aligned(realigned(aligned, shift))
         error, derivative = law_columns(aligned)
     except InputError:
         return None
@@ -86,7 +90,7 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     if np.count_nonzero(judged) < 4:
         return None
     kp, kd, kept = _robust_fit(error, derivative, target, judged)
-    scale = _rms(target[judged])
+    scale = rms(target[judged])
     if scale == 0 or not kept.any():
         return None
     left = target - kp * error + kd * derivative
@@ -94,12 +98,12 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     return LoopFit(
         kp=kp,
         kd=kd,
-        misfit=_rms(left[kept] if enough else left[judged]) / scale,
+        misfit=rms(left[kept] if enough else left[judged]) / scale,
         difference=_difference(record.controller, kp, kd, error[judged], derivative[judged]) / scale,
         rounding=abs(kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
         clipped=int(np.count_nonzero(clipped)),
         limits=(float(record.voltage.min()), float(record.voltage.max())),
-        shift=_shift(target, error, derivative),
+        shift=shift,
     )
 
 
@@ -142,10 +146,8 @@ def _limits(record: Record, fit: LoopFit) -> Iterator[Finding]:
 def _law(record: Record, fit: LoopFit) -> Iterator[Finding]:
     stated = record.controller
     fits = f"kp = {fit.kp:.4g}, kd = {0.0 if abs(fit.kd) < 1e-9 * abs(fit.kp) else fit.kd:.4g}"
-    if fit.shift:
-        when = "after" if fit.shift > 0 else "before"
-        message = f"the voltage is logged {abs(fit.shift)} sample(s) {when} its position; shift the column."
-        yield Finding(code="voltage_shifted", severity="warning", message=message)
+    if fit.shift is not None:
+        yield _shifted(fit.shift, fits)
     if stated is None:
         if fit.misfit < 0.02:
             message = f"the gains are not stated; the logged voltage fits {fits}."
@@ -163,6 +165,20 @@ def _law(record: Record, fit: LoopFit) -> Iterator[Finding]:
             cure = f"the voltage is 10^{power} times that of the law: state its unit, as mV, or that of the gains"
         message = f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}; {cure}."
         yield Finding(code="gains_contradict_log", severity="warning", message=message)
+
+
+def _shifted(shift: Shift, fits: str) -> Finding:
+    count = f"{abs(shift.samples)} sample{'s' if abs(shift.samples) > 1 else ''}"
+    late = shift.samples > 0
+    if shift.column == "voltage":
+        message = f"the voltage is logged {count} {'after' if late else 'before'} its position; shift the column."
+    else:
+        other = "reference" if shift.column == "position" else "position"
+        message = (
+            f"the {shift.column} is logged {count} {'late' if late else 'early'} against {other} and voltage; shift the"
+            f" column, and the voltage fits {fits}."
+        )
+    return Finding(code=f"{shift.column}_shifted", severity="warning", message=message)
 
 
 def _aligned(record: Record) -> Record:
@@ -197,11 +213,8 @@ def _clipped(record: Record, seen: Sampling) -> NDArray[np.bool_]:
 
 
 def _judged(record: Record, clipped: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    controller = record.controller or Controller(kp=1.0)
     judged = ~clipped
-    past = controller.derivative_window + math.ceil(5 / controller.derivative_filter)
-    ratio = round((controller.control_period or 0.0) / record.sample_time) or 1
-    judged[: min(past * ratio, len(record) // 4)] = False
+    judged[: remembered(record)] = False
     edges = record.edges()
     span = math.ceil(RINGING / record.sample_time)
     if edges.size * span < 0.3 * len(record):
@@ -216,7 +229,7 @@ def _robust_fit(
     error: NDArray[np.float64], derivative: NDArray[np.float64], target: NDArray[np.float64], judged: NDArray[np.bool_]
 ) -> tuple[float, float, NDArray[np.bool_]]:
     kept = judged
-    kp, kd = _fit(error[kept], derivative[kept], target[kept])
+    kp, kd = fit_gains(error[kept], derivative[kept], target[kept])
     for _ in range(3):
         left = np.abs(target - kp * error + kd * derivative)
         bound = max(4 * 1.4826 * float(np.median(left[kept])), 1e-9 * float(np.max(np.abs(target))))
@@ -227,19 +240,8 @@ def _robust_fit(
         kept = within
         if done:
             break
-        kp, kd = _fit(error[kept], derivative[kept], target[kept])
+        kp, kd = fit_gains(error[kept], derivative[kept], target[kept])
     return kp, kd, kept
-
-
-def _fit(
-    error: NDArray[np.float64], derivative: NDArray[np.float64], target: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Solve two normal equations with columns scaled to one; a column that is nothing gets no gain."""
-    sizes = [_rms(error) or 1.0, _rms(derivative) or 1.0]
-    columns = np.stack((error / sizes[0], -derivative / sizes[1]))
-    gram = columns @ columns.T
-    solution = np.linalg.lstsq(gram, columns @ target, rcond=1e-10)[0]
-    return float(solution[0] / sizes[0]), float(solution[1] / sizes[1])
 
 
 def _difference(
@@ -247,25 +249,4 @@ def _difference(
 ) -> float:
     if stated is None:
         return 0.0
-    return _rms((kp - stated.kp) * error - (kd - stated.kd) * derivative)
-
-
-def _shift(target: NDArray[np.float64], error: NDArray[np.float64], derivative: NDArray[np.float64]) -> int:
-    """Return the shift, up to two samples, that lets some gains fit ten times better than where the voltage stands."""
-    n = target.size
-    if n < 50:
-        return 0
-    inner = target[2:-2]
-    left: dict[int, float] = {}
-    for shift in (0, 1, 2, -1, -2):
-        e, d = error[2 - shift : n - 2 - shift], derivative[2 - shift : n - 2 - shift]
-        kp, kd = _fit(e, d, inner)
-        left[shift] = _rms(inner - kp * e + kd * d)
-        if shift == 0 and left[0] <= 1e-3 * _rms(inner):
-            return 0
-    best = min(left, key=lambda shift: left[shift])
-    return best if left[best] < 0.1 * left[0] else 0
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+    return rms((kp - stated.kp) * error - (kd - stated.kd) * derivative)
