@@ -311,3 +311,24 @@ def test_wave_of_which_a_part_is_seen_gives_way_to_what_is_simpler():
     diagnosis = diagnose(records)
     assert [cause.effect for cause in diagnosis.causes] == ["return_spring"]
     assert "cogging" not in diagnosis.causes[0].rivals
+
+
+def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
+    sticky = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    other = lab.Truth(gain=1.2, damping=4.0)
+    records = [lab.step_record(axis, kp=kp, noise=1e-5, seed=kp) for axis in (sticky, other) for kp in (40, 60)]
+    diagnosis = diagnose(records)
+    assert diagnosis.verdict == "unexplained"
+    assert "records_contradict" in [finding.code for finding in diagnosis.findings]
+
+
+def test_lag_far_below_the_sample_time_is_told_from_a_delay():
+    axis = lab.Truth(gain=21.5, damping=16.9, effects={"actuator_lag": {"time_constant": 2e-4}})
+    runs = [(8, 0.0, 0.0), (30, 1.4, 0.1)]
+    records = [
+        lab.step_record(axis, kp=kp, kd=kd, rest=rest, reference=[0.6, 0.2], noise=1e-6, seed=kp)
+        for kp, kd, rest in runs
+    ]
+    cause = diagnose(records).causes[0]
+    assert cause.effect == "actuator_lag"
+    assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)

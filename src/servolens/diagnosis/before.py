@@ -51,7 +51,7 @@ def understood(case: Case, chosen: Hypothesis) -> tuple[Case, bool] | None:
     other = Case.of(_unpowered(case.records), _unpowered(case.heldout), case.priors)
     plants = _without_lateness(chosen.plant)
     best, usual = _slowed(other.trials, plants), _slowed(case.trials, plants)
-    if best is None:
+    if best is None or best.tied:  # tied runs may begin in motion, which is as good as a lag
         return None
     known = min(case.trials.score(h) for h in (chosen, usual) if h is not None)
     return (other, other.is_explained(best)) if other.trials.score(best) < known - WORTH else None

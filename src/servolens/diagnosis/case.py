@@ -13,12 +13,13 @@ from servolens.diagnosis.logs import apart
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.diagnosis.trials import Hypothesis, Trials
+from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.effects_fit import EffectsFit, last_word
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -108,24 +109,39 @@ class Case:
         return self.gains([plant]).tested(0)
 
     def is_contradictory(self) -> bool:
-        """Tell whether gain and damping explain each record by itself, but with values that no single axis has."""
-        return not self.is_explained(self.base) and self.apart(self.base) is not None
+        """Tell whether each record by itself is explained, by friction at most, but by values that no one axis has."""
+        return not self.is_explained(self.base) and self.apart(self.base, [CoulombFriction.name]) is not None
 
-    def apart(self, hypothesis: Hypothesis) -> Finding | None:
-        """Return a finding if `hypothesis` explains each record by itself, but with values that no single axis has."""
+    def apart(self, hypothesis: Hypothesis, names: Iterable[str] = ()) -> Finding | None:
+        """Return a finding if each record by itself is explained, but by values that no single axis has.
+
+        Explained by `hypothesis`, or with one of the effects `names` beside it.
+        """
         if len(self.records) < 2:
             return None
         found = []
         for record in self.records:
-            try:
-                trials = Trials([record], self.priors)
-            except (InputError, NumericalError):
+            alone = self._alone(record, hypothesis.plant, names)
+            if alone is None:
                 return None
-            fit = trials.fitted(hypothesis.plant)
-            if fit is None or remainder(trials.judged(fit).residuals, self.rounding) > LEFT * trials.noise:
-                return None
-            found.append(fit.plant)
+            found.append(alone)
         return apart(found, [record.name for record in self.records])
+
+    def _alone(self, record: Record, plant: Plant, names: Iterable[str]) -> Plant | None:
+        """Return `plant` fitted to one record, with one of the effects at need; None where that does not explain it."""
+        try:
+            trials = Trials([record], self.priors)
+        except (InputError, NumericalError):
+            return None
+        bare = trials.fitted(plant)
+        if bare is None:
+            return None
+        for name in ("", *names):
+            more = trials.extended(bare, name) if name else bare
+            fit = trials.fitted(more.plant) if more is not None and name else more
+            if fit is not None and remainder(trials.judged(fit).residuals, self.rounding) <= LEFT * trials.noise:
+                return fit.plant
+        return None
 
     def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:
         try:

@@ -161,7 +161,7 @@ def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Se
 
 
 def _is_better(case: Case, chosen: Hypothesis, than: Case, other: Hypothesis) -> bool:
-    return case.trials.score(chosen) < than.trials.score(other) - WORTH
+    return not chosen.tied and case.trials.score(chosen) < than.trials.score(other) - WORTH
 
 
 def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:
@@ -303,6 +303,6 @@ def _said(case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict) -> lis
         )
         said.append(Finding(code="small_remainder", severity="note", message=message))
     if verdict not in ("healthy", "explained") and len(case.records) > 1:
-        finding = case.apart(case.base) or case.apart(chosen)
+        finding = case.apart(case.base, CATALOGUE) or case.apart(chosen)
         said += [] if finding is None else [finding]
     return said

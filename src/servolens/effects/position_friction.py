@@ -57,3 +57,7 @@ class PositionFriction(DryFriction):
             for tenth in range(1, 10):
                 centre = seen.low + tenth / 10 * seen.travel
                 yield within(cls, level=0.1 * seen.push, centre=centre, width=width * seen.travel)
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`."""
+        return self.width <= seen.travel

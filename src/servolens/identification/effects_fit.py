@@ -186,9 +186,15 @@ def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) ->
     """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
     noise = _noise(records, options)
     driven: str = first_choice(records, options)
-    refined = _refined(start, records, options, driven, noise)
-    if options.driven == "auto" and driven == "closed_loop" and options.compared == "position":
-        refined, driven = _by_voltage(refined, records, options, noise)
+    may_choose = options.driven == "auto" and driven == "closed_loop" and options.compared == "position"
+    try:
+        refined = _refined(start, records, options, driven, noise)
+        if may_choose:
+            refined, driven = _by_voltage(refined, records, options, noise)
+    except NumericalError:  # a contact that rattles in the loop may be followed by its voltage
+        if not may_choose:
+            raise
+        refined, driven = _refined(start, records, options, "voltage", noise), "voltage"
     return EffectsFit(
         model=Model(
             plant=refined.plant,

@@ -30,8 +30,9 @@ __all__ = [
     "without_gaps",
 ]
 
-PATIENCE, ANY_NUMBER = 5.0, 0.0
-"""Pieces into which a substep of a trial may be split on average; most pieces, where there is no such limit."""
+PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
+"""Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
+fast lag splits each sample; most pieces, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, ANY_NUMBER]
 """What the rule is told of a loop where there is none, but for what was applied before."""
 
@@ -173,7 +174,7 @@ def simulate_trial(
     *,
     feedforward: NDArray[np.float64] | None,
     start: tuple[float, float],
-    before: float | None,
+    before: float | None = None,
     substeps: int,
 ) -> Simulation:
     """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
@@ -188,10 +189,10 @@ def simulate_trial(
     InputError
         If the samples do not fit together.
     NumericalError
-        If the loop is unstable, or dry friction and contacts split a step into more than `PATIENCE` pieces on average.
+        If the loop is unstable, or dry friction and contacts split its steps into more pieces than `PATIENCE` grants.
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
-    granted = PATIENCE * time.size * substeps
+    granted = PATIENCE * time.size * max(substeps, ONE_OF)
     settings = [*_loop_settings(controller, _sample_time(time)), 0.0, granted, *_known(before)]
     return _run(plant, time, held, reference, settings, start, substeps)
 
