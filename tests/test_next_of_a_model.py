@@ -6,7 +6,7 @@ import pytest
 from test_cli import result
 
 from servolens import Plant
-from servolens.diagnosis.next_experiment import assumed_scale
+from servolens.diagnosis.proposal import assumed_scale
 from servolens.effects import CoulombFriction, DeadZone, Saturation
 from servolens.model import Model
 from servolens.results import write_json

@@ -19,14 +19,12 @@ from servolens.commands.files import (
 from servolens.commands.options import Documented, Paths, Recordings, finite, json_option, prior, recordings
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
-from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.diagnosis.proposal import Proposal
     from servolens.record import Record
 
 __all__ = ["diagnose", "next_"]
@@ -112,10 +110,11 @@ def next_(file: str, kp: float | None, reference: float | None, json_file: str |
     Exit status 1 if there is nothing to tell apart.
     """
     check_outputs({"--json": json_file}, [file])
+    from servolens.diagnosis.proposal import propose
     from servolens.summaries import experiment_summary
 
     with about(file):
-        found = _proposal(file, kp, reference)
+        found = propose(file, kp=kp, reference=reference)
     if json_file:
         write_json(json_file, "next", found.to_json(), found.findings)
     if found.experiment is None:
@@ -124,28 +123,6 @@ def next_(file: str, kp: float | None, reference: float | None, json_file: str |
     units = {"length_unit": found.length_unit, "command_unit": found.command_unit}
     show(replace(experiment_summary(found.experiment, **units), findings=found.findings), json_file)
     return 0
-
-
-def _proposal(file: str, kp: float | None, reference: float | None) -> Proposal:
-    """Return what to log next; of a model alone with a note of the scale that is assumed, unless it is given."""
-    from servolens.diagnosis.next_experiment import assumed_scale
-    from servolens.diagnosis.proposal import propose
-    from servolens.model import read_model
-
-    try:
-        plant = read_model(Path(file)).plant
-    except InputError:  # a diagnosis, which knows what was logged, or no file to be read: the proposal will say
-        return propose(file, kp=kp, reference=reference)
-    gain, step = assumed_scale(plant, kp, reference)
-    found = propose(file, kp=gain, reference=step)
-    if not plant.effects or None not in (kp, reference):
-        return found
-    message = (
-        f"a model does not know what was logged: a step of {step:.3g} {plant.length_unit} around kp = {gain:.3g} is"
-        f" assumed, which asks for {abs(gain * step):.3g} {plant.command_unit}; give --kp and --reference as they were"
-        " logged, or the diagnosis (servolens diagnose --json), which knows them."
-    )
-    return replace(found, findings=(*found.findings, Finding(code="scale_assumed", severity="note", message=message)))
 
 
 def _check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.errors import ServolensError
     from servolens.plant import Plant
 
-__all__ = ["Experiment", "assumed_scale", "next_experiment", "proposed"]
+__all__ = ["Experiment", "next_experiment", "proposed"]
 
 GAINS, DAMPINGS = 6, 4
 """How many kp and kd are tried."""
@@ -44,14 +44,6 @@ FINE = 8
 """Substeps at least: what the simulation itself gets wrong must not part rivals."""
 REST = 5
 """Samples before the step: what the axis remembers is that of rest."""
-LARGEST_STEP = 0.1
-"""Step [m or rad] of an axis of which no record is known."""
-USUAL_COMMAND = {"V": 10.0, "%": 100.0}
-"""What drives take, by the command's unit."""
-FULL = 2.0
-"""Times a saturation or dead zone of the model that its records have asked for at least."""
-FREE_RATE = 10.0
-"""Damping [1/s] that an axis without any is taken to have."""
 
 
 @final
@@ -175,32 +167,6 @@ def proposed(
         others = [effect.name for effect in rival.effects if effect.name not in known]
         named.setdefault(" and ".join(others) or f"without {cause}", rival)
     return next_experiment(named, logged, noise=noise)
-
-
-def assumed_scale(plant: Plant, kp: float | None = None, reference: float | None = None) -> tuple[float, float]:
-    """Return gain and step to look around where no record of the axis is known.
-
-    The gain leaves the loop half damped, the step is 0.1 m or rad, or one of them less, so that the step asks for no
-    more than drives usually take: 10 V or 100 %, or what shows the model's own saturation and dead zone.
-
-    Parameters
-    ----------
-    plant : Plant
-        The axis.
-    kp, reference : float, optional
-        Gain [V/m or V/rad] and step [m or rad] that are given; then they are returned as they are.
-    """
-    values = dict(zip(plant.parameters, plant.values, strict=True))
-    shown = FULL * max(values.get("saturation.limit", 0.0), values.get("dead_zone.width", 0.0))
-    most = max(USUAL_COMMAND.get(plant.command_unit, math.inf), shown)
-    rate = plant.damping if plant.damping > 0 else FREE_RATE
-    gain, step = rate**2 / plant.gain if kp is None else kp, LARGEST_STEP if reference is None else reference
-    excess = abs(gain * step) / most
-    if excess > 1.0 and reference is None:
-        step = _digits(step / excess, 2)
-    elif excess > 1.0 and kp is None:
-        gain = _digits(gain / excess, 2)
-    return gain, step
 
 
 class _Option(NamedTuple):

@@ -21,11 +21,17 @@ if TYPE_CHECKING:
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.plant import Plant
 
-__all__ = ["Proposal", "propose"]
+__all__ = ["Proposal", "assumed_scale", "propose"]
 
 DIAGNOSIS, MODEL = "servolens.diagnosis/1", "servolens.model/1"
-STEP, SAMPLE_TIME, NOISE = 0.1, 1e-3, 1e-4
+LARGEST_STEP, SAMPLE_TIME, NOISE = 0.1, 1e-3, 1e-4
 """Of a model alone, which knows no records: the step [m or rad], the loop [s], noise as a share of the step."""
+USUAL_COMMAND = {"V": 10.0, "%": 100.0}
+"""What drives take, by the command's unit."""
+FULL = 2.0
+"""Times a saturation or dead zone of the model that its records have asked for at least."""
+FREE_RATE = 10.0
+"""Damping [1/s] that an axis without any is taken to have."""
 LASTS, FEWEST, MOST = 8.0, 200, 3000
 """Time constants for which a step is logged; samples of a level."""
 
@@ -68,10 +74,9 @@ def propose(path: Path | str, *, kp: float | None = None, reference: float | Non
     path : Path or str
         A ``servolens.diagnosis/1`` or ``servolens.model/1`` file.
     kp : float, optional
-        For a model alone, a gain around which to look [V/m or V/rad]; by default the one that leaves the loop half
-        damped.
+        For a model alone, a gain around which to look [V/m or V/rad]; see :func:`assumed_scale`.
     reference : float, optional
-        For a model alone, the step that the axis may make [m or rad]; 0.1 by default.
+        For a model alone, the step that the axis may make [m or rad]; see :func:`assumed_scale`.
 
     Raises
     ------
@@ -80,7 +85,7 @@ def propose(path: Path | str, *, kp: float | None = None, reference: float | Non
     """
     file = Path(path)
     if _schema(file) == MODEL:
-        return _from_model(read_model(file), kp, STEP if reference is None else reference)
+        return _from_model(read_model(file), kp, reference)
     if kp is not None or reference is not None:
         raise InputError("a diagnosis knows gains and steps that were logged; kp and reference are for a model alone")
     return _from_diagnosis(_read(file))
@@ -136,19 +141,20 @@ def _from_diagnosis(data: Mapping[str, Any]) -> Proposal:
     return _proposal(plant, experiment, reason)
 
 
-def _from_model(model: Model, kp: float | None, reference: float) -> Proposal:
+def _from_model(model: Model, kp: float | None, reference: float | None) -> Proposal:
     """Return what best tells the model from itself without its least certain effect."""
     plant = model.plant
+    gain, step = assumed_scale(plant, kp, reference)
     if not plant.effects:
         reason = "the model names no rivals and holds no effect beside gain and damping: there is nothing to tell apart"
         return _proposal(plant, None, reason)
-    if not (math.isfinite(reference) and reference != 0):
-        raise InputError(f"the reference must be a step other than 0, got {reference!r}")
+    if not (math.isfinite(step) and step != 0):
+        raise InputError(f"the reference must be a step other than 0, got {step!r}")
     doubtful = max((effect.name for effect in plant.effects), key=lambda name: _uncertainty(model, name))
     others = plant.without_effect(doubtful)
     name = f"without {doubtful}" if others.effects else "gain_and_damping"
-    logged = _assumed(model, kp, reference)
-    experiment = next_experiment({doubtful: plant, name: others}, [logged], noise=NOISE * abs(reference))
+    logged = _assumed(plant, gain, step)
+    experiment = next_experiment({doubtful: plant, name: others}, [logged], noise=NOISE * abs(step))
     told = Finding(
         code="no_rivals",
         severity="note",
@@ -157,8 +163,47 @@ def _from_model(model: Model, kp: float | None, reference: float) -> Proposal:
             f" {doubtful}, with noise of {NOISE:g} of the step."
         ),
     )
-    reason = f"no step of {reference:g} {plant.length_unit} around these gains stays safe and shows it"
-    return _proposal(plant, experiment, reason, (told,))
+    reason = f"no step of {step:g} {plant.length_unit} around these gains stays safe and shows it"
+    return _proposal(
+        plant, experiment, reason, (told, *([] if None not in (kp, reference) else [_scale(plant, gain, step)]))
+    )
+
+
+def _scale(plant: Plant, gain: float, step: float) -> Finding:
+    return Finding(
+        code="scale_assumed",
+        severity="note",
+        message=(
+            f"a model does not know what was logged: a step of {step:.3g} {plant.length_unit} around kp = {gain:.3g} is"
+            f" assumed, which asks for {abs(gain * step):.3g} {plant.command_unit}; give --kp and --reference as they"
+            " were logged, or the diagnosis (servolens diagnose --json), which knows them."
+        ),
+    )
+
+
+def assumed_scale(plant: Plant, kp: float | None = None, reference: float | None = None) -> tuple[float, float]:
+    """Return gain and step to look around where no record of the axis is known.
+
+    The gain leaves the loop half damped, the step is 0.1 m or rad, or one of them less, so that the step asks for no
+    more than drives usually take: 10 V or 100 %, or what shows the model's own saturation and dead zone.
+
+    Parameters
+    ----------
+    plant : Plant
+        The axis.
+    kp, reference : float, optional
+        Gain [V/m or V/rad] and step [m or rad] that are given; then they are returned as they are.
+    """
+    values = dict(zip(plant.parameters, plant.values, strict=True))
+    shown = FULL * max(values.get("saturation.limit", 0.0), values.get("dead_zone.width", 0.0))
+    most = max(USUAL_COMMAND.get(plant.command_unit, math.inf), shown)
+    gain, step = _rate(plant) ** 2 / plant.gain if kp is None else kp, LARGEST_STEP if reference is None else reference
+    excess = abs(gain * step) / most
+    if excess > 1.0 and reference is None:
+        step = float(f"{step / excess:.2g}")
+    elif excess > 1.0 and kp is None:
+        gain = float(f"{gain / excess:.2g}")
+    return gain, step
 
 
 def _proposal(plant: Plant, experiment: Experiment | None, reason: str, findings: tuple[Finding, ...] = ()) -> Proposal:
@@ -177,11 +222,9 @@ def _uncertainty(model: Model, effect: str) -> float:
     return max((math.inf if q.stderr is None or q.value == 0 else q.stderr / abs(q.value)) for q in errors)
 
 
-def _assumed(model: Model, kp: float | None, reference: float) -> Logged:
+def _assumed(plant: Plant, gain: float, reference: float) -> Logged:
     """Return an experiment around which to look, as no record is known."""
-    plant = model.plant
-    rate = plant.damping if plant.damping > 0 else 10.0
-    gain = rate**2 / plant.gain if kp is None else kp
+    rate = _rate(plant)
     if not (math.isfinite(gain) and gain * plant.gain > 0):
         raise InputError(f"kp must have the sign of the model's gain and not be 0, got {gain:g}")
     slow = min(0.5 * rate, math.sqrt(gain * plant.gain))
@@ -199,3 +242,7 @@ def _assumed(model: Model, kp: float | None, reference: float) -> Logged:
         voltage_range=(-volts, volts),
         voltage_limit=None,
     )
+
+
+def _rate(plant: Plant) -> float:
+    return plant.damping if plant.damping > 0 else FREE_RATE
