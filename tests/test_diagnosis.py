@@ -10,7 +10,8 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import search
-from servolens.diagnosis.trials import Trials
+from servolens.diagnosis.trials import Hypothesis, Trials
+from servolens.effects import CoulombFriction, DeadZone, StribeckFriction
 from servolens.errors import InputError
 from servolens.simulation import simulate_voltage
 from servolens.summaries import diagnosis_summary
@@ -332,3 +333,34 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     cause = diagnose(records).causes[0]
     assert cause.effect == "actuator_lag"
     assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)
+
+
+def test_effect_that_tells_beside_others_only_is_kept():
+    """Dead zone and drag leave most of the error each; the disturbance is seen behind the dead zone alone."""
+    campaign = lab.hidden_campaign(SEED + 3, effects=["dead_zone", "periodic_disturbance"], visibility=20.0)
+    trials = Trials(campaign.records, {})
+    plant = trials.start.with_effect(DeadZone(width=campaign.truth.effects["dead_zone"]["width"]))
+    beside = trials.fitted(plant)
+    found = trials.extended(beside, "periodic_disturbance")
+    wanted = campaign.truth.effects["periodic_disturbance"]["frequency"]
+    assert found.plant.effect("periodic_disturbance").frequency == pytest.approx(wanted, rel=0.01)
+
+
+def test_generalising_step_does_not_upset_what_the_search_is_sure_of(monkeypatch):
+    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
+    noise, plant = trials.noise, trials.start
+    coulomb, stribeck = CoulombFriction(level=0.1), StribeckFriction(level=0.1, static_excess=0.1, stribeck_speed=0.1)
+    both = plant.with_effect(stribeck).with_effect(DeadZone(width=0.1))
+    steps = iter(
+        [
+            Hypothesis(plant.with_effect(coulomb), 60.0 * noise),
+            Hypothesis(plant.with_effect(stribeck), 40.0 * noise),
+            Hypothesis(both, 19.0 * noise),
+        ]
+    )
+    monkeypatch.setattr(
+        "servolens.diagnosis.search._Explorer.explore", lambda *_: [h for h in (next(steps, None),) if h]
+    )
+    monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
+    found = search(trials, Hypothesis(plant, 100.0 * noise), lambda _: False)
+    assert found.chosen.causes == ("stribeck_friction", "dead_zone")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servolens import Cogging, Controller, CoulombFriction, InputError, NumericalError, Record, identify, lab
+from servolens import Cogging, Controller, CoulombFriction, DeadZone, InputError, NumericalError, Record, identify, lab
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces
 from servolens.identification.segments import motion_segments, moving_parts
@@ -128,3 +128,13 @@ def test_faint_ripple_beside_strong_steps_ranks_its_pitch_first():
     left, best = screen.thinned.ranked(others, screen.thinned.proposals(pitches))[0]
     assert best.pitch == 0.02
     assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((*others, best))[1], rel=0.1)
+
+
+def test_forces_are_ranked_behind_the_actuators_however_long_the_record():
+    time = np.arange(20_001) * 0.05
+    voltage = 8.0 + np.sin(0.3 * time)
+    record = Record(time=time, position=np.cumsum(np.cumsum(voltage)) * 1e-6, voltage=voltage, controller=None)
+    screen = Screen.of(motion_segments([record]))
+    (segment,), _ = screen._behind((DeadZone(width=0.5), CoulombFriction(level=1.0)))
+    (whole,), _ = screen._behind(())
+    np.testing.assert_allclose(segment.voltage[:-1], whole.voltage[:-1] - 0.5, rtol=1e-6)

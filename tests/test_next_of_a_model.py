@@ -35,7 +35,7 @@ def test_step_asks_for_no_more_than_drives_take(model):
     experiment = body["next_experiment"]
     assert abs(experiment["kp"] * (experiment["reference"] - experiment["start"])) <= 10.1
     assert note(body) == (
-        "a model does not know what was logged: a step of 0.0022 m around kp = 4.5e+03 is assumed, which asks for"
+        "a model does not know what was logged: looked at are steps of 0.0022 m around kp = 4500 V/m, which ask for"
         " 9.9 V; give --kp and --reference as they were logged, or the diagnosis (servolens diagnose --json), which"
         " knows them."
     )
@@ -43,8 +43,8 @@ def test_step_asks_for_no_more_than_drives_take(model):
 
 def test_gain_follows_a_step_that_is_given_and_the_step_a_gain(model):
     body = result("next", "next", model, "--reference", "0.005")
-    assert "a step of 0.005 m around kp = 2e+03 is assumed, which asks for 10 V" in note(body)
-    assert "a step of 0.01 m around kp = 1e+03 is assumed" in note(result("next", "next", model, "--kp", "1000"))
+    assert "steps of 0.005 m around kp = 2000 V/m, which ask for 10 V" in note(body)
+    assert "steps of 0.01 m around kp = 1000 V/m" in note(result("next", "next", model, "--kp", "1000"))
 
 
 def test_nothing_is_assumed_where_both_are_given(model):

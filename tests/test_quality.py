@@ -244,7 +244,7 @@ def test_lost_samples_that_the_time_column_hides_are_said(count, missing):
     record = lost_silently(lab.step_record(lab.NLM2, 60, noise=1e-5, seed=4), np.arange(100, 100 + count))
     (finding,) = [f for f in check(record.with_(dict.fromkeys(missing))) if f.severity == "warning"]
     assert finding.code == "position_jumps"
-    assert " at 0.1 s, as far as in " in finding.message
+    assert " at 0.1 s, as far as it goes in " in finding.message
     assert int(re.search(r"in (\d+) samples", finding.message)[1]) == pytest.approx(count, abs=2)
 
 

@@ -158,3 +158,9 @@ def test_resampling_on_its_own_grid_changes_nothing(n, h, seed):
     assert kept >= n - 1
     assert same.position == pytest.approx(made.position[:kept], abs=1e-6)
     assert same.voltage == pytest.approx(made.voltage[:kept])
+
+
+def test_what_was_applied_before_holds_for_the_first_sample_only():
+    record = Record(time=[0, 1, 2, 3], position=[0, 0, 1, 2], voltage=[0, 5, 5, 5], voltage_before=1.0)
+    assert record.slice(0, 2).voltage_before == 1.0
+    assert record.slice(1, 3).voltage_before is None

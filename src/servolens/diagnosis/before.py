@@ -21,22 +21,15 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["UNPOWERED", "understood"]
+__all__ = ["understood", "unpowered_finding"]
 
 REMEMBER = (Delay.name, ActuatorLag.name)
 """Effects by which the voltage before a record still shows in it."""
 PASS_FOR_THEM = (*REMEMBER, SensorLag.name, FlexibleCoupling.name, Backlash.name)
+NAMED = 4
+"""Records that are named in a sentence."""
 CONSIDERABLE = 0.1
 """Share of a record's largest voltage from which on its first one is the onset of a step."""
-
-UNPOWERED = Finding(
-    code="unpowered_before",
-    severity="note",
-    message=(
-        "the records begin with their step, and are understood only if no voltage was applied before; state"
-        " '# voltage_before = 0' in them for identify and predict, or log from before the step."
-    ),
-)
 
 
 def understood(case: Case, chosen: Hypothesis) -> tuple[Case, bool] | None:
@@ -55,6 +48,18 @@ def understood(case: Case, chosen: Hypothesis) -> tuple[Case, bool] | None:
         return None
     known = min(case.trials.score(h) for h in (chosen, usual) if h is not None)
     return (other, other.is_explained(best)) if other.trials.score(best) < known - WORTH else None
+
+
+def unpowered_finding(case: Case) -> Finding:
+    """Return what is to be said of `case` if nothing was applied before those of its records that begin with a step."""
+    names = [record.name for record in (*case.records, *case.heldout) if _begins_with_its_step(record)]
+    several, more = len(names) > 1, f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    message = (
+        f"{', '.join(names[:NAMED])}{more} {'begin with their' if several else 'begins with its'} step, and"
+        f" {'are' if several else 'is'} understood only if no voltage was applied before; state '# voltage_before = 0'"
+        " there for identify and predict, or log from before the step."
+    )
+    return Finding(code="unpowered_before", severity="note", message=message)
 
 
 def _slowed(trials: Trials, plants: Sequence[Plant]) -> Hypothesis | None:

@@ -108,14 +108,14 @@ class Case:
         """Return the r.m.s. error of `plant` where it was not fitted [m or rad]."""
         return self.gains([plant]).tested(0)
 
-    def is_contradictory(self) -> bool:
-        """Tell whether each record by itself is explained, by friction at most, but by values that no one axis has."""
-        return not self.is_explained(self.base) and self.apart(self.base, [CoulombFriction.name]) is not None
+    def contradiction(self) -> Finding | None:
+        """Return a finding if each record by itself is explained, by friction at most, but by values of no one axis."""
+        return None if self.is_explained(self.base) else self.apart(self.base, [CoulombFriction.name])
 
     def apart(self, hypothesis: Hypothesis, names: Iterable[str] = ()) -> Finding | None:
         """Return a finding if each record by itself is explained, but by values that no single axis has.
 
-        Explained by `hypothesis`, or with one of the effects `names` beside it.
+        Explained by `hypothesis`, or with the best of the effects `names` beside it.
         """
         if len(self.records) < 2:
             return None
@@ -128,24 +128,27 @@ class Case:
         return apart(found, [record.name for record in self.records])
 
     def _alone(self, record: Record, plant: Plant, names: Iterable[str]) -> Plant | None:
-        """Return `plant` fitted to one record, with one of the effects at need; None where that does not explain it."""
+        """Return `plant` fitted to one record, at need with the best of the effects; None if nothing explains it."""
         try:
             trials = Trials([record], self.priors)
         except (InputError, NumericalError):
             return None
+
+        def is_explained(hypothesis: Hypothesis) -> bool:
+            return remainder(hypothesis.residuals, self.rounding) <= LEFT * trials.noise
+
         bare = trials.fitted(plant)
-        if bare is None:
-            return None
-        for name in ("", *names):
-            more = trials.extended(bare, name) if name else bare
-            fit = trials.fitted(more.plant) if more is not None and name else more
-            if fit is not None and remainder(trials.judged(fit).residuals, self.rounding) <= LEFT * trials.noise:
-                return fit.plant
-        return None
+        bare = None if bare is None else trials.judged(bare)
+        if bare is None or is_explained(bare):
+            return None if bare is None else bare.plant
+        begun = [h for name in names if (h := trials.extended(bare, name)) is not None]
+        fits = [trials.judged(h) for one in begun if (h := trials.fitted(one.plant)) is not None]
+        explained = [h for h in fits if is_explained(h)]
+        return min(explained, key=trials.score).plant if explained else None
 
     def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:
         try:
-            trials = Trials(records, self.priors)
+            trials = Trials(records, self.priors, self.trials.seen)
         except (InputError, NumericalError):
             return plant
         found = trials.fitted(plant)

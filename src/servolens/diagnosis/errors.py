@@ -45,23 +45,30 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     runs: list[Run] = [*voltage_runs([record])]
     if len(runs) != 1 or runs[0].measured.size != len(record):
         runs = []
+    moves = initial_motion(record) != 0.0
     if record.reference is not None and record.controller is not None:
-        runs.append(ClosedRun(record, 0, in_motion=initial_motion(record) != 0.0))
+        runs.append(ClosedRun(record, 0, in_motion=moves))
     noise = noise_level(record)
-    closest = min((_difference(plant, run, noise) for run in runs), key=_size, default=np.array([np.inf]))
+    closest = min((_difference(plant, run, noise, moves=moves) for run in runs), key=_size, default=np.array([np.inf]))
     if np.isfinite(closest).all():
         return closest
-    return _difference(plant, TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record]))), noise)
+    tied = TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record])))
+    return _difference(plant, tied, noise, moves=moves)
 
 
-def _difference(plant: Plant, run: Run, noise: float) -> NDArray[np.float64]:
+def _difference(plant: Plant, run: Run, noise: float, *, moves: bool) -> NDArray[np.float64]:
     """Return simulated minus measured position.
 
-    What only the record can know is fitted: phases, and the initial state within its own errors.
+    What only the record can know is fitted: phases, and the initial state within its own errors. That of a record which
+    does not begin in motion may be rest at the first sample as well: smoothed, a start at full voltage is motion.
     """
     substeps, start = substeps_for(plant, run.sample_time), run.start
     plant = synchronised(plant, partial(square_error, run, substeps))
     reach = SURE * noise * np.array([1.0, 1.0 / (SMOOTHED * run.sample_time)])[: start.size]
+    low, high = start - reach, start + reach
+    if start.size and not moves:
+        rest = np.array([run.measured[0], 0.0])[: start.size]
+        low, high = np.minimum(low, rest - reach), np.maximum(high, rest + reach)
 
     def at(start: NDArray[np.float64]) -> NDArray[np.float64]:
         return run.simulated(plant, start, substeps) - run.measured
@@ -69,10 +76,10 @@ def _difference(plant: Plant, run: Run, noise: float) -> NDArray[np.float64]:
     try:
         found = at(start)
         for _ in range(SETTLED if start.size else 0):
-            moves = np.diag(run.shifts)
-            slopes = np.column_stack([(at(start + m) - at(start - m)) / (2.0 * m.sum()) for m in moves])
+            shifts = np.diag(run.shifts)
+            slopes = np.column_stack([(at(start + m) - at(start - m)) / (2.0 * m.sum()) for m in shifts])
             further = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
-            further = np.clip(further, run.start - reach, run.start + reach)
+            further = np.clip(further, low, high)
             better = at(further)
             if _size(better) >= _size(found):
                 break

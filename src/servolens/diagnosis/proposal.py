@@ -170,13 +170,14 @@ def _from_model(model: Model, kp: float | None, reference: float | None) -> Prop
 
 
 def _scale(plant: Plant, gain: float, step: float) -> Finding:
+    unit = f"{plant.command_unit}/{plant.length_unit}"
     return Finding(
         code="scale_assumed",
         severity="note",
         message=(
-            f"a model does not know what was logged: a step of {step:.3g} {plant.length_unit} around kp = {gain:.3g} is"
-            f" assumed, which asks for {abs(gain * step):.3g} {plant.command_unit}; give --kp and --reference as they"
-            " were logged, or the diagnosis (servolens diagnose --json), which knows them."
+            f"a model does not know what was logged: looked at are steps of {step:.3g} {plant.length_unit} around"
+            f" kp = {gain:.5g} {unit}, which ask for {abs(gain * step):.3g} {plant.command_unit}; give --kp and"
+            " --reference as they were logged, or the diagnosis (servolens diagnose --json), which knows them."
         ),
     )
 

@@ -106,11 +106,11 @@ def search(
                 break
             jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
             found = explorer.explore(jobs, f"effect {count + 1}")
-            if not found or not _worth_it(found[0], path[-1], trials, max(LESS[count], HARDLY)):
+            if not found or not _worth_it(found[0], path[-1], trials, HARDLY):
                 break
             path.append(found[0])
-            if _worth_it(found[0], path[sure], trials, LESS[sure]):
-                sure = count + 1
+            if _worth_it(found[0], path[sure], trials, LESS[len(path[sure].causes)]):
+                sure = len(path) - 1
             if not enough(found[0]) and give_up(found[0]):
                 return Search(tuple(path), tuple(explorer.known), ())
             beam = _beam(found)

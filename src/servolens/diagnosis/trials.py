@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.effects import Effect
+    from servolens.effects import Effect, Seen
     from servolens.identification.integral import Prior
     from servolens.identification.ranking import Proposals
     from servolens.identification.runs import Run
@@ -90,9 +90,11 @@ class Trials:
         Runs of the same axis, each with its voltage or with what it is computed from.
     priors : mapping of str to Prior
         Knowledge from elsewhere, by qualified parameter name.
+    seen : Seen, optional
+        What all records of the campaign show, where `records` are a part of it.
     """
 
-    def __init__(self, records: Sequence[Record], priors: Mapping[str, Prior]) -> None:
+    def __init__(self, records: Sequence[Record], priors: Mapping[str, Prior], seen: Seen | None = None) -> None:
         self.records, self.priors = tuple(records), priors
         self.noise = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
         segments = motion_segments(records)
@@ -106,7 +108,7 @@ class Trials:
             length_unit=records[0].length_unit,
             command_unit=records[0].command_unit,
         )
-        self.seen = seen_in(moving, self.start)
+        self.seen = seen or seen_in(moving, self.start)
         self.tether = tether(self.start, LOOSE * loop_rate(self.start, records))
         self.runs: list[Run]
         if moving != segments and all(r.reference is not None and r.controller is not None for r in records):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.before import UNPOWERED, understood
+from servolens.diagnosis.before import understood, unpowered_finding
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
@@ -16,7 +16,7 @@ from servolens.diagnosis.logs import beyond, is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import WORTH, Search, search
-from servolens.effects import CATALOGUE
+from servolens.effects import CATALOGUE, Drive
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
@@ -44,6 +44,8 @@ LITTLE = 0.005
 ALIKE = 10.0
 """Difference of scores up to which these data cannot tell two effects apart."""
 MOST_CONFIDENT = 0.999
+KEEP_THE_GAIN = tuple(e.name for e in CATALOGUE.values() if not (e.passes_for_damping or issubclass(e, Drive)))
+"""Effects beside which the gain is that of one record as of all."""
 
 
 def diagnose(
@@ -102,13 +104,13 @@ def diagnose(
 
 
 def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str, int, int], None]) -> Diagnosis:
-    if case.is_contradictory():  # nothing that one axis has can explain two
+    contradiction = case.contradiction()
+    if contradiction is not None:  # nothing that one axis has can explain two
         found = Search((case.base,), (), ())
     else:
-        found, other = _searched(case, progress)
-        again = None if other is None else _searched(other, progress)[0]
-        if other is not None and again is not None and _is_better(other, again.chosen, case, found.chosen):
-            case, found, findings = other, again, [*findings, UNPOWERED]
+        other, found = _searched(case, progress)
+        if other is not case:
+            case, findings = other, [*findings, unpowered_finding(case)]
     progress("Measuring the gain", 0, 0)
     runs, others = case.records, case.heldout
     path, doubts = _confirmed(found.path, case)
@@ -133,7 +135,7 @@ def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str,
         model=fits[-1].model,
         rival_plants={cause.effect: _rival_plants(case, found, path[-1], cause) for cause in causes if cause.rivals},
         next_experiment=None,
-        findings=(*findings, *doubts, *fits[-1].findings, *_said(case, path[-1], gains, verdict)),
+        findings=(*findings, *doubts, *fits[-1].findings, *_said(case, path[-1], gains, verdict, contradiction)),
         records=runs,
         heldout=others,
     )
@@ -142,8 +144,8 @@ def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str,
     return replace(diagnosis, next_experiment=proposal)
 
 
-def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Search, Case | None]:
-    """Return what was found, and the case with nothing applied before its records if that promises more."""
+def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Case, Search]:
+    """Return what was found, with nothing applied before the records if that explains more."""
     other: tuple[Case, bool] | None = None
 
     def is_better(chosen: Hypothesis) -> bool:
@@ -155,9 +157,14 @@ def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Se
         progress(what, int(100 * share), 100)
 
     found = search(case.trials, case.base, case.is_explained, tell, is_better)
-    if other is None or not other[1]:
+    if not (gave_up := other is not None and other[1]):
         is_better(found.chosen)
-    return found, None if other is None else other[0]
+    if other is None:
+        return case, found
+    again = search(other[0].trials, other[0].base, other[0].is_explained, tell)
+    if _is_better(other[0], again.chosen, case, found.chosen):
+        return other[0], again
+    return case, search(case.trials, case.base, case.is_explained, tell) if gave_up else found
 
 
 def _is_better(case: Case, chosen: Hypothesis, than: Case, other: Hypothesis) -> bool:
@@ -292,7 +299,9 @@ def _strangers(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
 
 
-def _said(case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict) -> list[Finding]:
+def _said(
+    case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict, contradiction: Finding | None
+) -> list[Finding]:
     """Return what the verdict alone does not say: what is left, what contradicts itself, what was never tried."""
     said = [*beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
     if verdict == "healthy" and not case.is_explained(case.base):
@@ -303,6 +312,6 @@ def _said(case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict) -> lis
         )
         said.append(Finding(code="small_remainder", severity="note", message=message))
     if verdict not in ("healthy", "explained") and len(case.records) > 1:
-        finding = case.apart(case.base, CATALOGUE) or case.apart(chosen)
+        finding = contradiction or case.apart(case.base, KEEP_THE_GAIN) or case.apart(chosen)
         said += [] if finding is None else [finding]
     return said

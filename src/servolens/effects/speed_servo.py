@@ -25,7 +25,7 @@ class SpeedServo(Drive):
 
     name = "speed_servo"
     sentence = "The drive runs a PI speed loop of its own and takes the voltage as the speed to hold."
-    latex = r"p\,(sV - v) + i\int(sV - v)\,dt"
+    latex = r"p\,(s\,V - v) + i\int(s\,V - v)\,dt"
     states = (State("position_error", "{x}"),)
     linear = True
     looks_like = (

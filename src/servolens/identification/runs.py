@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.control_law import with_history
 from servolens.errors import InputError
-from servolens.identification.segments import Segment, applied_voltage, motion_segments, noise_level
+from servolens.identification.segments import Segment, applied_before, applied_voltage, motion_segments, noise_level
 from servolens.identification.smoothing import smooth
 from servolens.quality.beginning import initial_motion
 from servolens.record import Controller
@@ -97,7 +97,7 @@ class ClosedRun:
         self._reference = np.ascontiguousarray(_needed(record.reference)[held])
         self._added = None if record.feedforward is None else record.feedforward[held]
         assert record.controller is not None  # noqa: S101 - closed_runs
-        self._controller, self._before = record.controller, record.voltage_before
+        self._controller, self._before = record.controller, applied_before(record)
         self.sample_time = float(np.max(np.diff(self._time)))
         self._begin = (float(np.mean(record.position[: rest(record)])), 0.0)
         self.start, self.shifts = np.empty(0), _NO_SHIFTS
@@ -137,7 +137,7 @@ class VoltageRun:
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
         begin = (float(start[0]), float(start[1]) if start.size > 1 else 0.0)
-        before = self.segment.record.voltage_before if self.segment.first == 0 else None
+        before = applied_before(self.segment.record) if self.segment.first == 0 else None
         run = simulate_voltage(
             plant, self.segment.time, self.segment.voltage, start=begin, before=before, substeps=substeps
         )
@@ -158,7 +158,7 @@ class TetheredRun:
         held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
         self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
         self._position = np.ascontiguousarray(record.position[held])
-        self._tether, self._before = tether, record.voltage_before
+        self._tether, self._before = tether, applied_before(record)
         self.sample_time = float(np.max(np.diff(self._time)))
         self.start, self.shifts = _moving(record.time, record.position)
         if _begins_at_rest(record):

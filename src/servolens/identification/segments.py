@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Segment",
+    "applied_before",
     "applied_voltage",
     "motion_segments",
     "moving_parts",
@@ -166,6 +167,12 @@ def applied_voltage(record: Record) -> NDArray[np.float64]:
     if record.voltage_limit is None:
         return np.ascontiguousarray(asked)
     return np.clip(asked, -record.voltage_limit, record.voltage_limit)
+
+
+def applied_before(record: Record) -> float | None:
+    """Return the same before the first sample; None where the record does not say it."""
+    before, limit = record.voltage_before, record.voltage_limit
+    return before if before is None or limit is None else min(max(before, -limit), limit)
 
 
 def noise_level(record: Record) -> float:

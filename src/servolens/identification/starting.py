@@ -13,11 +13,11 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
 from servolens.identification.ranking import Thinned, force_rows, record_numbers
 from servolens.identification.regressors import regressor
-from servolens.identification.segments import applied_voltage
+from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.plant import Plant
-from servolens.simulation.loop import simulate_voltage
+from servolens.simulation.loop import simulate_voltage, without_gaps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,10 +27,11 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.identification.ranking import Proposals
     from servolens.identification.segments import Segment
+    from servolens.record import Record
 
 __all__ = ["Screen", "seen_in"]
 
-MOST_STARTS = 400
+MOST_STARTS, MOST_ACTED = 400, 200
 
 
 def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
@@ -147,22 +148,17 @@ class Screen:
         return [*islice(cls.starts(seen_in(self.segments, plant)), MOST_STARTS)]
 
     def _behind(self, effects: Sequence[Effect]) -> tuple[tuple[Segment, ...], Thinned]:
-        """Return the stretches as they are behind the actuators among `effects`, in full and thinned.
-
-        Simulated with them alone, an axis of gain one accelerates by what reaches it: its mean over a sample is held.
-        """
+        """Return the stretches as they are behind the actuators among `effects`, in full and thinned."""
         actuators = tuple(effect for effect in effects if isinstance(effect, Actuator | TimeShift))
         if actuators not in self.acted:
-            plant, pushes = Plant(gain=1.0, damping=0.0, effects=actuators), {}
-            for record in {id(s.record): s.record for s in self.segments}.values():
-                before = record.voltage_before
-                run = simulate_voltage(plant, record.time, applied_voltage(record), before=before)
-                push = np.diff(run.velocity) / np.diff(record.time)
-                pushes[id(record)] = np.append(push, push[-1])
+            records = {id(s.record): s.record for s in self.segments}
+            pushes = {key: _pushes(record, actuators) for key, record in records.items()}
             segments = tuple(
                 replace(s, voltage=np.ascontiguousarray(pushes[id(s.record)][s.first : s.first + s.time.size]))
                 for s in self.segments
             )
+            if len(self.acted) > MOST_ACTED:
+                return segments, self.thinned.pushed_by(segments)
             self.acted[actuators] = segments, self.thinned.pushed_by(segments)
         return self.acted[actuators]
 
@@ -171,6 +167,22 @@ class Screen:
         time = segment.record.time[segment.first : segment.first + segment.time.size]
         seen = (time, segment.position, self.velocity[i], self.numbers[i], self.records)
         return np.concatenate([np.empty((0, time.size)), *(force_rows(effect, *seen) for effect in effects)])
+
+
+def _pushes(record: Record, actuators: tuple[Effect, ...]) -> NDArray[np.float64]:
+    """Return what reaches the motor, its mean over each sample.
+
+    By it an axis without damping accelerates; its gain is so small that it does not go far.
+    """
+    time, index = without_gaps(record.time)
+    voltage = applied_voltage(record)
+    held = voltage[np.searchsorted(record.time, time + 0.5 * record.sample_time, side="right") - 1]
+    most = max(float(np.abs(voltage).max()), abs(applied_before(record) or 0.0), 1e-300)
+    small = 1.0 / (most * record.duration**2)
+    run = simulate_voltage(Plant(gain=small, damping=0.0, effects=actuators), time, held, before=applied_before(record))
+    push = np.diff(run.velocity) / np.diff(time) / small
+    push = np.append(push, push[-1])
+    return push if index is None else push[index]
 
 
 def _sized(effect: Effect, sizes: list[float], records: int) -> Effect:

@@ -89,7 +89,7 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
         message = f"{where} in the midst of even motion, and the voltage with it: check the sensor for lost counts."
     else:
         count = round(size / abs(float(jumps.usual[at])))
-        message = f"{where}, as far as in {count} samples before and after: {lost}, or the sensor has slipped; {cut}."
+        message = f"{where}, as far as it goes in {count} samples there: {lost}, or the sensor has slipped; {cut}."
     yield Finding(code="position_jumps", severity="warning", message=message)
 
 

@@ -236,7 +236,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
     caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
     if chosen and not rows[0][2]:
-        caption += " It is what explains most for its parameters, which need not leave least."
+        caption += " It explains most for its number of parameters; others may leave less."
     rest = len(ranked) - MOST_CANDIDATES
     if rest > 0:
         caption += f" {rest} more effects leave more."

@@ -9,6 +9,7 @@ __all__ = ["shown", "symbol_text"]
 
 LONGEST = 40
 LOWERED = str.maketrans("0123456789+-aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉₊₋ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
+"""Letters that have a small form below the line."""
 
 
 def shown(name: str, longest: int = LONGEST) -> str:
@@ -28,12 +29,17 @@ def symbol_text(latex: str) -> str:
 
     Examples
     --------
-    >>> symbol_text(r"\alpha_1"), symbol_text(r"V_\mathrm{max}"), symbol_text("F")
-    ('α₁', 'Vₘₐₓ', 'F')
+    >>> symbol_text(r"\alpha_1"), symbol_text(r"V_\mathrm{max}"), symbol_text("k_d")
+    ('α₁', 'Vₘₐₓ', 'k_d')
     """
     text = re.sub(r"\\mathrm|[{}\s]", "", latex)
     text = re.sub(r"\\([a-z]+)", _greek, text)
-    return re.sub(r"_([-+\w]+)", lambda m: m[1].translate(LOWERED), text)
+    return re.sub(r"_([-+\w]+)", _lowered, text)
+
+
+def _lowered(match: re.Match[str]) -> str:
+    """Return the letters below the line if all of them have such a form."""
+    return match[1].translate(LOWERED) if all(ord(c) in LOWERED for c in match[1]) else match[0]
 
 
 def _greek(match: re.Match[str]) -> str:
