@@ -78,10 +78,13 @@ class Candidate:
         Names; the last is the one that was added.
     error : float
         What is left in the training records driven by their voltage [m or rad].
+    by_run : tuple of float
+        The same of each record, or of each stretch of them; empty where it is not known.
     """
 
     effects: tuple[str, ...]
     error: float
+    by_run: tuple[float, ...] = ()
 
 
 @final

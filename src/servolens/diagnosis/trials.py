@@ -62,12 +62,15 @@ class Hypothesis:
         Simulated minus measured position, of a hypothesis that was judged; else none.
     tied : bool
         Whether it could be judged with the tether only.
+    by_run : tuple of float
+        Root mean square errors of each record, or of each stretch of them [m or rad].
     """
 
     plant: Plant
     error: float
     residuals: tuple[NDArray[np.float64], ...] = ()
     tied: bool = False
+    by_run: tuple[float, ...] = ()
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -129,7 +132,7 @@ class Trials:
     def fitted(self, plant: Plant, iterations: int = LAST) -> Hypothesis | None:
         """Return `plant` fitted; None where it cannot be simulated."""
         found = self._led(plant, self.runs, iterations)
-        return None if found is None else Hypothesis(found.plant, found.error)
+        return None if found is None else replace(found, residuals=())
 
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` fitted to the records driven by the voltage alone, where that can be.
@@ -171,7 +174,8 @@ class Trials:
             found = further if found is None or further.error < found.error else found
         if found is None or not all(effect.is_whole(self.seen) for effect in found.plant.effects):
             return None
-        return Hypothesis(found.plant, found.error, found.residuals)
+        by_run = tuple(float(np.sqrt(np.mean(residual**2))) for residual in found.residuals)
+        return Hypothesis(found.plant, found.error, found.residuals, by_run=by_run)
 
     def options(self, plant: Plant) -> FitOptions:
         """Return how `plant` is fitted: with the priors on its own parameters, and phases of each record's own."""

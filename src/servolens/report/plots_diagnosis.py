@@ -156,6 +156,7 @@ def plot_candidates(
     *,
     floor: float,
     xlabel: str,
+    spread: NDArray[np.float64] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw what each candidate leaves of the error as a dot, on a logarithmic scale, with the noise as a line.
@@ -172,16 +173,20 @@ def plot_candidates(
         The noise, in the unit of `left`.
     xlabel : str
         "Quantity [unit]".
+    spread : ndarray, shape (n, 2), optional
+        From where to where a bar reaches through each dot.
     ax : Axes, optional
         Where; a new figure when None.
     """
     ax = axes_of(ax, 0.27 * len(names) + 1.0)
     for i, (value, answer) in enumerate(zip(left, chosen, strict=True)):
         colour = AFTER if answer else GREY
-        ax.plot([floor, value], [i, i], color=colour, linewidth=1.6 if answer else 1.0, zorder=2)
+        if spread is not None:
+            ax.plot(spread[i], [i, i], color=colour, linewidth=2.0, marker="|", markersize=7.0, zorder=3)
         ax.plot(value, i, marker="o", color=colour, markersize=6.5 if answer else 5.0, zorder=4)
     ax.axvline(floor, color=FLOOR, linewidth=1.6, zorder=3, label="noise of the position")
-    _error_axis(ax, min(float(left.min()), floor), max(float(left.max()), floor))
+    shown = left if spread is None else spread
+    _error_axis(ax, min(float(shown.min()), floor), max(float(shown.max()), floor))
     _rows(ax, names)
     for label, answer in zip(ax.get_yticklabels(), chosen, strict=True):
         label.set_fontweight("bold" if answer else "normal")
