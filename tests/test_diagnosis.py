@@ -335,8 +335,7 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)
 
 
-def test_effect_that_tells_beside_others_only_is_kept():
-    """Dead zone and drag leave most of the error each; the disturbance is seen behind the dead zone alone."""
+def test_disturbance_is_found_behind_a_dead_zone():
     campaign = lab.hidden_campaign(SEED + 3, effects=["dead_zone", "periodic_disturbance"], visibility=20.0)
     trials = Trials(campaign.records, {})
     plant = trials.start.with_effect(DeadZone(width=campaign.truth.effects["dead_zone"]["width"]))

@@ -19,7 +19,7 @@ from servolens.identification.effects_fit import EffectsFit, last_word
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -112,7 +112,7 @@ class Case:
         """Return a finding if each record by itself is explained, by friction at most, but by values of no one axis."""
         return None if self.is_explained(self.base) else self.apart(self.base, [CoulombFriction.name])
 
-    def apart(self, hypothesis: Hypothesis, names: Iterable[str] = ()) -> Finding | None:
+    def apart(self, hypothesis: Hypothesis, names: Sequence[str] = ()) -> Finding | None:
         """Return a finding if each record by itself is explained, but by values that no single axis has.
 
         Explained by `hypothesis`, or with the best of the effects `names` beside it.
@@ -127,7 +127,7 @@ class Case:
             found.append(alone)
         return apart(found, [record.name for record in self.records])
 
-    def _alone(self, record: Record, plant: Plant, names: Iterable[str]) -> Plant | None:
+    def _alone(self, record: Record, plant: Plant, names: Sequence[str]) -> Plant | None:
         """Return `plant` fitted to one record, at need with the best of the effects; None if nothing explains it."""
         try:
             trials = Trials([record], self.priors)
@@ -137,10 +137,12 @@ class Case:
         def is_explained(hypothesis: Hypothesis) -> bool:
             return remainder(hypothesis.residuals, self.rounding) <= LEFT * trials.noise
 
-        bare = trials.fitted(plant)
-        bare = None if bare is None else trials.judged(bare)
-        if bare is None or is_explained(bare):
-            return None if bare is None else bare.plant
+        fit = trials.fitted(plant)
+        if fit is None:
+            return None
+        bare = trials.judged(fit)
+        if is_explained(bare):
+            return bare.plant
         begun = [h for name in names if (h := trials.extended(bare, name)) is not None]
         fits = [trials.judged(h) for one in begun if (h := trials.fitted(one.plant)) is not None]
         explained = [h for h in fits if is_explained(h)]

@@ -221,7 +221,7 @@ class Trials:
             tried = [plant.with_effect(effect) for effect in proposals]
             if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
                 tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
-        worst = sorted(self.runs, key=lambda run: -error_of(plant, [run]))[:TELLING]
+        worst = sorted(self.runs, key=lambda run: -error_of(plant, [run], fine=False))[:TELLING]
         ranked = sorted((error_of(candidate, worst, fine=False), i) for i, candidate in enumerate(tried))
         return [tried[i] for _, i in ranked[:STARTS]]
 

@@ -311,7 +311,6 @@ def _said(
             " catalogue explains it; for tuning they will do."
         )
         said.append(Finding(code="small_remainder", severity="note", message=message))
-    if verdict not in ("healthy", "explained") and len(case.records) > 1:
-        finding = contradiction or case.apart(case.base, KEEP_THE_GAIN) or case.apart(chosen)
-        said += [] if finding is None else [finding]
-    return said
+    if contradiction is None and verdict not in ("healthy", "explained") and len(case.records) > 1:
+        contradiction = case.apart(case.base, KEEP_THE_GAIN) or case.apart(chosen)
+    return said if contradiction is None else [*said, contradiction]

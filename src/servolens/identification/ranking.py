@@ -67,7 +67,6 @@ class Thinned:
     velocity: NDArray[np.float64]
     swept: NDArray[np.float64]
     pushed: NDArray[np.float64]
-
     stride: int
 
     @classmethod

@@ -92,8 +92,7 @@ class ClosedRun:
             record = with_history(record)
         self.group, self._compared = group, compared
         self.measured = _needed(record.voltage) if compared == "voltage" else record.position
-        self._time, self._index = without_gaps(record.time)
-        held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
+        self._time, held, self._index = without_gaps(record.time)
         self._reference = np.ascontiguousarray(_needed(record.reference)[held])
         self._added = None if record.feedforward is None else record.feedforward[held]
         assert record.controller is not None  # noqa: S101 - closed_runs
@@ -154,8 +153,7 @@ class TetheredRun:
 
     def __init__(self, record: Record, group: int, tether: Controller) -> None:
         self.group, self.measured = group, record.position
-        self._time, self._index = without_gaps(record.time)
-        held = np.searchsorted(record.time, self._time + 0.5 * record.sample_time, side="right") - 1
+        self._time, held, self._index = without_gaps(record.time)
         self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
         self._position = np.ascontiguousarray(record.position[held])
         self._tether, self._before = tether, applied_before(record)

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Screen", "seen_in"]
 
 MOST_STARTS, MOST_ACTED = 400, 200
+"""Proposals of an effect that are ranked; sets of actuators behind which the stretches are kept."""
 
 
 def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
@@ -150,17 +151,18 @@ class Screen:
     def _behind(self, effects: Sequence[Effect]) -> tuple[tuple[Segment, ...], Thinned]:
         """Return the stretches as they are behind the actuators among `effects`, in full and thinned."""
         actuators = tuple(effect for effect in effects if isinstance(effect, Actuator | TimeShift))
-        if actuators not in self.acted:
+        found = self.acted.get(actuators)
+        if found is None:
             records = {id(s.record): s.record for s in self.segments}
             pushes = {key: _pushes(record, actuators) for key, record in records.items()}
             segments = tuple(
                 replace(s, voltage=np.ascontiguousarray(pushes[id(s.record)][s.first : s.first + s.time.size]))
                 for s in self.segments
             )
-            if len(self.acted) > MOST_ACTED:
-                return segments, self.thinned.pushed_by(segments)
-            self.acted[actuators] = segments, self.thinned.pushed_by(segments)
-        return self.acted[actuators]
+            found = segments, self.thinned.pushed_by(segments)
+            if len(self.acted) < MOST_ACTED:
+                self.acted[actuators] = found
+        return found
 
     def _columns(self, i: int, effects: Sequence[Effect]) -> NDArray[np.float64]:
         segment = self.segments[i]
@@ -174,12 +176,11 @@ def _pushes(record: Record, actuators: tuple[Effect, ...]) -> NDArray[np.float64
 
     By it an axis without damping accelerates; its gain is so small that it does not go far.
     """
-    time, index = without_gaps(record.time)
-    voltage = applied_voltage(record)
-    held = voltage[np.searchsorted(record.time, time + 0.5 * record.sample_time, side="right") - 1]
-    most = max(float(np.abs(voltage).max()), abs(applied_before(record) or 0.0), 1e-300)
+    time, held, index = without_gaps(record.time)
+    voltage, before = applied_voltage(record), applied_before(record)
+    most = max(float(np.abs(voltage).max()), abs(before or 0.0), 1e-300)
     small = 1.0 / (most * record.duration**2)
-    run = simulate_voltage(Plant(gain=small, damping=0.0, effects=actuators), time, held, before=applied_before(record))
+    run = simulate_voltage(Plant(gain=small, damping=0.0, effects=actuators), time, voltage[held], before=before)
     push = np.diff(run.velocity) / np.diff(time) / small
     push = np.append(push, push[-1])
     return push if index is None else push[index]

@@ -104,8 +104,7 @@ def simulate(
         )
     controller = record.controller
     assert controller is not None  # noqa: S101 - can_close
-    grid, index = without_gaps(record.time)
-    held = np.searchsorted(record.time, grid + 0.5 * record.sample_time, side="right") - 1
+    grid, held, index = without_gaps(record.time)
     result = simulate_loop(
         plant,
         controller,
@@ -305,15 +304,22 @@ def _run(
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 
-def without_gaps(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp] | None]:
-    """Return a grid on which the loop ran, lost samples put back, and where the record's samples stand in it."""
+def without_gaps(
+    time: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp] | None]:
+    """Return a grid on which the loop ran, lost samples put back.
+
+    With the record's sample that is held at each of its instants, and where the record's samples stand in it; None if
+    none are lost.
+    """
     steps = np.diff(time)
     nominal = float(np.median(steps))
     if steps.max() < 1.5 * nominal:
-        return time, None
+        return time, np.arange(time.size), None
     counts = np.maximum(np.rint(steps / nominal).astype(np.intp), 1)
     index = np.concatenate([[0], np.cumsum(counts)])
-    return np.interp(np.arange(index[-1] + 1), index, time), index
+    grid = np.interp(np.arange(index[-1] + 1), index, time)
+    return grid, np.searchsorted(time, grid + 0.5 * nominal, side="right") - 1, index
 
 
 def _sample_time(grid: NDArray[np.float64]) -> float:
