@@ -11,7 +11,7 @@ from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Hypothesis, Trials
-from servolens.effects import CoulombFriction, DeadZone, StribeckFriction
+from servolens.effects import Cogging, CoulombFriction, DeadZone, StribeckFriction
 from servolens.errors import InputError
 from servolens.simulation import simulate_voltage
 from servolens.summaries import diagnosis_summary
@@ -305,13 +305,12 @@ def test_delay_of_records_that_begin_with_their_step_from_rest_is_seen():
         assert [finding.code for finding in diagnosis.findings].count("unpowered_before") == doubts
 
 
-@pytest.mark.slow
-def test_wave_of_which_a_part_is_seen_gives_way_to_what_is_simpler():
+def test_wave_of_which_a_part_is_seen_is_no_candidate():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"return_spring": {"stiffness": 20.0}})
-    records = [lab.step_record(axis, kp=kp, reference=[0.1, 0.02], noise=1e-5, seed=kp) for kp in (40, 80)]
-    diagnosis = diagnose(records)
-    assert [cause.effect for cause in diagnosis.causes] == ["return_spring"]
-    assert "cogging" not in diagnosis.causes[0].rivals
+    trials = Trials([lab.step_record(axis, kp=kp, reference=[0.1, 0.02], noise=1e-5, seed=kp) for kp in (40, 80)], {})
+    travel = trials.seen.travel
+    assert trials.fitted(trials.start.with_effect(Cogging(amplitude=1.0, pitch=4.0 * travel, phase=0.0))) is None
+    assert trials.fitted(trials.start.with_effect(Cogging(amplitude=0.01, pitch=0.2 * travel, phase=0.0))) is not None
 
 
 def test_two_axes_contradict_each_other_though_one_of_them_has_friction():

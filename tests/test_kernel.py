@@ -418,3 +418,12 @@ def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing
             tried()
     else:
         assert np.array_equal(tried().position, simulate_loop(plant, LOOP, time, reference, substeps=4).position)
+
+
+def test_trial_follows_a_lag_that_splits_every_sample():
+    time = grid(2.0)
+    plant = plant_with(ActuatorLag(time_constant=2e-4))
+    swings = np.where(np.arange(time.size) % 2, 1.0, -1.0)
+    run = {"feedforward": swings, "start": (0.0, 0.0), "substeps": 1}
+    tried = simulate_trial(plant, LOOP, time, np.zeros(time.size), **run)
+    assert np.array_equal(tried.position, simulate_loop(plant, LOOP, time, np.zeros(time.size), **run).position)
