@@ -1,8 +1,8 @@
 """How often a diagnosis names what the virtual laboratory has hidden, and what it names instead (``make confusion``).
 
 Sections: single effects, pairs, triples, healthy axes, laws foreign to the catalogue, effects near the noise, three
-levels of noise, one record only, no voltage or no reference in the log. ``--seeds development`` is for tuning,
-``final`` for judging: no threshold may be chosen on the latter.
+levels of noise, one record only, no voltage or no reference in the log, smooth references. ``--seeds development`` is
+for tuning, ``final`` for judging: no threshold may be chosen on the latter.
 
 ``python benchmarks/confusion.py --only singles --effects delay backlash --repeats 3`` looks closer at some. Each case
 that went wrong is printed with its name; ``--case NAME`` runs that one and shows what was hidden and what was found.

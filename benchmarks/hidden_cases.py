@@ -59,6 +59,7 @@ SECTIONS: dict[str, tuple[int, tuple[tuple[str, ...], ...], dict[str, Any]]] = {
     "one_record": (1, SINGLE, {"records": 1, "heldout": 0}),
     "no_voltage": (1, SINGLE, {"log_voltage": False}),
     "no_reference": (1, SINGLE, {"log_reference": False}),
+    "smooth": (1, SINGLE, {"smooth": True}),
 }
 """Of each section: repetitions, what is hidden, and what else is asked of the campaign."""
 

@@ -8,11 +8,26 @@ import pytest
 from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.errors import pooled, residual, rotated
+from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.remainder import remainder
-from servolens.diagnosis.search import search
+from servolens.diagnosis.search import _beam, search
 from servolens.diagnosis.trials import Hypothesis, Trials
-from servolens.effects import Cogging, CoulombFriction, DeadZone, StribeckFriction
+from servolens.diagnosis.workflow import _is_there, _twin
+from servolens.effects import (
+    ActuatorLag,
+    Cogging,
+    CoulombFriction,
+    DeadZone,
+    PendulumGravity,
+    Presliding,
+    ReturnSpring,
+    Saturation,
+    SensorLag,
+    StribeckFriction,
+)
 from servolens.errors import InputError
+from servolens.model import Quantity
+from servolens.record import Controller, Record
 from servolens.simulation import simulate_voltage
 from servolens.summaries import diagnosis_summary
 
@@ -362,3 +377,71 @@ def test_generalising_step_does_not_upset_what_the_search_is_sure_of(monkeypatch
     monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
     found = search(trials, Hypothesis(plant, 100.0 * noise), lambda _: False)
     assert found.chosen.causes == ("stribeck_friction", "dead_zone")
+
+
+@pytest.mark.parametrize("effect", ["flexible_coupling", "speed_servo"])
+def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
+    campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict == "explained"
+    assert [cause.effect for cause in diagnosis.causes] == [effect]
+    assert diagnosis.extended.heldout_rms_error < 1.15 * campaign.floor
+
+
+def test_weight_within_a_small_angle_is_no_candidate():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 0.5}})
+    weight = PendulumGravity(amplitude=0.5, phase=1.5)
+    for travel, is_candidate in ((0.05, False), (0.8, True)):
+        records = [lab.step_record(axis, kp=kp, reference=[travel], noise=1e-5, seed=kp) for kp in (40, 80)]
+        trials = Trials(records, {})
+        assert (trials.fitted(trials.start.with_effect(weight)) is not None) == is_candidate
+
+
+def test_simplest_of_those_that_come_close_is_extended_too():
+    bare = Plant(gain=2.0, damping=5.0)
+    found = [
+        Hypothesis(bare.with_effect(effect), error)
+        for effect, error in (
+            (Cogging(amplitude=1.0, pitch=0.1, phase=0.0), 2.0),
+            (Presliding(stiffness=100.0, level=1.0), 2.2),
+            (PendulumGravity(amplitude=1.0, phase=0.0), 2.21),
+            (ReturnSpring(stiffness=10.0), 2.3),
+            (DeadZone(width=0.1), 3.9),
+        )
+    ]
+    assert [h.causes for h in _beam(found)] == [("cogging",), ("presliding",), ("return_spring",)]
+    assert [h.causes for h in _beam(found[:3])] == [("cogging",), ("presliding",)]
+
+
+@pytest.mark.parametrize(
+    ("beside", "twins"),
+    [(DeadZone(width=0.2), True), (Saturation(limit=2.0), True), (CoulombFriction(level=15.0), False)],
+    ids=lambda case: getattr(case, "name", str(case)),
+)
+def test_lags_are_twins_as_long_as_all_between_them_is_linear(beside, twins):
+    """What bends the command before the lag changes nothing; dry friction after it tells the two apart."""
+    plant = Plant(gain=20.0, damping=10.0, effects=(beside, SensorLag(time_constant=0.01)))
+    other = Plant(gain=20.0, damping=10.0, effects=(beside, ActuatorLag(time_constant=0.01)))
+    assert (_twin(Hypothesis(plant, 1.0), "sensor_lag") == "actuator_lag") == twins
+    assert (_twin(Hypothesis(other, 1.0), "actuator_lag") == "sensor_lag") == twins
+    time = np.arange(2000) * 1e-3
+    voltage = np.where(time < 0.8, 4.0, -3.0)
+    one, two = (simulate_voltage(p, time, voltage, before=0.0).measured for p in (plant, other))
+    assert (np.max(np.abs(one - two)) < 1e-5 * np.ptp(one)) == twins
+
+
+def test_cause_within_its_error_bar_is_not_trusted():
+    plant = Plant(gain=20.0, damping=10.0, effects=(CoulombFriction(level=0.6),))
+    for stderr, sure in ((0.4, 0.866), (0.06, 1.0)):
+        level = Quantity(value=0.6, unit="m/s^2", stderr=stderr)
+        assert _is_there(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
+
+
+def test_time_counts_from_where_the_reference_sets_out():
+    time = np.arange(400) * 1e-3
+    ramps = np.interp(time, [0.0, 0.1, 0.2, 0.3, 0.35, 0.4], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
+    record = Record(time=time, position=ramps, reference=ramps, controller=Controller(kp=10.0))
+    found = since_step(record)
+    assert found[99] == pytest.approx(0.099)
+    assert found[299] == pytest.approx(0.198, abs=2e-3)
+    assert found[360] == pytest.approx(0.060, abs=2e-3)

@@ -135,8 +135,9 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
 
 
 def since_step(record: Record) -> NDArray[np.float64]:
-    """Return the time since the reference last changed, or since the record's beginning [s]."""
-    edges = np.unique(np.concatenate(([0], record.edges())))
+    """Return the time since the reference last began to change, or since the record's beginning [s]."""
+    edges = record.edges()
+    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-1) > 1])))
     last = edges[np.searchsorted(edges, np.arange(len(record)), side="right") - 1]
     return np.asarray(record.time - record.time[last])
 

@@ -249,7 +249,10 @@ def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials, most: flo
 
 
 def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the best that are not much worse than the first; of each family the simplest of those that come close."""
+    """Return the best that are not much worse than the first, and the simplest of those that come close to it.
+
+    Of each family the simplest of those that come close.
+    """
     families: dict[frozenset[str], list[Hypothesis]] = {}
     for hypothesis in found:
         if hypothesis.error <= FAR * found[0].error:
@@ -260,7 +263,8 @@ def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     for members in families.values():
         least = min(h.error for h in members)
         chosen.append(min((h for h in members if h.error <= CLOSE * least), key=lambda h: (h.free, h.error)))
-    return chosen[:BEAM]
+    simplest = min((h for h in chosen if h.error <= CLOSE * found[0].error), key=lambda h: (h.free, h.error))
+    return [*chosen[:BEAM], *(h for h in [simplest] if h not in chosen[:BEAM])]
 
 
 def _family(effect: Effect) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import erf, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from servolens.diagnosis.logs import beyond, is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import WORTH, Search, search
-from servolens.effects import CATALOGUE, Drive
+from servolens.effects import CATALOGUE, Actuator, Drive
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
@@ -43,7 +44,8 @@ LITTLE = 0.005
 """Share of the travel up to which an error is little."""
 ALIKE = 10.0
 """Difference of scores up to which these data cannot tell two effects apart."""
-MOST_CONFIDENT = 0.999
+MOST_CONFIDENT, OF_A_PART = 0.999, 0.9
+"""Confidence in a cause at most; in one that explains a part, for which rivals are not weighed."""
 KEEP_THE_GAIN = tuple(e.name for e in CATALOGUE.values() if not (e.passes_for_damping or issubclass(e, Drive)))
 """Effects beside which the gain is that of one record as of all."""
 
@@ -227,14 +229,18 @@ def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsF
     explained = 1.0 - min(case.left(chosen) / max(case.base.error, 1e-300), 1.0) ** 2
     for name in _in_order(path):
         rivals = _rivals(case, found, chosen, name)
+        names, quantities = _names(rivals, chosen, name), _own(fit, name)
         odds = sum(float(np.exp(-0.5 * max(case.trials.score(h) - case.trials.score(chosen), 0.0))) for h in rivals)
+        odds += (twin := _twin(chosen, name)) != "" and not any(twin in h.causes for h in rivals)
+        most = MOST_CONFIDENT if case.is_explained(chosen) else OF_A_PART
+        there = _is_there(chosen.plant, name, quantities)
         at = next(i for i, h in enumerate(path) if name in h.causes and all(name in g.causes for g in path[i:]))
         causes.append(
             Cause(
                 effect=name,
-                quantities=_own(fit, name),
-                confidence=round(min(explained / (1.0 + odds), MOST_CONFIDENT), 4),
-                rivals=_names(rivals, chosen, name),
+                quantities=quantities,
+                confidence=round(min(there * explained / (1.0 + odds), most), 4),
+                rivals=names,
                 train=(gains.train(at - 1), gains.train(at)),
                 heldout=(gains.tested(at - 1), gains.tested(at)),
             )
@@ -256,9 +262,26 @@ def _names(rivals: Sequence[Hypothesis], chosen: Hypothesis, cause: str) -> tupl
     """Return the names of the rivals of `cause`, and of what a linear axis never tells from it."""
     names = [name for h in rivals for name in h.causes if name not in chosen.causes]
     names += [name for effect in chosen.plant.effects if effect.name == cause for name in effect.unites]
-    if all(effect.linear for effect in chosen.plant.effects):
-        names += [effect.twin for effect in chosen.plant.effects if effect.name == cause and effect.twin]
+    names += [twin for twin in [_twin(chosen, cause)] if twin]
     return tuple(dict.fromkeys(names))
+
+
+def _twin(chosen: Hypothesis, cause: str) -> str:
+    """Return what does the same elsewhere in the loop, where all that lies between is linear; else nothing."""
+    effect = chosen.plant.effect(cause)
+    if effect is None or not effect.twin:
+        return ""
+    places = [cls.stage for name in (cause, effect.twin) if issubclass(cls := CATALOGUE[name], Actuator)]
+    between = [e for e in chosen.plant.effects if not (isinstance(e, Actuator) and e.stage < min(places, default=0))]
+    return effect.twin if all(e.linear for e in between) else ""
+
+
+def _is_there(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
+    """Return how likely it is, by the error bars of its size, that there is anything of the cause."""
+    effect = plant.effect(cause)
+    sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
+    far = [abs(q.value - nothing) / q.stderr for q, nothing in sizes if q.stderr]
+    return erf(max(far) / sqrt(2.0)) if far else 1.0
 
 
 def _in_order(path: Sequence[Hypothesis]) -> list[str]:

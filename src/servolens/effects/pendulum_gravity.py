@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["PendulumGravity"]
 
 
+LEAST_TRAVEL = 0.1
+"""[rad] Within less a weight is a constant force and a spring."""
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PendulumGravity(Force):
@@ -45,6 +49,10 @@ class PendulumGravity(Force):
         from casadi import sin
 
         return p.amplitude * sin(axis.position + p.phase)
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`."""
+        return seen.travel >= LEAST_TRAVEL
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:

@@ -19,13 +19,23 @@ ALIKE = 0.98
 
 def doubts(refined: Refinement) -> tuple[Finding, ...]:
     """Return what the search itself says against its result."""
-    return (*_unfinished(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
+    return (*_unfinished(refined), *_crumpled(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
 
 
 def _unfinished(refined: Refinement) -> list[Finding]:
     if refined.converged:
         return []
     return [Finding(code="not_converged", severity="warning", message=f"{refined.status}.")]
+
+
+def _crumpled(refined: Refinement) -> list[Finding]:
+    if not refined.crumpled:
+        return []
+    message = (
+        "contacts crumple the error, which has many valleys close together: how far the load swings back decides what"
+        " comes next. Errors of these parameters may be several times their error bars."
+    )
+    return [Finding(code="crumpled_error", severity="note", message=message)]
 
 
 def _at_bounds(refined: Refinement) -> list[Finding]:

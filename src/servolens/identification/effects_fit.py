@@ -251,7 +251,7 @@ def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, dri
     found = minimise_error(start, runs, options, noise=noise)
     if found.rms_error <= DOWN_TO_NOISE * noise and not start.has_contacts:
         return found
-    again = minimise_error(start, runs, options, noise=noise, coarse=True)
+    again = minimise_error(start, runs, options, noise=noise, coarse=True, valleys=driven != "closed_loop")
     return again if again.rms_error < found.rms_error else found
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
+from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
@@ -28,8 +29,9 @@ __all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "open_directions", "we
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking
 crumple."""
-CRUMPLED = 1.5
-"""Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale."""
+CRUMPLED, WIDER = 1.5, 1e-2
+"""Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale; the share
+of a parameter that is wide."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 WORST, PART = 1e14, 1e-3
 """Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
@@ -59,6 +61,14 @@ class Point:
     values: NDArray[np.float64]
     starts: list[NDArray[np.float64]]
     cost: float = np.inf
+
+
+class Linearised(NamedTuple):
+    """Each run's block, and gradient and information of the parameters."""
+
+    blocks: list[Block]
+    gradient: NDArray[np.float64]
+    information: NDArray[np.float64]
 
 
 class _Trial(NamedTuple):
@@ -100,6 +110,7 @@ class Problem:
         self.high = np.array([specs[i].high for i in self.free])
         self.signed = (self.low < 0) & (self.high > 0) & (self.free > 1)
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
+        self.touched = np.array([plant.has_contacts and _is_touched(plant, names[i]) for i in self.free], dtype=bool)
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.measured.size for run in runs)
         self.noise = self.least_noise = max(noise, 1e-12)
@@ -185,7 +196,7 @@ class Problem:
         parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
         return float(1.4826 * np.median(np.abs(np.concatenate(parts))))
 
-    def linearise(self, point: Point) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
+    def linearise(self, point: Point) -> Linearised:
         """Return each run's block, and gradient and information of the parameters; renews the cost of `point`."""
         for i, run in enumerate(self.runs):
             self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
@@ -208,7 +219,7 @@ class Problem:
             weight_of_prior = (self.noise / prior.deviation) ** 2
             gradient[index] += weight_of_prior * (point.values[index] - prior.value)
             information[index, index] += weight_of_prior
-        return blocks, gradient, information
+        return Linearised(blocks, gradient, information)
 
     def _differences(self, point: Point) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
         """Return each run's residual and its differences by the parameters and by the initial state.
@@ -282,6 +293,29 @@ class Problem:
         """Return the square root of the weights with which least squares follow the loss."""
         return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
 
+    def softest(self, point: Point) -> NDArray[np.float64]:
+        """Return the direction of which the data say least among what contacts touch, shape (k,).
+
+        As long as one parameter changes by its size. By coarse differences: where contacts crumple the error, its long
+        valleys still show in them.
+        """
+        index = np.flatnonzero(self.touched)
+        information = self._over(point, self._share_of(point, COARSE)).information[np.ix_(index, index)]
+        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
+        _, directions = np.linalg.eigh(information / np.outer(scale, scale))
+        direction = np.zeros(self.free.size)
+        direction[index] = directions[:, 0] / scale
+        return direction / float(np.max(np.abs(direction) / np.maximum(np.abs(point.values), 1e-3 * self.scale)))
+
+    def moved(self, point: Point, change: NDArray[np.float64]) -> Point | None:
+        """Return the trial `change` away from `point`; None where a parameter would leave its range."""
+        values = point.values + change
+        if ((values <= self.low) | (values >= self.high)).any():
+            return None
+        trial = Point(values, [start.copy() for start in point.starts])
+        trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
+        return trial
+
     def step(
         self,
         point: Point,
@@ -312,32 +346,43 @@ class Problem:
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
         return trial
 
-    def linearised_widely(self, point: Point) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
-        """Linearise over a standard error of each parameter: over less, crumples would count as information.
+    def linearised_widely(self, point: Point) -> tuple[Linearised, bool]:
+        """Linearise over a standard error of each parameter; and tell whether the error is crumpled on a small scale.
 
-        Where the two disagree, the width is approached from above, for an error crumpled on a small scale has many
-        small widths that confirm themselves.
+        Then standard errors depend on how far one looks, and small folds would count as information. What contacts
+        crumple is looked at as widely as the way was found; else the width is approached from above, for such an error
+        has many small widths that confirm themselves.
         """
         found = self.linearise(point)
-        fine = self._widths(point, found[2])
+        fine = self._widths(point, found.information)
         if fine is None:
-            return found
-        found = self._over(point, np.minimum(fine, 0.1 * np.abs(point.values)))
-        wide = self._widths(point, found[2])
-        if wide is None or (wide < CRUMPLED * fine).all():
-            return found
-        widths = COARSE * np.maximum(np.abs(point.values), 1e-3 * self.scale)
+            return found, False
+        narrow = np.minimum(fine, 0.1 * np.abs(point.values))
+        found = self._over(point, narrow)
+        if self.touched.any():
+            wide = self._over(point, np.where(self.touched, self._share_of(point, WIDER), narrow))
+            if not (self._is_wider(point, found, fine) or self._is_wider(point, wide, fine)):
+                return found, False
+            return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), True
+        if not self._is_wider(point, found, fine):
+            return found, False
+        widths = self._share_of(point, COARSE)
         for _ in range(4):
             found = self._over(point, widths)
-            errors = self._widths(point, found[2])
+            errors = self._widths(point, found.information)
             if errors is None or (errors > 0.5 * widths).all():
                 break
             widths = np.minimum(widths, errors)
-        return found
+        return found, False
 
-    def _over(
-        self, point: Point, widths: NDArray[np.float64]
-    ) -> tuple[list[Block], NDArray[np.float64], NDArray[np.float64]]:
+    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64]) -> bool:
+        wide = self._widths(point, found.information)
+        return wide is not None and not (wide < CRUMPLED * fine).all()
+
+    def _share_of(self, point: Point, share: float) -> NDArray[np.float64]:
+        return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))
+
+    def _over(self, point: Point, widths: NDArray[np.float64]) -> Linearised:
         self.least_shift = widths
         found = self.linearise(point)
         self.least_shift = np.zeros(self.free.size)
@@ -369,6 +414,12 @@ class Problem:
 
     def _prior_cost(self, values: NDArray[np.float64]) -> float:
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
+
+
+def _is_touched(plant: Plant, name: str) -> bool:
+    """Tell whether contacts crumple how the error depends on the parameter: their own, and those of the whole axis."""
+    effect = plant.effect(name.rpartition(".")[0])
+    return effect is None or isinstance(effect, Transmission)
 
 
 def well_conditioned(information: NDArray[np.float64]) -> bool:

@@ -62,6 +62,11 @@ NEGLIGIBLE = 1e-8
 """Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
+ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
+"""How far a long valley is looked along, in sizes of the parameter that changes most."""
+LOWEST, LOOKS, SHORT = 2, 3, 20
+"""Places in the valley from which the search goes on; times at most that it is looked along; iterations of the first
+descents."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
 
@@ -93,6 +98,8 @@ class Refinement:
         Simulated minus measured position of each run.
     converged : bool
         Whether no step lowered the residual any more.
+    crumpled : bool
+        Whether contacts crumple the error: then it has many valleys, and error bars are those of wide differences.
     status : str
         One sentence.
     """
@@ -107,6 +114,7 @@ class Refinement:
     rms_error: float
     residuals: tuple[NDArray[np.float64], ...]
     converged: bool
+    crumpled: bool
     status: str
 
 
@@ -209,6 +217,7 @@ def minimise_error(
     noise: float,
     iterations: int = MOST_ITERATIONS,
     coarse: bool = False,
+    valleys: bool = False,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
 
@@ -227,6 +236,8 @@ def minimise_error(
         At most.
     coarse : bool
         Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
+    valleys : bool
+        Where contacts crumple the error, look along the direction that the data know least for a deeper fold.
 
     Raises
     ------
@@ -241,6 +252,8 @@ def minimise_error(
         point, _ = _descend(problem, point, iterations)
         problem.share = FINE
     point, converged = _descend(problem, point, iterations)
+    if valleys and plant.has_contacts:
+        point, converged = _along_the_valley(problem, point, iterations, converged=converged)
     if problem.weigh_priors(point):
         point, converged = _descend(problem, point, iterations)
     for _ in range(2 if options.loss == "huber" else 0):
@@ -301,9 +314,32 @@ def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bo
     return point, False
 
 
+def _along_the_valley(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:
+    """Return where the search ends if it is begun again along the direction that the data know least.
+
+    Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide.
+    """
+    for _ in range(LOOKS):
+        if not problem.linearised_widely(point)[1]:
+            break
+        direction = problem.softest(point)
+        trials = [t for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
+        least = point.cost
+        for start in sorted(trials, key=lambda trial: trial.cost)[:LOWEST]:
+            trial, reached = start, False
+            for share in (COARSE, 0.2 * COARSE, FINE):
+                problem.share = share
+                trial, reached = _descend(problem, trial, iterations if share == FINE else SHORT)
+            if trial.cost < point.cost:
+                point, converged = trial, reached
+        if point.cost > (1.0 - NEGLIGIBLE) * least:
+            break
+    return point, converged
+
+
 def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
     """Return the result of a search that ended at `point`."""
-    blocks, _, information = problem.linearised_widely(point)
+    (blocks, _, information), crumpled = problem.linearised_widely(point)
     within = (point.values > problem.low) & (point.values < problem.high)
     inside = within & (np.diag(information) > 0)
     covariance = np.full((len(problem.names), len(problem.names)), np.nan)
@@ -332,6 +368,7 @@ def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
         rms_error=float(np.sqrt(sum(float(r @ r) for r in residuals) / problem.samples)),
         residuals=tuple(residuals),
         converged=converged,
+        crumpled=crumpled,
         status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
     )
 

@@ -244,9 +244,7 @@ def _needed(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
 
 
 def _begins_at_rest(record: Record) -> bool:
-    """Tell whether the record can be taken to begin at rest: as a step's log does."""
-    if record.reference is not None and float(np.mean(record.reference[1:] != record.reference[:-1])) >= 0.01:
-        return False
+    """Tell whether the record can be taken to begin at rest."""
     return initial_motion(record) == 0.0
 
 

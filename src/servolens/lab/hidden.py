@@ -92,6 +92,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     log_voltage: bool = True,
     log_reference: bool = True,
     length_unit: LengthUnit | None = None,
+    smooth: bool = False,
 ) -> HiddenCampaign:
     """Measure an axis whose truth is hidden; all that is not asked for is drawn from the seed.
 
@@ -115,6 +116,8 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
         model driven by the voltage.
     length_unit : {"m", "rad"}, optional
         ``pendulum_gravity`` is always in rad.
+    smooth : bool
+        Whether the references are ramps, S-curves and sines instead of steps.
 
     Returns
     -------
@@ -138,7 +141,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     for attempt in range(MOST_AXES):
         rng = np.random.default_rng([seed, attempt])
         wanted = [log_uniform(rng, *USUAL) if visibility is None else float(visibility) for _ in names]
-        scene = draw_scene(rng, records=records, heldout=heldout, noise=noise, length_unit=unit)
+        scene = draw_scene(rng, records=records, heldout=heldout, noise=noise, length_unit=unit, smooth=smooth)
         found = Search(scene, (seed, attempt), log_reference).hide(names, wanted)
         if found is not None and (best is None or found.distance < best[0]):
             campaign = _measured(scene, (seed, attempt), found, foreign, (log_voltage, log_reference))

@@ -87,6 +87,7 @@ def draw_scene(
     heldout: int | None,
     noise: str | float | None,
     length_unit: LengthUnit | None,
+    smooth: bool = False,
 ) -> Scene:
     """Draw what is not asked for."""
     unit: LengthUnit = length_unit or ("m" if rng.random() < 0.7 else "rad")
@@ -103,7 +104,7 @@ def draw_scene(
     share = 1.0 if rng.random() < 0.6 else _rounded(float(rng.uniform(0.2, 0.8)), 2)
     benches = [
         _bench(rng, i, gain=gain, damping=damping, rate=rate * factor, step=step, h=h, samples=samples, share=share,
-               encoder=resolution)
+               encoder=resolution, smooth=smooth)
         for i, factor in enumerate(_factors(rng, count + held))
     ]  # fmt: skip
     training, kept = tuple(benches[:count]), tuple(benches[count:])
@@ -151,6 +152,8 @@ def _bench(rng: Generator, i: int, *, gain: float, damping: float, rate: float, 
     wanted = 2.0 * ratio * rate - damping
     kp, kd = _rounded(rate * rate / gain, 3), _rounded(max(wanted, 0.0) / gain, 2)
     reference, start = _staircase(rng, i, own["step"], round(own["samples"] * float(rng.uniform(0.88, 1.14))))
+    if own["smooth"]:
+        reference = _smooth(rng, reference, start)
     time = h * np.arange(reference.size, dtype=np.float64)
     time.flags.writeable = reference.flags.writeable = False
     return Bench(
@@ -176,6 +179,19 @@ def _staircase(rng: Generator, i: int, step: float, samples: int) -> tuple[Any, 
     each = (samples - rest) // len(shares)
     levels = [_rounded(side * size * share, 3) for share in shares]
     return np.concatenate([np.full(rest, start), np.repeat(levels, each)]), start
+
+
+def _smooth(rng: Generator, steps: Any, start: float) -> Any:
+    """Return a reference that never jumps, about as large: ramps or S-curves between the levels, or a sine."""
+    kind = str(rng.choice(["ramps", "s-curves", "sine"]))
+    if kind == "sine":
+        turns = float(rng.uniform(1.5, 4.0)) * np.linspace(0.0, 1.0, steps.size)
+        return start + (float(np.max(steps)) - float(np.min(steps))) / 2.0 * np.sin(2.0 * np.pi * turns)
+    wide = round(steps.size * float(rng.uniform(0.08, 0.2)))
+    for width in (wide,) if kind == "ramps" else (wide, max(wide // 3, 2)):
+        before = np.concatenate([np.full(width - 1, start), steps])
+        steps = np.convolve(before, np.full(width, 1.0 / width), mode="valid")
+    return steps
 
 
 def _peaks(benches: Sequence[Bench], gain: float, damping: float, h: float) -> tuple[float, float, float]:

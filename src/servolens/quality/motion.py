@@ -214,7 +214,8 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
         if last.size == 4 and np.all(np.diff(last) > 0) and last[-1] > max(1.15 * last[0], 5 * small):
             message = (
                 f"the oscillation after {record.time[first]:g} s grows from {last[0]:.3g} to {last[-1]:.3g}"
-                f" {record.length_unit} in four half swings; the loop is unstable, log with lower gains."
+                f" {record.length_unit} in four half swings;"
+                " the loop is unstable, or something shakes the axis: log with lower gains."
             )
             yield Finding(code="unstable_log", severity="warning", message=message)
             return

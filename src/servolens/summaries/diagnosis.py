@@ -268,6 +268,8 @@ def _left(diagnosis: Diagnosis) -> list[str]:
         return ["Driven by their voltage the records leave nothing but noise, but that is not borne out otherwise."]
     share = f", {number(diagnosis.remainder / floor, 2)} times the noise" if floor else ""
     rest = f"The training records, driven by their voltage, leave {length(diagnosis.remainder, unit_)} (r.m.s.){share}"
+    if diagnosis.remainder < floor:
+        rest += ", little, but too smooth for noise"
     if diagnosis.verdict == "partly_explained":
         return [f"{rest}: something else is wrong too, and the causes below may stand for it in part."]
     return [f"{rest}. Look at where the error arises, and at the warnings if there are any, before tuning."]
