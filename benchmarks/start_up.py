@@ -21,18 +21,19 @@ SERVOLENS = str(Path(sys.executable).with_name("servolens"))
 def figures() -> list[Figure]:
     """Measure."""
     found = [
-        ("import servolens", median(_seconds([sys.executable, "-c", "import servolens"]) for _ in range(9)), 0.35),
-        ("servolens --help", median(_seconds([SERVOLENS, "--help"]) for _ in range(9)), 0.5),
+        ("import servolens", median(seconds([sys.executable, "-c", "import servolens"]) for _ in range(9)), 0.35),
+        ("servolens --help", median(seconds([SERVOLENS, "--help"]) for _ in range(9)), 0.5),
     ]
     with tempfile.TemporaryDirectory() as folder:
         place = {"SERVOLENS_CACHE": f"{folder}/kernels", "NUMBA_CACHE_DIR": f"{folder}/numba"}
         demo = [SERVOLENS, "demo", "--out", f"{folder}/demo"]
-        found.append(("servolens demo, cold", _seconds(demo, place), 30.0))
-        found.append(("servolens demo, warm", median(_seconds(demo, place) for _ in range(3)), 10.0))
+        found.append(("servolens demo, cold", seconds(demo, place), 30.0))
+        found.append(("servolens demo, warm", median(seconds(demo, place) for _ in range(3)), 10.0))
     return [Figure(name=name, value=value, unit="s", target=target, better="lower") for name, value, target in found]
 
 
-def _seconds(command: list[str], changes: dict[str, str] | None = None) -> float:
+def seconds(command: list[str], changes: dict[str, str] | None = None) -> float:
+    """Return how long the whole process takes [s]; end where it fails."""
     start = time.perf_counter()
     done = subprocess.run(command, env={**os.environ, **(changes or {})}, capture_output=True, text=True, check=False)
     seconds = time.perf_counter() - start
