@@ -562,7 +562,7 @@ def test_each_verdict_has_its_own_honest_sentence(found):
     assert "part of it is explained by Coulomb friction" in diagnosis_summary(partly).sentences[0]
     assert "30 times the noise" in diagnosis_summary(partly).sentences[1]
     little = replace(partly, remainder=0.4 * found.noise_floor)
-    assert "little, but too smooth for noise" in diagnosis_summary(little).sentences[1]
+    assert "little but smooth" in diagnosis_summary(little).sentences[1]
     assert "nothing in the catalogue explains it" in diagnosis_summary(lost).sentences[0]
     assert "before tuning" in diagnosis_summary(lost).sentences[1]
     assert diagnosis_summary(lost).tables[1].title.startswith("R.m.s. error")

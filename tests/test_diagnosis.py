@@ -12,7 +12,7 @@ from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import _beam, search
 from servolens.diagnosis.trials import Hypothesis, Trials
-from servolens.diagnosis.workflow import _is_there, _twin
+from servolens.diagnosis.workflow import _stands_out, _twin
 from servolens.effects import (
     ActuatorLag,
     Cogging,
@@ -388,13 +388,20 @@ def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
     assert diagnosis.extended.heldout_rms_error < 1.15 * campaign.floor
 
 
-def test_weight_within_a_small_angle_is_no_candidate():
+def test_weight_within_a_small_angle_is_no_candidate_unless_it_stands():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 0.5}})
-    weight = PendulumGravity(amplitude=0.5, phase=1.5)
-    for travel, is_candidate in ((0.05, False), (0.8, True)):
+    hangs, stands = PendulumGravity(amplitude=0.5, phase=1.5), PendulumGravity(amplitude=0.5, phase=3.0)
+    for weight, travel, is_candidate in ((hangs, 0.05, False), (hangs, 0.8, True), (stands, 0.05, True)):
         records = [lab.step_record(axis, kp=kp, reference=[travel], noise=1e-5, seed=kp) for kp in (40, 80)]
-        trials = Trials(records, {})
-        assert (trials.fitted(trials.start.with_effect(weight)) is not None) == is_candidate
+        assert weight.is_whole(Trials(records, {}).seen) == is_candidate
+
+
+def test_arm_that_stands_upright_is_found_in_a_small_travel():
+    arm = lab.Truth(gain=20.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 8.0, "phase": 2.9}})
+    runs = [lab.step_record(arm, kp=kp, kd=0.5, reference=[0.06], noise=1e-5, seed=kp) for kp in (10, 16)]
+    trials = Trials(runs, {})
+    found = trials.extended(trials.fitted(trials.start), "pendulum_gravity")
+    assert found.error < 1.1 * trials.noise
 
 
 def test_simplest_of_those_that_come_close_is_extended_too():
@@ -424,17 +431,21 @@ def test_lags_are_twins_as_long_as_all_between_them_is_linear(beside, twins):
     other = Plant(gain=20.0, damping=10.0, effects=(beside, ActuatorLag(time_constant=0.01)))
     assert (_twin(Hypothesis(plant, 1.0), "sensor_lag") == "actuator_lag") == twins
     assert (_twin(Hypothesis(other, 1.0), "actuator_lag") == "sensor_lag") == twins
+    both = other.with_effect(SensorLag(time_constant=0.002))
+    assert not _twin(Hypothesis(both, 1.0), "actuator_lag")
     time = np.arange(2000) * 1e-3
     voltage = np.where(time < 0.8, 4.0, -3.0)
     one, two = (simulate_voltage(p, time, voltage, before=0.0).measured for p in (plant, other))
     assert (np.max(np.abs(one - two)) < 1e-5 * np.ptp(one)) == twins
 
 
-def test_cause_within_its_error_bar_is_not_trusted():
-    plant = Plant(gain=20.0, damping=10.0, effects=(CoulombFriction(level=0.6),))
-    for stderr, sure in ((0.4, 0.866), (0.06, 1.0)):
-        level = Quantity(value=0.6, unit="m/s^2", stderr=stderr)
-        assert _is_there(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
+@pytest.mark.parametrize(
+    ("value", "stderr", "sure"), [(0.6, 0.4, 0.866), (0.6, 0.06, 1.0), (0.6, None, 1.0), (0.0, None, 0.0)]
+)
+def test_cause_within_its_error_bar_is_not_trusted(value, stderr, sure):
+    plant = Plant(gain=20.0, damping=10.0, effects=(CoulombFriction(level=value),))
+    level = Quantity(value=value, unit="m/s^2", stderr=stderr)
+    assert _stands_out(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
 
 
 def test_time_counts_from_where_the_reference_sets_out():
@@ -442,6 +453,8 @@ def test_time_counts_from_where_the_reference_sets_out():
     ramps = np.interp(time, [0.0, 0.1, 0.2, 0.3, 0.35, 0.4], [0.0, 0.0, 1.0, 1.0, 0.0, 0.0])
     record = Record(time=time, position=ramps, reference=ramps, controller=Controller(kp=10.0))
     found = since_step(record)
+    held = record.with_({"reference": np.repeat(ramps[::4], 4)})
+    np.testing.assert_allclose(since_step(held)[[299, 360]], found[[299, 360]], atol=5e-3)
     assert found[99] == pytest.approx(0.099)
     assert found[299] == pytest.approx(0.198, abs=2e-3)
     assert found[360] == pytest.approx(0.060, abs=2e-3)

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["Instrument", "Share", "error_shares", "since_step"]
 
 BINS = 12
-WINDOW = 41
+WINDOW, STILL = 41, 20
+"""Samples of a smoothed velocity; samples without a change after which a reference sets out anew."""
 
 
 @final
@@ -137,7 +138,7 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
 def since_step(record: Record) -> NDArray[np.float64]:
     """Return the time since the reference last began to change, or since the record's beginning [s]."""
     edges = record.edges()
-    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-1) > 1])))
+    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-STILL) > STILL])))
     last = edges[np.searchsorted(edges, np.arange(len(record)), side="right") - 1]
     return np.asarray(record.time - record.time[last])
 

@@ -24,7 +24,7 @@ __all__ = ["Search", "search"]
 MOST_CAUSES, MOST_ROUNDS = 4, 4
 """Effects that are added; times that what was found is reconsidered."""
 BEAM, FAR, CLOSE = 2, 2.0, 1.25
-"""Hypotheses that are extended further, up to this many times the least error; within a family that many times."""
+"""Families whose best is extended further, up to this many times the least error; what comes close: that many times."""
 WORTH = 12.0
 """By how much the score must fall for another effect: e⁶ times likelier, parameters paid for."""
 LESS, HARDLY = (0.8, 0.7, 0.5, 0.2), 0.95
@@ -249,10 +249,7 @@ def _worth_it(longer: Hypothesis, shorter: Hypothesis, trials: Trials, most: flo
 
 
 def _beam(found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the best that are not much worse than the first, and the simplest of those that come close to it.
-
-    Of each family the simplest of those that come close.
-    """
+    """Return the best of different families, each by its simplest member, and the simplest of all that come close."""
     families: dict[frozenset[str], list[Hypothesis]] = {}
     for hypothesis in found:
         if hypothesis.error <= FAR * found[0].error:

@@ -121,7 +121,7 @@ def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str,
     verdict = _verdict(case, path[-1], gains)
     if verdict in ("unexplained", "healthy"):
         path, fits, gains = path[:1], fits[:1], case.gains([fits[0].plant])
-    causes = _causes(case, found, path, fits[-1], gains)
+    causes = _causes(case, found, path, fits[-1], gains, verdict)
     diagnosis = Diagnosis(
         verdict=verdict,
         causes=causes,
@@ -223,24 +223,27 @@ def _is_borne_out(case: Case, chosen: Hypothesis, gains: Gains) -> bool:
     return worst <= max(BORNE_OUT * case.trials.noise, OF_ALL * gains.tested(0))
 
 
-def _causes(case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsFit, gains: Gains) -> tuple[Cause, ...]:
+def _causes(
+    case: Case, found: Search, path: Sequence[Hypothesis], fit: EffectsFit, gains: Gains, verdict: Verdict
+) -> tuple[Cause, ...]:
     """Return the causes in the order of the path, each with what it gained."""
     chosen, causes = path[-1], []
     explained = 1.0 - min(case.left(chosen) / max(case.base.error, 1e-300), 1.0) ** 2
     for name in _in_order(path):
         rivals = _rivals(case, found, chosen, name)
-        names, quantities = _names(rivals, chosen, name), _own(fit, name)
+        quantities, twin = _own(fit, name), _twin(chosen, name)
         odds = sum(float(np.exp(-0.5 * max(case.trials.score(h) - case.trials.score(chosen), 0.0))) for h in rivals)
-        odds += (twin := _twin(chosen, name)) != "" and not any(twin in h.causes for h in rivals)
-        most = MOST_CONFIDENT if case.is_explained(chosen) else OF_A_PART
-        there = _is_there(chosen.plant, name, quantities)
+        if twin and not any(twin in h.causes for h in rivals):
+            odds += 1.0
+        most = MOST_CONFIDENT if verdict == "explained" else OF_A_PART
+        there = _stands_out(chosen.plant, name, quantities)
         at = next(i for i, h in enumerate(path) if name in h.causes and all(name in g.causes for g in path[i:]))
         causes.append(
             Cause(
                 effect=name,
                 quantities=quantities,
                 confidence=round(min(there * explained / (1.0 + odds), most), 4),
-                rivals=names,
+                rivals=_names(rivals, chosen, name, twin),
                 train=(gains.train(at - 1), gains.train(at)),
                 heldout=(gains.tested(at - 1), gains.tested(at)),
             )
@@ -258,29 +261,30 @@ def _rival_plants(case: Case, found: Search, chosen: Hypothesis, cause: Cause) -
     return tuple(plants)
 
 
-def _names(rivals: Sequence[Hypothesis], chosen: Hypothesis, cause: str) -> tuple[str, ...]:
-    """Return the names of the rivals of `cause`, and of what a linear axis never tells from it."""
+def _names(rivals: Sequence[Hypothesis], chosen: Hypothesis, cause: str, twin: str) -> tuple[str, ...]:
+    """Return the names of the rivals of `cause`, of what it unites, and of its `twin` if it has one."""
     names = [name for h in rivals for name in h.causes if name not in chosen.causes]
     names += [name for effect in chosen.plant.effects if effect.name == cause for name in effect.unites]
-    names += [twin for twin in [_twin(chosen, cause)] if twin]
-    return tuple(dict.fromkeys(names))
+    return tuple(dict.fromkeys([*names, twin] if twin else names))
 
 
 def _twin(chosen: Hypothesis, cause: str) -> str:
     """Return what does the same elsewhere in the loop, where all that lies between is linear; else nothing."""
     effect = chosen.plant.effect(cause)
-    if effect is None or not effect.twin:
+    if effect is None or not effect.twin or effect.twin in chosen.causes:
         return ""
     places = [cls.stage for name in (cause, effect.twin) if issubclass(cls := CATALOGUE[name], Actuator)]
     between = [e for e in chosen.plant.effects if not (isinstance(e, Actuator) and e.stage < min(places, default=0))]
     return effect.twin if all(e.linear for e in between) else ""
 
 
-def _is_there(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
-    """Return how likely it is, by the error bars of its size, that there is anything of the cause."""
+def _stands_out(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
+    """Return with what confidence the cause's size differs from nothing by its error bar; 1 where it has none."""
     effect = plant.effect(cause)
     sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
-    far = [abs(q.value - nothing) / q.stderr for q, nothing in sizes if q.stderr]
+    if sizes and all(q.value == nothing for q, nothing in sizes):
+        return 0.0
+    far = [abs(q.value - nothing) / q.stderr for q, nothing in sizes if q.stderr is not None and q.stderr > 0.0]
     return erf(max(far) / sqrt(2.0)) if far else 1.0
 
 

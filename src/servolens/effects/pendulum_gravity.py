@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -16,9 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PendulumGravity"]
 
-
-LEAST_TRAVEL = 0.1
-"""[rad] Within less a weight is a constant force and a spring."""
+LEAST_TRAVEL, STANDS = 0.1, 0.1
+"""[rad] Within less a weight is a constant force and a spring, unless it stands: cosine of the angle from there on."""
 
 
 @final
@@ -52,7 +52,8 @@ class PendulumGravity(Force):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        return seen.travel >= LEAST_TRAVEL
+        spring = cos(0.5 * (seen.low + seen.high) + self.phase) * (1.0 if self.amplitude > 0.0 else -1.0)
+        return seen.travel >= LEAST_TRAVEL or spring < -STANDS
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:

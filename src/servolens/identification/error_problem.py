@@ -293,28 +293,34 @@ class Problem:
         """Return the square root of the weights with which least squares follow the loss."""
         return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
 
-    def softest(self, point: Point) -> NDArray[np.float64]:
+    def softest(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the direction of which the data say least among what contacts touch, shape (k,).
 
-        As long as one parameter changes by its size. By coarse differences: where contacts crumple the error, its long
-        valleys still show in them.
+        As long as one parameter changes by its size. What is at the end of its range stays there.
+
+        Parameters
+        ----------
+        point : Point
+            From where.
+        information : ndarray, shape (k, k)
+            Of wide differences there: where contacts crumple the error, its long valleys still show in them.
         """
-        index = np.flatnonzero(self.touched)
-        information = self._over(point, self._share_of(point, COARSE)).information[np.ix_(index, index)]
-        scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        _, directions = np.linalg.eigh(information / np.outer(scale, scale))
+        index = np.flatnonzero(self.touched & (point.values > self.low) & (point.values < self.high))
+        inner = information[np.ix_(index, index)]
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+        _, directions = np.linalg.eigh(inner / np.outer(scale, scale))
         direction = np.zeros(self.free.size)
         direction[index] = directions[:, 0] / scale
         return direction / float(np.max(np.abs(direction) / np.maximum(np.abs(point.values), 1e-3 * self.scale)))
 
     def moved(self, point: Point, change: NDArray[np.float64]) -> Point | None:
-        """Return the trial `change` away from `point`; None where a parameter would leave its range."""
+        """Return the trial `change` away from `point`; None where that is no plant or cannot be simulated."""
         values = point.values + change
-        if ((values <= self.low) | (values >= self.high)).any():
+        if ((values < self.low) | (values > self.high)).any():
             return None
         trial = Point(values, [start.copy() for start in point.starts])
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
-        return trial
+        return trial if np.isfinite(trial.cost) else None
 
     def step(
         self,
@@ -347,7 +353,7 @@ class Problem:
         return trial
 
     def linearised_widely(self, point: Point) -> tuple[Linearised, bool]:
-        """Linearise over a standard error of each parameter; and tell whether the error is crumpled on a small scale.
+        """Linearise over a standard error of each parameter; and tell whether contacts crumple the error.
 
         Then standard errors depend on how far one looks, and small folds would count as information. What contacts
         crumple is looked at as widely as the way was found; else the width is approached from above, for such an error
@@ -361,10 +367,10 @@ class Problem:
         found = self._over(point, narrow)
         if self.touched.any():
             wide = self._over(point, np.where(self.touched, self._share_of(point, WIDER), narrow))
-            if not (self._is_wider(point, found, fine) or self._is_wider(point, wide, fine)):
+            if not any(self._is_wider(point, seen, fine, self.touched) for seen in (found, wide)):
                 return found, False
             return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), True
-        if not self._is_wider(point, found, fine):
+        if not self._is_wider(point, found, fine, ~self.touched):
             return found, False
         widths = self._share_of(point, COARSE)
         for _ in range(4):
@@ -375,9 +381,9 @@ class Problem:
             widths = np.minimum(widths, errors)
         return found, False
 
-    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64]) -> bool:
+    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64], which: NDArray[np.bool_]) -> bool:
         wide = self._widths(point, found.information)
-        return wide is not None and not (wide < CRUMPLED * fine).all()
+        return wide is not None and not (wide < CRUMPLED * fine)[which].all()
 
     def _share_of(self, point: Point, share: float) -> NDArray[np.float64]:
         return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))

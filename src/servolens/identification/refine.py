@@ -64,9 +64,9 @@ AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
 ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
 """How far a long valley is looked along, in sizes of the parameter that changes most."""
-LOWEST, LOOKS, SHORT = 2, 3, 20
-"""Places in the valley from which the search goes on; times at most that it is looked along; iterations of the first
-descents."""
+LOWEST, APART, LOOKS, SHORT = 3, 0.1, 3, 20
+"""Places in the valley from which the search goes on, and how far they are apart at least; times at most that it is
+looked along; iterations of the first descents."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
 
@@ -233,7 +233,7 @@ def minimise_error(
     noise : float
         Standard deviation of the position's noise, against which the priors are weighed.
     iterations : int
-        At most.
+        Of each descent at most.
     coarse : bool
         Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
     valleys : bool
@@ -253,6 +253,7 @@ def minimise_error(
         problem.share = FINE
     point, converged = _descend(problem, point, iterations)
     if valleys and plant.has_contacts:
+        problem.weigh_priors(point)
         point, converged = _along_the_valley(problem, point, iterations, converged=converged)
     if problem.weigh_priors(point):
         point, converged = _descend(problem, point, iterations)
@@ -320,12 +321,13 @@ def _along_the_valley(problem: Problem, point: Point, iterations: int, *, conver
     Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide.
     """
     for _ in range(LOOKS):
-        if not problem.linearised_widely(point)[1]:
+        found, crumpled = problem.linearised_widely(point)
+        if not crumpled:
             break
-        direction = problem.softest(point)
-        trials = [t for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
+        direction = problem.softest(point, found.information)
+        trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
         least = point.cost
-        for start in sorted(trials, key=lambda trial: trial.cost)[:LOWEST]:
+        for start in _lowest(trials):
             trial, reached = start, False
             for share in (COARSE, 0.2 * COARSE, FINE):
                 problem.share = share
@@ -335,6 +337,15 @@ def _along_the_valley(problem: Problem, point: Point, iterations: int, *, conver
         if point.cost > (1.0 - NEGLIGIBLE) * least:
             break
     return point, converged
+
+
+def _lowest(trials: Sequence[tuple[float, float, Point]]) -> list[Point]:
+    """Return the trials of the least cost that are apart from each other, of their costs and places."""
+    chosen: list[tuple[float, Point]] = []
+    for _, place, trial in sorted(trials, key=lambda found: found[0]):
+        if len(chosen) < LOWEST and all(abs(place - other) >= APART * (1.0 + other) for other, _ in chosen):
+            chosen.append((place, trial))
+    return [trial for _, trial in chosen]
 
 
 def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:

@@ -34,8 +34,8 @@ __all__ = [
 ]
 
 _NO_SHIFTS: tuple[float, ...] = ()
-LEAD = 40
-"""Most samples of rest before a step that a window begins with."""
+LEAD, AT_ONCE = 40, 3
+"""Most samples of rest before a step that a window begins with; within how many a reference moves at once."""
 VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 SHIFT = 1e-4
@@ -204,15 +204,16 @@ def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRu
 
 
 def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: int = 21) -> list[VoltageRun]:
-    """Return each record driven by its voltage from rest; or, as of a trajectory, in stretches of motion.
+    """Return each record driven by its voltage; or, as of one that begins in motion, in stretches of motion.
 
+    Where the reference moves at once, the record may have been cut out of a motion: its initial velocity is free.
     Stretches suit an axis that is unstable by itself, in which a small error grows over a whole record.
     """
     runs: list[VoltageRun] = []
     for group, record in enumerate(records):
         if not stretches and _begins_at_rest(record):
             whole = _segment(record, applied_voltage(record), 0, len(record))
-            runs.append(VoltageRun(whole, group, window, rest=0 if record.reference is None else rest(record)))
+            runs.append(VoltageRun(whole, group, window, rest=0 if _may_be_cut(record) else rest(record)))
         else:
             runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
     return runs
@@ -243,8 +244,14 @@ def _needed(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return signal
 
 
+def _may_be_cut(record: Record) -> bool:
+    """Tell whether the record may have been cut out of a motion: nothing says when its reference sets out."""
+    edges = record.edges()
+    return record.reference is None or (edges.size > 1 and int(edges[0]) < AT_ONCE and int(edges[1]) < 2 * AT_ONCE)
+
+
 def _begins_at_rest(record: Record) -> bool:
-    """Tell whether the record can be taken to begin at rest."""
+    """Tell whether the record does not begin in motion that can be seen."""
     return initial_motion(record) == 0.0
 
 

@@ -172,7 +172,7 @@ def noises(scene: Scene, key: tuple[int, int], i: int) -> Array:
 
 
 def sane_run(truth: Truth, bench: Bench, noises: Array, oddity: Oddity | None, step: float) -> Run | None:
-    """Return a run of an axis that moved, came to rest before each new level if it steps, and did not run away."""
+    """Return a run of an axis that moved, rested before each new level if it steps, and did not run away; else None."""
     try:
         run = run_one(truth, bench, noises, oddity)
     except NumericalError:

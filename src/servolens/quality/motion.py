@@ -215,7 +215,7 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
             message = (
                 f"the oscillation after {record.time[first]:g} s grows from {last[0]:.3g} to {last[-1]:.3g}"
                 f" {record.length_unit} in four half swings;"
-                " the loop is unstable, or something shakes the axis: log with lower gains."
+                " the loop is unstable, log with lower gains; or something shakes the axis."
             )
             yield Finding(code="unstable_log", severity="warning", message=message)
             return

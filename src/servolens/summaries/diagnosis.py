@@ -269,7 +269,7 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     share = f", {number(diagnosis.remainder / floor, 2)} times the noise" if floor else ""
     rest = f"The training records, driven by their voltage, leave {length(diagnosis.remainder, unit_)} (r.m.s.){share}"
     if diagnosis.remainder < floor:
-        rest += ", little, but too smooth for noise"
+        rest += ", little but smooth"
     if diagnosis.verdict == "partly_explained":
         return [f"{rest}: something else is wrong too, and the causes below may stand for it in part."]
     return [f"{rest}. Look at where the error arises, and at the warnings if there are any, before tuning."]
