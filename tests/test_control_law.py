@@ -104,9 +104,9 @@ def test_a_million_samples_take_less_than_a_second():
     record = Record(
         time=np.arange(n) * 1e-3, position=np.zeros(n), reference=np.ones(n), controller=Controller(kp=1, kd=1)
     )
-    begin = time.perf_counter()
+    begin = time.process_time()
     controller_voltage(record)
-    assert time.perf_counter() - begin < 1.0
+    assert time.process_time() - begin < 1.0
 
 
 @pytest.mark.parametrize(

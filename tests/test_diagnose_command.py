@@ -525,13 +525,13 @@ def test_the_least_certain_cause_is_asked_about(logged):
 
 
 def test_an_experiment_is_found_quickly_even_with_lost_motion(logged):
-    from time import perf_counter
+    from time import process_time
 
     plants = {**STICKY, "backlash": cart(Backlash(gap=1e-4, load_share=0.5))}
     next_experiment(plants, logged, noise=NOISE)
-    start = perf_counter()
+    start = process_time()
     next_experiment(plants, logged, noise=NOISE)
-    assert perf_counter() - start < 3.0  # a third of it, alone on a processor
+    assert process_time() - start < 3.0  # a third of it usually
 
 
 def test_what_was_logged_survives_its_json(logged):

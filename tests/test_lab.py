@@ -215,9 +215,9 @@ def test_asking_for_more_runs_leaves_the_first_as_they_were():
 
 
 def test_thousand_noisy_runs_take_seconds_and_scatter_around_the_truth():
-    began = time.perf_counter()
+    began = time.process_time()
     records = lab.step_records(lab.NLM1, 60, repeats=1000, seed=0, duration=1.0, noise=1e-4, encoder=0.0)
-    assert time.perf_counter() - began < 30
+    assert time.process_time() - began < 30
     quiet = lab.step_record(lab.NLM1, 60, duration=1.0, encoder=0.0)
     scatter = np.array([record.position for record in records]) - quiet.position
     # each sample's mean over 1000 runs is known to 1e-4/sqrt(1000) = 3.2 µm; 1001 correlated draws stay within 5 of it

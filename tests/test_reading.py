@@ -716,10 +716,10 @@ def test_a_million_rows_are_read_in_seconds(tmp_path):
         stream.write("# kp = 60\ntime,reference,position,voltage\n")
         for second in range(n // 1000):
             stream.writelines(f"{second}{line[1:]}\n" for line in lines)
-    begin = time.perf_counter()
+    begin = time.process_time()
     record = read_record(path)
     assert len(record) == n
-    assert time.perf_counter() - begin < 6.0  # about 1 s on a quiet machine
+    assert time.process_time() - begin < 6.0  # about 1 s of one processor, however busy the machine
 
 
 @settings(max_examples=50)

@@ -97,9 +97,9 @@ def test_metre_radian_percent_and_count_are_different_things():
 )
 def test_text_that_is_no_unit_is_none_and_quickly(text):
     parse_unit("furlong")  # pint is imported before the clock starts
-    begin = time.perf_counter()
+    begin = time.process_time()
     assert parse_unit(text) is None
-    assert time.perf_counter() - begin < 0.5
+    assert time.process_time() - begin < 0.5
 
 
 @pytest.mark.parametrize(
