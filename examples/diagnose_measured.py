@@ -49,6 +49,7 @@ def cu() -> None:
     show("CU arm, one record and the data sheet", records[:1], records[1:], DATA_SHEET)
     training, others = [records[i] for i in (0, 2, 3)], [records[i] for i in (1, 4)]
     show("CU arm, three records and the data sheet", training, others, DATA_SHEET)
+    show("CU arm, three records alone", training, others)
 
 
 def screw() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos
+from math import copysign, cos
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -52,7 +52,7 @@ class PendulumGravity(Force):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        spring = cos(0.5 * (seen.low + seen.high) + self.phase) * (1.0 if self.amplitude > 0.0 else -1.0)
+        spring = copysign(1.0, self.amplitude) * cos(0.5 * (seen.low + seen.high) + self.phase)
         return seen.travel >= LEAST_TRAVEL or spring < -STANDS
 
     @classmethod

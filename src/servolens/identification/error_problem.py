@@ -305,11 +305,13 @@ class Problem:
         information : ndarray, shape (k, k)
             Of wide differences there: where contacts crumple the error, its long valleys still show in them.
         """
+        direction = np.zeros(self.free.size)
         index = np.flatnonzero(self.touched & (point.values > self.low) & (point.values < self.high))
+        if index.size == 0:
+            return direction
         inner = information[np.ix_(index, index)]
         scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
         _, directions = np.linalg.eigh(inner / np.outer(scale, scale))
-        direction = np.zeros(self.free.size)
         direction[index] = directions[:, 0] / scale
         return direction / float(np.max(np.abs(direction) / np.maximum(np.abs(point.values), 1e-3 * self.scale)))
 
@@ -367,10 +369,10 @@ class Problem:
         found = self._over(point, narrow)
         if self.touched.any():
             wide = self._over(point, np.where(self.touched, self._share_of(point, WIDER), narrow))
-            if not any(self._is_wider(point, seen, fine, self.touched) for seen in (found, wide)):
+            if not any(self._is_wider(point, seen, fine) for seen in (found, wide)):
                 return found, False
             return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), True
-        if not self._is_wider(point, found, fine, ~self.touched):
+        if not self._is_wider(point, found, fine):
             return found, False
         widths = self._share_of(point, COARSE)
         for _ in range(4):
@@ -381,9 +383,11 @@ class Problem:
             widths = np.minimum(widths, errors)
         return found, False
 
-    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64], which: NDArray[np.bool_]) -> bool:
+    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64]) -> bool:
+        """Tell whether standard errors are wider than the fine ones: of what contacts touch, if there are any."""
         wide = self._widths(point, found.information)
-        return wide is not None and not (wide < CRUMPLED * fine)[which].all()
+        judged = self.touched if self.touched.any() else np.full_like(self.touched, True)
+        return wide is not None and not (wide < CRUMPLED * fine)[judged].all()
 
     def _share_of(self, point: Point, share: float) -> NDArray[np.float64]:
         return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))
