@@ -94,14 +94,14 @@ class Thinned:
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
-        return Proposals(tuple(effects), self._freed(self._twice(self._forces(effects))))
+        return Proposals(tuple(effects), self._freed(self._forces(effects)))
 
     def ranked(self, others: Sequence[Effect], proposals: Proposals) -> list[tuple[float, Effect]]:
         """Return the proposals with the square error that each one leaves beside `others`, the best first.
 
         All sizes are solved for, of `others` too.
         """
-        known = np.concatenate((self.swept[None], self.pushed[None], self._twice(self._forces(others))))
+        known = np.concatenate((self.swept[None], self.pushed[None], self._forces(others)))
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
@@ -115,9 +115,13 @@ class Thinned:
         return sorted(left, key=lambda pair: pair[0])
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
-        """Return the forces per unit of each size, a row each."""
-        seen = (self.time, self.position, self.velocity, self.record, int(self.record[-1]) + 1)
-        return np.concatenate([np.empty((0, self.time.size)), *(force_rows(effect, *seen) for effect in effects)])
+        """Return the double integrals of the forces per unit of each size, a row each."""
+        rows = [_rows(effect, self.time, self.position, self.velocity) for effect in effects]
+        ends, none = np.cumsum([row.shape[0] for row in rows], dtype=int), np.empty((0, self.time.size))
+        integrals = np.split(self._once(self._once(np.concatenate([none, *rows]))), ends)
+        records = int(self.record[-1]) + 1  # told apart last: integrals run over stretches, each of one record
+        apart = (_by_record(*each, self.record, records) for each in zip(effects, integrals, strict=False))
+        return np.concatenate([none, *apart])
 
     def _once(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Integrate each row over each stretch."""
@@ -125,9 +129,6 @@ class Thinned:
         parts[:, 1:] = 0.5 * self.steps[1:] * (rows[:, 1:] + rows[:, :-1])
         summed = np.cumsum(parts, axis=1)
         return np.asarray(summed - self._spread(summed[:, self.first]))
-
-    def _twice(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._once(self._once(rows))
 
     def _freed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Take a straight line off each row in each stretch: its initial position and velocity."""
@@ -169,14 +170,27 @@ def force_rows(
 
     Sine and cosine of a wave are two; of one whose phase is each record's own, two for each of the `records`.
     """
+    return _by_record(effect, _rows(effect, time, position, velocity), record, records)
+
+
+def _rows(
+    effect: Effect, time: NDArray[np.float64], position: NDArray[np.float64], velocity: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the force per unit of each size, a row each, with one phase for all records."""
     law = regressor(type(effect))
     variants = waves(effect) if law.sizes else ()
     shapes = [[getattr(variant, name) for name in law.shapes] for variant in variants]
     rows = [law.columns(time, position, velocity, *values) for values in shapes]
-    found = np.concatenate([np.empty((0, time.size)), *rows])
+    return np.concatenate([np.empty((0, time.size)), *rows])
+
+
+def _by_record(
+    effect: Effect, rows: NDArray[np.float64], record: NDArray[np.intp] | np.intp, records: int
+) -> NDArray[np.float64]:
+    """Return the rows, once for each record if the phase is each record's own."""
     if not effect.phase_per_record or records == 1:
-        return found
-    return np.concatenate([found * (record == number) for number in range(records)])
+        return rows
+    return np.concatenate([rows * (record == number) for number in range(records)])
 
 
 def waves(effect: Effect) -> tuple[Effect, ...]:
