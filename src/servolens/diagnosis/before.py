@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.search import WORTH
+from servolens.diagnosis.threads import in_parallel
 from servolens.effects import ActuatorLag, Backlash, Delay, FlexibleCoupling, SensorLag
 from servolens.findings import Finding
 from servolens.identification.segments import applied_voltage
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["understood", "unpowered_finding"]
+__all__ = ["Unpowered", "unpowered_finding"]
 
 REMEMBER = (Delay.name, ActuatorLag.name)
 """Effects by which the voltage before a record still shows in it."""
@@ -32,22 +34,53 @@ CONSIDERABLE = 0.1
 """Share of a record's largest voltage from which on its first one is the onset of a step."""
 
 
-def understood(case: Case, chosen: Hypothesis) -> tuple[Case, bool] | None:
-    """Return `case` with nothing applied before its records, and whether a delay or a lag is then all that was missing.
+@final
+class Unpowered:
+    """The records of a case with nothing applied before them, made when they are first asked for.
 
-    Tried beside gain and damping alone, and beside what of `chosen` cannot be mistaken for them. None if nothing speaks
-    for it: the records begin at rest, `chosen` explains them without, or better.
+    Parameters
+    ----------
+    case : Case
+        The records, with their first voltage held before them.
     """
-    strange = any(name in PASS_FOR_THEM for name in chosen.causes) or not case.is_explained(chosen)
-    if not strange or not any(_begins_with_its_step(record) for record in case.records):
-        return None
-    other = Case.of(_unpowered(case.records), _unpowered(case.heldout), case.priors)
-    plants = _without_lateness(chosen.plant)
-    best, usual = _slowed(other.trials, plants), _slowed(case.trials, plants)
-    if best is None or best.tied:  # tied runs may begin in motion, which is as good as a lag
-        return None
-    known = min(case.trials.score(h) for h in (chosen, usual) if h is not None)
-    return (other, other.is_explained(best)) if other.trials.score(best) < known - WORTH else None
+
+    def __init__(self, case: Case) -> None:
+        self._held = case
+        self._slowed: dict[tuple[bool, Plant], list[Hypothesis]] = {}
+
+    @cached_property
+    def case(self) -> Case:
+        """Those records."""
+        held = self._held
+        return Case.of(_unpowered(held.records), _unpowered(held.heldout), held.priors)
+
+    def understands(self, chosen: Hypothesis) -> bool | None:
+        """Tell whether a delay or a lag is all that was missing once nothing was applied before.
+
+        Tried beside gain and damping alone, and beside what of `chosen` cannot be mistaken for them. None if nothing
+        speaks for it: the records begin at rest, `chosen` explains them without, or better.
+        """
+        held = self._held
+        strange = any(name in PASS_FOR_THEM for name in chosen.causes) or not held.is_explained(chosen)
+        if not strange or not any(_begins_with_its_step(record) for record in held.records):
+            return None
+        best = self._best(self.case, chosen.plant)
+        if best is None or best.tied:  # tied runs may begin in motion, which is as good as a lag
+            return None
+        usual = self._best(held, chosen.plant)
+        known = min(held.trials.score(h) for h in (chosen, usual) if h is not None)
+        return self.case.is_explained(best) if self.case.trials.score(best) < known - WORTH else None
+
+    def _best(self, case: Case, plant: Plant) -> Hypothesis | None:
+        """Return the best with a delay or a lag beside gain and damping, or beside what of `plant` is no lateness."""
+        others = tuple(effect for effect in plant.effects if effect.name not in PASS_FOR_THEM)
+        found: list[Hypothesis] = []
+        for start in (case.base.plant, *([replace(plant, effects=others)] if others else [])):
+            key = (case is self._held, start)
+            if key not in self._slowed:
+                self._slowed[key] = _slowed(case.trials, start)
+            found += self._slowed[key]
+        return case.trials.judged(min(found, key=case.trials.score)) if found else None
 
 
 def unpowered_finding(case: Case) -> Finding:
@@ -62,17 +95,13 @@ def unpowered_finding(case: Case) -> Finding:
     return Finding(code="unpowered_before", severity="note", message=message)
 
 
-def _slowed(trials: Trials, plants: Sequence[Plant]) -> Hypothesis | None:
-    """Return the best with a delay or a lag beside one of `plants`."""
-    bare = [h for plant in plants if (h := trials.fitted(plant)) is not None]
-    begun = [h for one in bare for name in REMEMBER if (h := trials.extended(one, name)) is not None]
-    found = [h for one in begun if (h := trials.fitted(one.plant)) is not None]
-    return trials.judged(min(found, key=trials.score)) if found else None
-
-
-def _without_lateness(plant: Plant) -> list[Plant]:
-    others = tuple(effect for effect in plant.effects if effect.name not in PASS_FOR_THEM)
-    return [replace(plant, effects=effects) for effects in ((others, ()) if others else ((),))]
+def _slowed(trials: Trials, plant: Plant) -> list[Hypothesis]:
+    """Return `plant` with a delay and with a lag, fitted."""
+    bare = trials.fitted(plant)
+    if bare is None:
+        return []
+    begun = in_parallel(partial(trials.extended, bare), REMEMBER)
+    return [h for h in in_parallel(lambda h: trials.fitted(h.plant), [h for h in begun if h]) if h]
 
 
 def _unpowered(records: Sequence[Record]) -> tuple[Record, ...]:

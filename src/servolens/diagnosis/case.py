@@ -12,6 +12,7 @@ from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.logs import apart
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.result import Errors, RecordGain
+from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import Hypothesis, Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
@@ -143,9 +144,9 @@ class Case:
         bare = trials.judged(fit)
         if is_explained(bare):
             return bare.plant
-        begun = [h for name in names if (h := trials.extended(bare, name)) is not None]
-        fits = [trials.judged(h) for one in begun if (h := trials.fitted(one.plant)) is not None]
-        explained = [h for h in fits if is_explained(h)]
+        begun = [h for h in in_parallel(partial(trials.extended, bare), names) if h]
+        fits = [h for h in in_parallel(lambda h: trials.fitted(h.plant), begun) if h]
+        explained = [h for h in map(trials.judged, fits) if is_explained(h)]
         return min(explained, key=trials.score).plant if explained else None
 
     def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import LAST, SECOND
 from servolens.effects import CATALOGUE, CoulombFriction, DryFriction, effect_class
 
@@ -98,28 +98,27 @@ def search(
     give_up : callable
         Tells of the best with another effect whether to search no further: the records are to be understood otherwise.
     """
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        explorer = _Explorer(trials, pool, tell)
-        path, beam, sure = [base], [base], 0
-        while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
-            if path[-1].error > HOPELESS[count] * trials.noise:
-                break
-            jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
-            found = explorer.explore(jobs, f"effect {count + 1}")
-            if not found or not _worth_it(found[0], path[-1], trials, HARDLY):
-                break
-            path.append(found[0])
-            if _worth_it(found[0], path[sure], trials, LESS[len(path[sure].causes)]):
-                sure = len(path) - 1
-            if not enough(found[0]) and give_up(found[0]):
-                return Search(tuple(path), tuple(explorer.known), ())
-            beam = _beam(found)
-        if not enough(path[-1]):
-            path = path[: sure + 1]
-        for _ in range(MOST_ROUNDS):
-            path, rivals, settled = _reconsidered(path, explorer, enough)
-            if settled:
-                break
+    explorer = _Explorer(trials, tell)
+    path, beam, sure = [base], [base], 0
+    while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
+        if path[-1].error > HOPELESS[count] * trials.noise:
+            break
+        jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
+        found = explorer.explore(jobs, f"effect {count + 1}")
+        if not found or not _worth_it(found[0], path[-1], trials, HARDLY):
+            break
+        path.append(found[0])
+        if _worth_it(found[0], path[sure], trials, LESS[len(path[sure].causes)]):
+            sure = len(path) - 1
+        if not enough(found[0]) and give_up(found[0]):
+            return Search(tuple(path), tuple(explorer.known), ())
+        beam = _beam(found)
+    if not enough(path[-1]):
+        path = path[: sure + 1]
+    for _ in range(MOST_ROUNDS):
+        path, rivals, settled = _reconsidered(path, explorer, enough)
+        if settled:
+            break
     return Search(tuple(path), tuple(explorer.known), rivals)
 
 
@@ -127,8 +126,8 @@ def search(
 class _Explorer:
     """Fits hypotheses and remembers them."""
 
-    def __init__(self, trials: Trials, pool: ThreadPoolExecutor, tell: Callable[[str, float], None]) -> None:
-        self.trials, self.pool, self.tell = trials, pool, tell
+    def __init__(self, trials: Trials, tell: Callable[[str, float], None]) -> None:
+        self.trials, self.tell = trials, tell
         self.known: list[Hypothesis] = []
 
     def explore(self, jobs: Sequence[tuple[Hypothesis, str]], what: str) -> list[Hypothesis]:
@@ -142,10 +141,10 @@ class _Explorer:
             self.tell(what, done / len(jobs))
             return found
 
-        found = sorted((h for h in self.pool.map(one, jobs) if h), key=_error)
+        found = sorted((h for h in in_parallel(one, jobs) if h), key=_error)
         for share, iterations in ((HOPEFUL, SECOND), (POLISHED, LAST)):
             promising = [h for h in found[:REFITTED] if h.error <= share * found[0].error]
-            again = self.pool.map(lambda h, most=iterations: self.trials.fitted(h.plant, most) or h, promising)
+            again = in_parallel(partial(self._further, iterations), promising)
             found = sorted([*again, *found[len(promising) :]], key=_error)
         found = self.judged(found)
         self.known += found
@@ -157,7 +156,7 @@ class _Explorer:
             return found
         close = [h for h in found if h.error <= ALIKE * found[0].error]
         for _ in range(2):  # one that explains the records untied binds those that were judged before it
-            close = [*self.pool.map(self.trials.judged, close)]
+            close = in_parallel(self.trials.judged, close)
         return sorted([*close, *found[len(close) :]], key=self.trials.score)
 
     def best(self, plants: Sequence[Plant]) -> Hypothesis | None:
@@ -177,8 +176,11 @@ class _Explorer:
             known = {frozenset(h.causes): h for h in self.known if frozenset(h.causes) in wanted}
         return sorted(known.values(), key=self.trials.score)
 
+    def _further(self, iterations: int, hypothesis: Hypothesis) -> Hypothesis:
+        return self.trials.fitted(hypothesis.plant, iterations) or hypothesis
+
     def _fitted(self, plants: Sequence[Plant], iterations: int) -> list[Hypothesis]:
-        return [h for h in self.pool.map(lambda plant: self.trials.fitted(plant, iterations), plants) if h]
+        return [h for h in in_parallel(lambda plant: self.trials.fitted(plant, iterations), plants) if h]
 
 
 def _reconsidered(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.before import understood, unpowered_finding
+from servolens.diagnosis.before import Unpowered, unpowered_finding
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
@@ -148,24 +148,26 @@ def _diagnosed(case: Case, findings: Sequence[Finding], progress: Callable[[str,
 
 def _searched(case: Case, progress: Callable[[str, int, int], None]) -> tuple[Case, Search]:
     """Return what was found, with nothing applied before the records if that explains more."""
-    other: tuple[Case, bool] | None = None
+    unpowered, is_it = Unpowered(case), None
 
     def is_better(chosen: Hypothesis) -> bool:
-        nonlocal other
-        other = understood(case, chosen)
-        return other is not None and other[1]
+        nonlocal is_it
+        is_it = unpowered.understands(chosen)
+        return bool(is_it)
 
     def tell(what: str, share: float) -> None:
         progress(what, int(100 * share), 100)
 
     found = search(case.trials, case.base, case.is_explained, tell, is_better)
-    if not (gave_up := other is not None and other[1]):
+    gave_up = bool(is_it)
+    if not gave_up:
         is_better(found.chosen)
-    if other is None:
+    if is_it is None:
         return case, found
-    again = search(other[0].trials, other[0].base, other[0].is_explained, tell)
-    if _is_better(other[0], again.chosen, case, found.chosen):
-        return other[0], again
+    other = unpowered.case
+    again = search(other.trials, other.base, other.is_explained, tell)
+    if _is_better(other, again.chosen, case, found.chosen):
+        return other, again
     return case, search(case.trials, case.base, case.is_explained, tell) if gave_up else found
 
 
