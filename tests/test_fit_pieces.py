@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servolens import Cogging, Controller, CoulombFriction, DeadZone, InputError, NumericalError, Record, identify, lab
+from servolens import (
+    Cogging,
+    Controller,
+    CoulombFriction,
+    DeadZone,
+    InputError,
+    NumericalError,
+    PeriodicDisturbance,
+    Record,
+    identify,
+    lab,
+)
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces
 from servolens.identification.segments import motion_segments, moving_parts
@@ -14,6 +25,7 @@ from servolens.identification.uncertainty import apparent_noise
 from servolens.identification.varying import fit_pieces, ordering
 
 KP60 = lab.step_record(lab.NLM1, 60, duration=0.899, encoder=25e-6)
+SWING = {"amplitude": 0.5, "frequency": 7.0, "phase": 0.0}
 SIX = Pieces(edges=np.arange(7) * 150, groups=np.arange(6))
 
 
@@ -128,6 +140,24 @@ def test_faint_ripple_beside_strong_steps_ranks_its_pitch_first():
     left, best = screen.thinned.ranked(others, screen.thinned.proposals(pitches))[0]
     assert best.pitch == 0.02
     assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((*others, best))[1], rel=0.1)
+
+
+def test_disturbance_of_each_records_own_phase_ranks_its_frequency_first():
+    records = [
+        lab.step_record(
+            lab.Truth(gain=1.9, damping=6.0, effects={"periodic_disturbance": {**SWING, "phase": phase}}),
+            kp=60,
+            encoder=0.0,
+            noise=1e-5,
+            seed=seed,
+        )
+        for seed, phase in enumerate((0.3, 2.0, 4.5))
+    ]
+    screen = Screen.of(motion_segments(records))
+    swings = [PeriodicDisturbance(**{**SWING, "frequency": 7.0 * ratio}) for ratio in (0.7, 0.9, 1.0, 1.1, 1.4)]
+    left, best = screen.thinned.ranked((), screen.thinned.proposals(swings))[0]
+    assert best.frequency == 7.0
+    assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((best,))[1], rel=0.1)
 
 
 def test_forces_are_ranked_behind_the_actuators_however_long_the_record():
