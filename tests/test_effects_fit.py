@@ -37,6 +37,7 @@ from servolens.identification.doubts import doubts
 from servolens.identification.refine import lead, minimise_error
 from servolens.identification.runs import closed_runs, voltage_runs
 from servolens.lab import LM1, Truth, hidden_campaign, step_record, step_records
+from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -177,6 +178,17 @@ def test_backlash_and_friction_are_found_together():
 
 
 @pytest.mark.slow
+def test_an_axis_that_obeys_at_once_is_not_fitted_beyond_what_can_be_simulated():
+    """Its damping has no end: the error falls, less and less, for ever."""
+    time = np.arange(1500) * 1e-3
+    voltage = np.where(time < 0.7, 2.0, -1.0)
+    record = Record(time=time, position=0.1 * np.concatenate([[0.0], np.cumsum(voltage[:-1]) * 1e-3]), voltage=voltage)
+    found = minimise_error(Plant(gain=10.0, damping=10.0), voltage_runs([record]), FitOptions(), noise=1e-6)
+    assert found.plant.gain / found.plant.damping == pytest.approx(0.1, rel=1e-3)
+    assert found.plant.damping > 1e3
+    assert substeps_for(found.plant, 1e-3) < MOST_SUBSTEPS
+
+
 def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
     """A small play that rattles: from starts 3 % off, descents alone end far off the load's true share."""
     hidden = hidden_campaign(72, effects=["backlash"], visibility=2.0, records=1)

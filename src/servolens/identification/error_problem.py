@@ -13,7 +13,7 @@ from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
-from servolens.simulation.rates import substeps_for
+from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -117,7 +117,7 @@ class Problem:
         self.outlier, self.share = np.inf, FINE
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
-        self.most_substeps = np.inf
+        self.most_substeps: float = MOST_SUBSTEPS - 1
         self.one_sided = False
         self._plants: dict[bytes, Plant] = {}
 
@@ -181,8 +181,6 @@ class Problem:
 
     def too_stiff(self, point: Point) -> bool:
         """Tell whether a run would need more substeps than are granted; as of what is no plant at all."""
-        if not np.isfinite(self.most_substeps):
-            return False
         try:
             return any(
                 substeps_for(self.plant_at(point.values, i), run.sample_time) > self.most_substeps

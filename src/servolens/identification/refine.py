@@ -246,6 +246,8 @@ def minimise_error(
     """
     problem = Problem(plant, runs, options, noise)
     point = problem.start()
+    if problem.too_stiff(point):  # as given it is taken; but none becomes so on the way
+        problem.most_substeps = np.inf
     problem.weigh_priors(point)
     if coarse:
         problem.share = COARSE

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["substeps_for"]
+__all__ = ["MOST_SUBSTEPS", "substeps_for"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -23,6 +23,7 @@ FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
 """The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
 MOST_SUBSTEPS = 400
+"""What needs more is simulated with as many, and no longer exactly."""
 PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
 """Positions, speeds and values of the states at which the rates are looked at, SI."""
 
