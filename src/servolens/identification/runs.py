@@ -36,6 +36,8 @@ __all__ = [
 _NO_SHIFTS: tuple[float, ...] = ()
 LEAD, AT_ONCE = 40, 3
 """Most samples of rest before a step that a window begins with; within how many a reference moves at once."""
+AWAITED = 0.1
+"""Share of a step up to which an axis that waits for it is off its reference."""
 VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 SHIFT = 1e-4
@@ -206,14 +208,16 @@ def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRu
 def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: int = 21) -> list[VoltageRun]:
     """Return each record driven by its voltage; or, as of one that begins in motion, in stretches of motion.
 
-    Where the reference moves at once, the record may have been cut out of a motion: its initial velocity is free.
+    Where the reference moves at once, the record may have been cut out of a motion, and where the loop works before
+    its step, the sensor's noise shakes the axis: its initial velocity is free.
     Stretches suit an axis that is unstable by itself, in which a small error grows over a whole record.
     """
     runs: list[VoltageRun] = []
     for group, record in enumerate(records):
         if not stretches and _begins_at_rest(record):
             whole = _segment(record, applied_voltage(record), 0, len(record))
-            runs.append(VoltageRun(whole, group, window, rest=0 if _may_be_cut(record) else rest(record)))
+            still = 0 if _may_be_cut(record) or _is_shaken(record) else rest(record)
+            runs.append(VoltageRun(whole, group, window, rest=still))
         else:
             runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
     return runs
@@ -248,6 +252,17 @@ def _may_be_cut(record: Record) -> bool:
     """Tell whether the record may have been cut out of a motion: nothing says when its reference sets out."""
     edges = record.edges()
     return record.reference is None or (edges.size > 1 and int(edges[0]) < AT_ONCE and int(edges[1]) < 2 * AT_ONCE)
+
+
+def _is_shaken(record: Record) -> bool:
+    """Tell whether the loop works before its step: what it makes of the sensor's noise shakes the axis."""
+    edges, reference = record.edges(), record.reference
+    if reference is None or edges.size == 0 or edges[0] <= AT_ONCE:
+        return False
+    lead = slice(min(int(edges[0]), LEAD))
+    away = abs(float(reference[0]) - float(np.mean(record.position[lead])))
+    waits = away <= AWAITED * float(np.abs(np.diff(reference)[edges - 1]).min())
+    return waits and float(np.ptp(applied_voltage(record)[lead])) > 0.0
 
 
 def _begins_at_rest(record: Record) -> bool:
