@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
+from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.remainder import remainder
@@ -301,6 +304,42 @@ def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_mos
     assert diagnosis.verdict == "partly_explained"
     assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
     assert "heldout_contradicts" in {finding.code for finding in diagnosis.findings}
+
+
+def test_an_axis_that_the_sensors_noise_shakes_before_its_step_is_healthy():
+    """The log begins while the loop works: what moves the axis before its step is in no voltage that was logged."""
+    cart = lab.Truth(gain=0.55, damping=7.3)
+    loops = {"reference": 0.05, "rest": 0.3, "duration": 1.2, "sample_time": 5e-4, "derivative_filter": 0.5}
+    for seed in (20, 30, 40):
+        runs = [
+            lab.step_record(cart, kp, kd, encoder=1e-6, noise=6e-5, seed=seed + kp, **loops)
+            for kp, kd in ((400, 36), (540, 42))
+        ]
+        diagnosis = diagnose([run.slice(run.time[500], run.time[-1]) for run in runs])
+        assert diagnosis.verdict == "healthy"
+        assert diagnosis.remainder < 0.2 * diagnosis.noise_floor
+
+
+def test_late_start_is_no_motion_backward():
+    """Cubics through the first samples of a record that begins at its step, some of a sample late, see a velocity."""
+    axis = lab.Truth(gain=1.4, damping=1.1, effects={"delay": {"time": 0.0013}})
+    runs = [
+        lab.step_record(axis, kp, kd, reference=levels, duration=6.0, rest=0.1, sample_time=5e-3, encoder=0.0,
+                        noise=1e-5, seed=int(kp), length_unit="rad")
+        for kp, kd, levels in ((12.5, 1.2, (0.45, 0.1)), (9.8, 1.1, 0.6), (18.0, 1.4, 0.3))
+    ]  # fmt: skip
+    cut = [run.slice(run.time[run.edges()[0]], run.time[-1]).with_({"voltage_before": 0.0}) for run in runs]
+    diagnosis = diagnose(cut[:2], heldout=cut[2])
+    assert diagnosis.verdict == "explained"
+    assert "delay" in (diagnosis.causes[0].effect, *diagnosis.causes[0].rivals)
+    assert diagnosis.extended.heldout_rms_error < 1.2 * diagnosis.noise_floor
+
+
+def test_record_that_no_simulation_follows_contradicts_nothing(monkeypatch):
+    records = [lab.step_record(lab.LM1, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
+    case = Case.of(tuple(records), (), {})
+    monkeypatch.setattr(Trials, "judged", lambda _self, hypothesis: replace(hypothesis, residuals=()))
+    assert case.apart(case.base) is None
 
 
 @pytest.mark.slow

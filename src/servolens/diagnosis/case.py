@@ -136,7 +136,7 @@ class Case:
             return None
 
         def is_explained(hypothesis: Hypothesis) -> bool:
-            return remainder(hypothesis.residuals, self.rounding) <= LEFT * trials.noise
+            return bool(hypothesis.residuals) and remainder(hypothesis.residuals, self.rounding) <= LEFT * trials.noise
 
         fit = trials.fitted(plant)
         if fit is None:

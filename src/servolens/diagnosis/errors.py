@@ -35,10 +35,11 @@ KEPT = 0.6
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position, of the closer of two simulations.
+    """Return simulated minus measured position, of the closest of several simulations.
 
-    In closed loop from the reference, as other gains are predicted; and driven by the logged voltage, which knows what
-    the controller made of the noise: an axis that sticks is shaken loose by it. Where neither is
+    In closed loop from the reference, as other gains are predicted, from rest and, if it seems to move at first, in
+    motion: a late start seems to be one backward. And driven by the logged voltage, which knows what the controller
+    made of the noise: an axis that sticks is shaken loose by it. Where none is
     possible, without reference and away from rest, the run is loosely tied to the measured position. Infinite where a
     simulation leaves all bounds.
     """
@@ -47,7 +48,7 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
         runs = []
     moves = initial_motion(record) != 0.0
     if record.reference is not None and record.controller is not None:
-        runs.append(ClosedRun(record, 0, in_motion=moves))
+        runs += [ClosedRun(record, 0), *([ClosedRun(record, 0, in_motion=True)] if moves else [])]
     noise = noise_level(record)
     closest = min((_difference(plant, run, noise, moves=moves) for run in runs), key=_size, default=np.array([np.inf]))
     if np.isfinite(closest).all():
