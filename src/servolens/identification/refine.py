@@ -58,8 +58,9 @@ __all__ = [
 ]
 
 MOST_ITERATIONS = 60
-NEGLIGIBLE = 1e-8
-"""Share of the squared residual whose gain ends the search: some thousandths of a standard error."""
+NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
+"""Share of the squared residual whose gain ends the search: some thousandths of a standard error; of hypotheses that
+are compared, some hundredths."""
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
 ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
@@ -293,13 +294,13 @@ def lead(
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")
     problem.weigh_priors(start)
-    point, _ = _descend(problem, start, iterations)
+    point, _ = _descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
     residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
     return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
 
 
-def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bool]:
-    """Return where the search ends and whether that is an optimum."""
+def _descend(problem: Problem, point: Point, iterations: int, negligible: float = NEGLIGIBLE) -> tuple[Point, bool]:
+    """Return where the search ends and whether that is an optimum: a step gains no more than the `negligible`."""
     damping = 1e-3
     for _ in range(iterations):
         blocks, gradient, information = problem.linearise(point)
@@ -312,7 +313,7 @@ def _descend(problem: Problem, point: Point, iterations: int) -> tuple[Point, bo
             return point, bool(np.isfinite(point.cost))
         gained = 1.0 - trial.cost / point.cost
         point, damping = trial, max(damping / 10.0, 1e-12)
-        if gained < NEGLIGIBLE:
+        if gained < negligible:
             return point, True
     return point, False
 
