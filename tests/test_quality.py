@@ -659,6 +659,14 @@ def test_onset_within_the_record_is_not_missed(edge, delay):
         assert codes(simulated(edge=edge, delay=delay, kp=kp, noise=1e-6)) == []
 
 
+def test_axis_that_is_still_on_its_way_is_in_no_other_unit():
+    record = lab.step_record(lab.LM1, kp=60, noise=1e-6, seed=1)
+    share = record.position / 0.1
+    for ratio in (1e-3, 1e-2, np.pi / 180.0):
+        begun = record.slice(0.0, float(record.time[np.argmax(share > ratio)]))
+        assert "units_contradict" not in {finding.code for finding in check(begun)}
+
+
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm and m"), (180.0 / math.pi, "degrees"), (0.01, "cm and m")])
 def test_position_in_another_unit_than_its_reference_is_said(factor, unit):
     record = simulated(noise=1e-6, kp=150.0)

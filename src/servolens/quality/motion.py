@@ -74,10 +74,13 @@ def _units(record: Record) -> Iterator[Finding]:
     if record.reference is None or edges.size > MOST_SEGMENTS:
         return
     ends = np.array([*edges, len(record)]) - 1
+    before = ends - np.maximum(np.diff(ends, prepend=-1) // 10, 1)
     target, reached = record.reference[ends], record.position[ends]
     if not target.any():
         return
     weight = target / float(np.max(np.abs(target)))
+    if abs(float(weight @ (reached - record.position[before]))) > CLOSE * abs(float(weight @ reached)):
+        return  # still on its way
     ratio = float(weight @ reached) / float(weight @ target)
     for factor, what in UNITS:
         if abs(ratio / factor - 1.0) < CLOSE:
