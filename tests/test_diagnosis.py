@@ -320,6 +320,16 @@ def test_an_axis_that_the_sensors_noise_shakes_before_its_step_is_healthy():
         assert diagnosis.remainder < 0.2 * diagnosis.noise_floor
 
 
+def test_records_cut_out_of_a_motion_are_followed_by_their_voltage_alone():
+    """Cut where a sine turns round, the axis seems to rest, and does not."""
+    time = np.arange(2000) * 1e-3
+    swing = 0.1 * np.sin(2.0 * np.pi * time)
+    runs = [lab.step_record(lab.LM1, kp, trajectory=swing, duration=1.999, noise=1e-4, seed=kp) for kp in (60, 100)]
+    case = Case.of(tuple(run.slice(0.34, 2.0) for run in runs), (), {})
+    assert case.is_explained(case.base)
+    assert not case.base.tied
+
+
 def test_late_start_is_no_motion_backward():
     """Cubics through the first samples of a record that begins at its step, some of a sample late, see a velocity."""
     axis = lab.Truth(gain=1.4, damping=1.1, effects={"delay": {"time": 0.0013}})
