@@ -659,12 +659,22 @@ def test_onset_within_the_record_is_not_missed(edge, delay):
         assert codes(simulated(edge=edge, delay=delay, kp=kp, noise=1e-6)) == []
 
 
-def test_axis_that_is_still_on_its_way_is_in_no_other_unit():
-    record = lab.step_record(lab.LM1, kp=60, noise=1e-6, seed=1)
-    share = record.position / 0.1
-    for ratio in (1e-3, 1e-2, np.pi / 180.0):
-        begun = record.slice(0.0, float(record.time[np.argmax(share > ratio)]))
-        assert "units_contradict" not in {finding.code for finding in check(begun)}
+@pytest.mark.parametrize("ratio", [1e-3, 1e-2, math.pi / 180.0])
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_axis_that_is_still_on_its_way_is_in_no_other_unit(ratio, power):
+    for samples in (105, 600, 1009):
+        time = np.arange(samples) * 1e-3
+        going = Record(time=time, position=0.1 * ratio * (time / time[-1]) ** power, reference=0.1 + 0.0 * time,
+                       controller=Controller(kp=60.0))  # fmt: skip
+        assert "units_contradict" not in codes(going)
+
+
+def test_first_step_at_once_hides_no_other_unit():
+    time = np.arange(600) * 1e-3
+    reference = np.where(time < 5e-4, 0.1, 0.2)
+    position = 100.0 + 100.0 * (1.0 - np.exp(-30.0 * time))
+    record = Record(time=time, position=position, reference=reference, controller=Controller(kp=60.0))
+    assert "units_contradict" in codes(record)
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm and m"), (180.0 / math.pi, "degrees"), (0.01, "cm and m")])

@@ -39,9 +39,8 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
     In closed loop from the reference, as other gains are predicted, from rest and, if it seems to move at first, in
     motion: a late start seems to be one backward. And driven by the logged voltage, which knows what the controller
-    made of the noise: an axis that sticks is shaken loose by it. Where none is
-    possible, without reference and away from rest, the run is loosely tied to the measured position. Infinite where a
-    simulation leaves all bounds.
+    made of the noise: an axis that sticks is shaken loose by it. Where none is possible, without reference and away
+    from rest, the run is loosely tied to the measured position. Infinite where a simulation leaves all bounds.
     """
     runs: list[Run] = [*voltage_runs([record])]
     if len(runs) != 1 or runs[0].measured.size != len(record):

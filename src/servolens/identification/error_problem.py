@@ -179,11 +179,11 @@ class Problem:
         point.cost = self.cost(point)
         return True
 
-    def too_stiff(self, point: Point) -> bool:
-        """Tell whether a run would need more substeps than are granted; as of what is no plant at all."""
+    def too_stiff(self, point: Point, share: float = 1.0) -> bool:
+        """Tell whether a run would need more than this `share` of the substeps that are granted, or is no plant's."""
         try:
             return any(
-                substeps_for(self.plant_at(point.values, i), run.sample_time) > self.most_substeps
+                substeps_for(self.plant_at(point.values, i), run.sample_time) > share * self.most_substeps
                 for i, run in enumerate(self.runs)
             )
         except InputError:

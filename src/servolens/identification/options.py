@@ -42,9 +42,9 @@ class FitOptions:
         What of a closed loop is compared. A stiff loop hides in its position what its voltage shows; with ``"voltage"``
         all runs are simulated in closed loop.
     begin : {"rest", "motion"}
-        Whether the records begin at rest, but for what a loop that already works makes of the sensor's noise before
-        its step; with ``"motion"`` each record's initial position and velocity are free, and
-        the controller's memory of the time before is read off the logged voltage.
+        Whether the records begin at rest; where the logged voltage drives them, but for what a loop that already works
+        makes of the sensor's noise. With ``"motion"`` each record's initial position and velocity are free, and the
+        controller's memory of the time before is read off the logged voltage.
 
     Raises
     ------

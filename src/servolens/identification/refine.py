@@ -59,8 +59,10 @@ __all__ = [
 
 MOST_ITERATIONS = 60
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
-"""Share of the squared residual whose gain ends the search: some thousandths of a standard error; of hypotheses that
-are compared, some hundredths."""
+"""Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
+error; of hypotheses that are compared, a tenth."""
+NEARLY = 0.9
+"""Share of the substeps that are granted from which on a search was stopped by them, and by no optimum."""
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
 ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
@@ -247,7 +249,7 @@ def minimise_error(
     """
     problem = Problem(plant, runs, options, noise)
     point = problem.start()
-    if problem.too_stiff(point):  # as given it is taken; but none becomes so on the way
+    if problem.too_stiff(point):  # what begins so is followed as it is; nothing else becomes so
         problem.most_substeps = np.inf
     problem.weigh_priors(point)
     if coarse:
@@ -264,7 +266,7 @@ def minimise_error(
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
         point, converged = _descend(problem, point, iterations)
-    return _finished(problem, point, converged=converged)
+    return _finished(problem, point, converged=converged and not problem.too_stiff(point, NEARLY))
 
 
 def lead(
@@ -328,6 +330,8 @@ def _along_the_valley(problem: Problem, point: Point, iterations: int, *, conver
         if not crumpled:
             break
         direction = problem.softest(point, found.information)
+        if not direction.any():
+            break
         trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
         least = point.cost
         for start in _lowest(trials):

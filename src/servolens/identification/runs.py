@@ -35,9 +35,9 @@ __all__ = [
 
 _NO_SHIFTS: tuple[float, ...] = ()
 LEAD, AT_ONCE = 40, 3
-"""Most samples of rest before a step that a window begins with; within how many a reference moves at once."""
+"""Most samples of rest before a step that a window begins with; up to how many the reference moves at once."""
 AWAITED = 0.1
-"""Share of a step up to which an axis that waits for it is off its reference."""
+"""Share of the reference's span up to which an axis that waits for it is off its reference."""
 VISIBLE = 20
 """Samples over which a velocity that is tried moves the axis by its noise."""
 SHIFT = 1e-4
@@ -255,13 +255,16 @@ def _may_be_cut(record: Record) -> bool:
 
 
 def _is_shaken(record: Record) -> bool:
-    """Tell whether the loop works before its step: what it makes of the sensor's noise shakes the axis."""
+    """Tell whether the loop works before its step: what it makes of the sensor's noise may shake the axis.
+
+    How much is not known without the plant. A lead of a few samples tells no velocity from a late start.
+    """
     edges, reference = record.edges(), record.reference
     if reference is None or edges.size == 0 or edges[0] <= AT_ONCE:
         return False
     lead = slice(min(int(edges[0]), LEAD))
     away = abs(float(reference[0]) - float(np.mean(record.position[lead])))
-    waits = away <= AWAITED * float(np.abs(np.diff(reference)[edges - 1]).min())
+    waits = away <= AWAITED * float(np.ptp(reference))
     return waits and float(np.ptp(applied_voltage(record)[lead])) > 0.0
 
 

@@ -74,7 +74,7 @@ def _units(record: Record) -> Iterator[Finding]:
     if record.reference is None or edges.size > MOST_SEGMENTS:
         return
     ends = np.array([*edges, len(record)]) - 1
-    before = ends - np.maximum(np.diff(ends, prepend=-1) // 10, 1)
+    before = np.maximum(ends - np.maximum(np.diff(ends, prepend=-1) // 5, 1), 0)
     target, reached = record.reference[ends], record.position[ends]
     if not target.any():
         return
