@@ -16,6 +16,7 @@ from servolens.identification.regressors import regressor
 from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
 from servolens.identification.segments import motion_segments, moving_parts, noise_level
 from servolens.identification.starting import Screen, seen_in
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -221,9 +222,14 @@ class Trials:
             tried = [plant.with_effect(effect) for effect in proposals]
             if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
                 tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
+        tried = [start for start in tried if not self._is_too_stiff(start)]
         worst = sorted(self.runs, key=lambda run: -error_of(plant, [run], fine=False))[:TELLING]
         ranked = sorted((error_of(candidate, worst, fine=False), i) for i, candidate in enumerate(tried))
         return [tried[i] for _, i in ranked[:STARTS]]
+
+    def _is_too_stiff(self, plant: Plant) -> bool:
+        """Tell whether `plant` would not be fitted, so that its simulation, which may take long, is for nothing."""
+        return any(substeps_for(plant, run.sample_time) > self.most_substeps for run in self.runs)
 
     def _solved(self, plant: Plant, cls: type[Effect], proposals: list[Effect]) -> list[Plant]:
         """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""
