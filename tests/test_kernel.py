@@ -404,6 +404,21 @@ def test_lagged_push_breaks_friction_loose_within_the_sample():
     assert np.abs(found.velocity - speed).max() < 1e-6 * speed.max()
 
 
+def test_push_that_just_passes_the_lower_of_two_levels_breaks_loose_there():
+    lag, level, period = 1e-4, 1e-6, 1e-3
+    friction = AsymmetricFriction(level_positive=level, level_negative=3.0)
+    plant = Plant(gain=1.0, damping=0.0, effects=(friction, ActuatorLag(time_constant=lag)))
+    time = np.arange(6) * period
+    push = np.where(time < 2.5 * period, -level, level * (1.0 + 1e-3))  # of the sign of the high level first
+    since = np.maximum(time - 3 * period, 0.0)
+    change, left = level * (2.0 + 1e-3), 1e-3 * level  # push - level = left - change exp(-t/lag)
+    loose = lag * np.log(change / left)
+    t = np.maximum(since - loose, 0.0)
+    speed = left * t - left * lag * (1.0 - np.exp(-t / lag))
+    found = simulate_voltage(plant, time, push, substeps=1)
+    assert np.abs(found.velocity - speed).max() < 1e-3 * speed.max()
+
+
 @pytest.mark.parametrize(("patience", "refused"), [(0.5, True), (3.0, False)])
 def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing(monkeypatch, patience, refused):
     monkeypatch.setattr("servolens.simulation.loop.PATIENCE", patience)

@@ -165,7 +165,17 @@ def choose_direction(x: Any, p: Any, out: Any) -> None:
 
 
 @njit(**OPTIONS)
-def breaking_loose(e: Any, p: Any, out: Any, lacking: float) -> float:
+def lacking(x: Any, p: Any, direction: float, out: Any) -> float:
+    """Return how much push an axis at rest lacks to set out in a direction."""
+    chosen = x[D]
+    x[D] = direction
+    breakaway(x, p, out)
+    x[D] = chosen
+    return max(out[1] - out[0] * direction, 0.0)
+
+
+@njit(**OPTIONS)
+def breaking_loose(e: Any, p: Any, out: Any, forward: float, backward: float) -> float:
     """Return the share of a piece after which an axis at rest, that lacked so much push, is pushed loose; 1 if never.
 
     Its states go on at rest: ``e`` is the end of the piece, and is told in which direction it then sets out.
@@ -174,7 +184,7 @@ def breaking_loose(e: Any, p: Any, out: Any, lacking: float) -> float:
     if e[MOVING] == 0.0:
         return 1.0
     e[MOVING] = 0.0
-    least = max(lacking, 0.0)
+    least = forward if e[D] > 0.0 else backward
     share: float = least / (least + out[0] * e[D] - out[1])
     return share
 
@@ -221,7 +231,7 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
             return piece
-        lacking = series[1] - series[0] * x[D]
+        forward, backward = lacking(x, p, 1.0, series), lacking(x, p, -1.0, series)
         relaxation(x, p, begin)
         kinked(x, p, before)
         for i in range(nz):
@@ -247,10 +257,11 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
             kinked(e, p, after)
             share = first_kink(before, after, nk)
             if x[MOVING] == 0.0:
-                loose = breaking_loose(e, p, series, lacking)
+                loose = breaking_loose(e, p, series, forward, backward)
                 if loose * tau <= SHORTEST * h:
                     x[MOVING], x[D] = 1.0, e[D]
                     continue
+                forward, backward = HALF * forward, HALF * backward  # Illinois: the root is not crept up on
                 share = min(share, loose)
             if share == 1.0 or tau <= SHORTEST * h:
                 break
