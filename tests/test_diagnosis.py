@@ -9,12 +9,13 @@ import pytest
 
 from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
+from servolens.diagnosis import trials as trials_module
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import _beam, search
-from servolens.diagnosis.trials import Hypothesis, Trials
+from servolens.diagnosis.trials import MOST_SUBSTEPS, Hypothesis, Trials
 from servolens.diagnosis.workflow import _stands_out, _twin
 from servolens.effects import (
     ActuatorLag,
@@ -32,6 +33,7 @@ from servolens.errors import InputError
 from servolens.model import Quantity
 from servolens.record import Controller, Record
 from servolens.simulation import simulate_voltage
+from servolens.simulation.rates import substeps_for
 from servolens.summaries import diagnosis_summary
 
 SEED = 9000
@@ -406,6 +408,21 @@ def test_disturbance_is_found_behind_a_dead_zone():
     found = trials.extended(beside, "periodic_disturbance")
     wanted = campaign.truth.effects["periodic_disturbance"]["frequency"]
     assert found.plant.effect("periodic_disturbance").frequency == pytest.approx(wanted, rel=0.01)
+
+
+def test_starts_too_stiff_to_be_fitted_are_not_simulated(monkeypatch):
+    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
+    tried, error_of = [], trials_module.error_of
+
+    def counted(plant, runs, **how):
+        tried.extend(substeps_for(plant, run.sample_time) for run in runs)
+        return error_of(plant, runs, **how)
+
+    monkeypatch.setattr(trials_module, "error_of", counted)
+    for trials.most_substeps in (MOST_SUBSTEPS, 3):
+        tried.clear()
+        trials.extended(trials.fitted(trials.start), "presliding")
+        assert (max(tried) > 3) == (trials.most_substeps > 3)
 
 
 def test_generalising_step_does_not_upset_what_the_search_is_sure_of(monkeypatch):

@@ -240,7 +240,7 @@ def minimise_error(
     coarse : bool
         Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
     valleys : bool
-        Where contacts crumple the error, look along the direction that the data know least for a deeper fold.
+        Where there are contacts, look along the direction that the data know least for a deeper fold of the error.
 
     Raises
     ------
@@ -323,12 +323,11 @@ def _descend(problem: Problem, point: Point, iterations: int, negligible: float 
 def _along_the_valley(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:
     """Return where the search ends if it is begun again along the direction that the data know least.
 
-    Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide.
+    Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide. The
+    fold may be smooth: that is no sign of its being the deepest.
     """
     for _ in range(LOOKS):
-        found, crumpled = problem.linearised_widely(point)
-        if not crumpled:
-            break
+        found, _ = problem.linearised_widely(point)
         direction = problem.softest(point, found.information)
         if not direction.any():
             break
