@@ -34,6 +34,7 @@ from servolens.effects import (
 from servolens.effects import _offered as offered
 from servolens.errors import InputError, NumericalError
 from servolens.identification.doubts import doubts
+from servolens.identification.effects_fit import last_word
 from servolens.identification.refine import lead, minimise_error
 from servolens.identification.runs import closed_runs, voltage_runs
 from servolens.lab import LM1, Truth, hidden_campaign, step_record, step_records
@@ -207,6 +208,14 @@ def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
             said += found.crumpled
     assert said
     assert max(off[True]) < 0.5 * max(off[False])
+
+
+def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
+    hidden = hidden_campaign(72, effects=["backlash"], visibility=8.9, records=2)
+    truth = plant_of(hidden.truth)
+    fit = last_word(truth, tuple(hidden.records), FitOptions())
+    assert fit.driven == "voltage"
+    assert fit.model.plant.values == pytest.approx(truth.values, rel=2e-3)
 
 
 def test_large_clean_play_is_not_said_to_crumple_the_error():

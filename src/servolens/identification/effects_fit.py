@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, final
 
@@ -186,15 +187,10 @@ def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) ->
     """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
     noise = _noise(records, options)
     driven: str = first_choice(records, options)
-    may_choose = options.driven == "auto" and driven == "closed_loop" and options.compared == "position"
-    try:
+    if options.driven == "auto" and driven == "closed_loop" and options.compared == "position":
+        refined, driven = _either_way(start, records, options, noise)
+    else:
         refined = _refined(start, records, options, driven, noise)
-        if may_choose:
-            refined, driven = _by_voltage(refined, records, options, noise)
-    except NumericalError:  # a contact that rattles in the loop may be followed by its voltage
-        if not may_choose:
-            raise
-        refined, driven = _refined(start, records, options, "voltage", noise), "voltage"
     return EffectsFit(
         model=Model(
             plant=refined.plant,
@@ -225,21 +221,30 @@ def first_choice(records: Sequence[Record], options: FitOptions) -> Literal["clo
     return "voltage" if lacking or options.driven == "voltage" else "closed_loop"
 
 
-def _by_voltage(
-    refined: Refinement, records: tuple[Record, ...], options: FitOptions, noise: float
-) -> tuple[Refinement, str]:
-    """Return the refinement driven by the voltage where it reaches the noise, and how it was driven.
+def _either_way(start: Plant, records: tuple[Record, ...], options: FitOptions, noise: float) -> tuple[Refinement, str]:
+    """Return the refinement in closed loop, or driven by the voltage where that reaches the noise, and which it is.
 
-    Stretches follow the data closer than whole records in any case: they count only if they alone get down to it.
+    Contacts crumple the error in closed loop most, or rattle there so that nothing can be followed: with them the
+    voltage comes first. Stretches follow the data closer than whole records in any case: they count only if they alone
+    get down to the noise.
     """
-    best, driven = refined, "closed_loop"
+    first = None
+    if start.has_contacts:
+        with suppress(InputError, NumericalError):
+            first = _refined(start, records, options, "voltage", noise)
+            if first.rms_error <= DOWN_TO_NOISE * noise:
+                return first, "voltage"
+    try:
+        best, driven = _refined(start, records, options, "closed_loop", noise), "closed_loop"
+    except NumericalError:
+        return first or _refined(start, records, options, "voltage", noise), "voltage"
     for way, enough in (("voltage", AT_NOISE), ("stretches", DOWN_TO_NOISE)):
-        try:
+        with suppress(InputError, NumericalError):
             found = _refined(best.plant, records, options, way, noise)
-        except (InputError, NumericalError):
-            continue
-        if found.rms_error <= enough * noise:
-            best, driven = found, way
+            if way == "voltage" and first is not None and first.rms_error < found.rms_error:
+                found = first
+            if found.rms_error <= enough * noise:
+                best, driven = found, way
         if best.rms_error <= DOWN_TO_NOISE * noise:
             break
     return best, driven
