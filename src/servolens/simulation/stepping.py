@@ -171,7 +171,8 @@ def lacking(x: Any, p: Any, direction: float, out: Any) -> float:
     x[D] = direction
     breakaway(x, p, out)
     x[D] = chosen
-    return max(out[1] - out[0] * direction, 0.0)
+    least: float = max(out[1] - out[0] * direction, 0.0)
+    return least
 
 
 @njit(**OPTIONS)
