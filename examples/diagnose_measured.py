@@ -73,7 +73,7 @@ def show(
         print(f"   {what:28} {before:8.3g} → {after:.3g} % of the step")
     for finding in found.findings:
         if finding.code in ("extrapolation", "small_remainder"):
-            print(f"   {finding.message}")
+            print(f"   {finding.record}: {finding.message}" if finding.record else f"   {finding.message}")
 
 
 if __name__ == "__main__":

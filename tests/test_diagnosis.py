@@ -276,6 +276,18 @@ def test_held_out_record_of_another_axis_is_no_sign_of_health():
     assert "Records that were held out are much farther off" in " ".join(diagnosis_summary(diagnosis).sentences)
 
 
+@pytest.mark.parametrize(("factor", "code"), [(1e3, "units_contradict"), (-1.0, "wrong_sign")])
+def test_held_out_record_whose_log_is_wrong_measures_nothing(factor, code):
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    *runs, other = steps_of(axis, [(40, 0), (60, 0), (80, 0)])
+    diagnosis = diagnose(runs, heldout=other.with_({"position": factor * other.position}))
+    assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
+    assert diagnosis.findings[0].code == code
+    (said,) = [finding for finding in diagnosis.findings if finding.code == "heldout_unfit"]
+    assert said.record == other.name
+    assert diagnosis.heldout == ()
+
+
 def test_record_that_is_fitted_is_not_held_out_again():
     record = lab.step_record(lab.LM1, 60, noise=1e-5, seed=1)
     with pytest.raises(InputError, match="has the very samples of"):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["apart", "beyond", "is_blamed", "log_findings"]
+__all__ = ["apart", "beyond", "is_blamed", "judges", "log_findings"]
 
 FAR_APART = 0.2
 """Relative difference of gains from which on two records are held to be of different axes."""
@@ -44,6 +44,9 @@ BLAMED = (
 )
 """Findings about a log that may look like physics, the gravest first."""
 
+NO_MEASURE = ("units_contradict", "wrong_sign")
+"""Those by which a record held out says nothing of the axis."""
+
 
 def is_blamed(finding: Finding) -> bool:
     """Tell whether it warns of something about a log that may look like physics."""
@@ -67,6 +70,22 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
     return sorted(found, key=lambda f: (not is_blamed(f), BLAMED.index(f.code) if f.code in BLAMED else len(BLAMED)))
 
 
+def judges(heldout: Sequence[Record], findings: Sequence[Finding]) -> tuple[tuple[Record, ...], list[Finding]]:
+    """Return the records of `heldout` that can be a measure, and a finding for each other one, whose log is wrong."""
+    unfit = {f.record: f.code for f in reversed(findings) if f.code in NO_MEASURE and is_blamed(f)}
+    said = [
+        Finding(
+            code="heldout_unfit",
+            severity="note",
+            message=f"held out, it is no measure of the gain, for its log is wrong ({unfit[record.name]}); mend that.",
+            record=record.name,
+        )
+        for record in heldout
+        if record.name in unfit
+    ]
+    return tuple(record for record in heldout if record.name not in unfit), said
+
+
 def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]:
     """Return a finding for each of `others` whose command goes far beyond all that was `trained` on."""
     known = max(float(np.max(np.abs(applied_voltage(record)))) for record in trained)
@@ -75,7 +94,7 @@ def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]
         most = float(np.max(np.abs(applied_voltage(record))))
         if most > BEYOND * known:
             message = (
-                f"{record.name} is an extrapolation: its command reaches {most:.3g} {record.command_unit}, that of the"
+                f"an extrapolation: its command reaches {most:.3g} {record.command_unit}, that of the"
                 f" training records {known:.3g}; limits and laws that show only beyond are not in the model."
             )
             found.append(Finding(code="extrapolation", severity="warning", message=message, record=record.name))

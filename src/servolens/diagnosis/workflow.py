@@ -13,7 +13,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
-from servolens.diagnosis.logs import beyond, is_blamed, log_findings
+from servolens.diagnosis.logs import beyond, is_blamed, judges, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import WORTH, Search, search
@@ -97,8 +97,9 @@ def diagnose(
     _check_priors(priors or {})
     _check_copies(runs, others)
     findings = log_findings((*runs, *others))
+    fit, unfit = judges(others, findings)
     try:
-        return _diagnosed(Case.of(runs, others, dict(priors or {})), findings, progress)
+        return _diagnosed(Case.of(runs, fit, dict(priors or {})), [*findings, *unfit], progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise
@@ -322,7 +323,7 @@ def _strangers(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding
         little = 0.0 if chosen.causes else LITTLE * float(np.ptp(record.position))
         if error > max(BORNE_OUT * fitted, little):
             message = (
-                f"{record.name}, held out, is {error / noise:.0f} times the noise off, the records that were fitted"
+                f"held out, it is {error / noise:.0f} times the noise off, the records that were fitted"
                 f" {fitted / noise:.1f} times; is it of the same axis, load and units?"
             )
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
