@@ -264,6 +264,26 @@ def test_jump_that_the_controller_has_seen_is_the_sensor_s():
     assert "and the voltage with it: check the sensor for lost counts" in finding.message
 
 
+@pytest.mark.parametrize("height", [0.01, -0.004])
+@pytest.mark.parametrize("encoder", [0.0, 1e-4])
+def test_single_samples_that_stick_out_are_the_sensors(height, encoder):
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, encoder=encoder, seed=4)
+    position = record.position.copy()
+    position[[40, 250]] += height * np.array([1.0, 0.5])
+    (finding,) = [f for f in check(record.with_({"position": position, "voltage": None})) if f.severity == "warning"]
+    assert finding.code == "position_spikes"
+    assert " at 0.04 s for one sample and is back (2 such samples)" in finding.message
+    assert float(re.search(r"leaps by ([\d.]+) m", finding.message)[1]) == pytest.approx(abs(height), rel=0.1)
+
+
+def test_samples_taken_twice_or_early_are_no_spikes():
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-6, seed=4)
+    position = record.position.copy()
+    position[[30, 40, 52]] = position[[29, 39, 51]]
+    position[60] = 0.4 * position[60] + 0.6 * position[61]
+    assert "position_spikes" not in codes(record.with_({"position": position, "voltage": None}))
+
+
 HARD = {
     "backlash": {"gap": 2e-3, "load_share": 0.5},
     "flexible_coupling": {"frequency": 60.0, "damping_ratio": 0.01, "load_ratio": 0.4},
@@ -287,14 +307,14 @@ def driven(effect):
 def test_motion_has_no_jumps_however_slowly_it_is_logged(effect, every):
     for record in driven(effect):
         slow = cut(record, slice(0, None, every)).with_({"voltage": None})
-        assert "position_jumps" not in codes(slow)
+        assert not {"position_jumps", "position_spikes"} & set(codes(slow))
 
 
 def test_knocks_and_trajectories_are_no_jumps():
     def knocks(y, v):
         return 300.0 if 0.03 < y < 0.0305 else 0.0
 
-    assert "position_jumps" not in codes(simulated(force=knocks, noise=1e-5))
+    assert not {"position_jumps", "position_spikes"} & set(codes(simulated(force=knocks, noise=1e-5)))
     way = 0.1 * np.sin(40.0 * np.arange(3000) * 1e-3)
     assert codes(lab.step_record(lab.NLM2, 60, 2, trajectory=way, noise=1e-5, seed=1)) == []
 

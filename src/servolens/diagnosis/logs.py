@@ -33,6 +33,7 @@ BLAMED = (
     "position_shifted",
     "voltage_shifted",
     "position_jumps",
+    "position_spikes",
     "gains_contradict_log",
     "law_contradicts_log",
     "clipped_voltage",

@@ -14,6 +14,7 @@ from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
+from servolens.quality.spikes import spike_findings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -91,8 +92,8 @@ def assess(record: Record) -> RecordQuality:
     ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
     ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
     ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``position_shifted``,
-    ``reference_shifted``, ``position_jumps``, ``gains_unknown``, ``no_reference``, ``onset_missed``,
-    ``units_contradict``, ``voltage_reconstructed``.
+    ``reference_shifted``, ``position_jumps``, ``position_spikes``, ``gains_unknown``, ``no_reference``,
+    ``onset_missed``, ``units_contradict``, ``voltage_reconstructed``.
 
     Examples
     --------
@@ -107,6 +108,7 @@ def assess(record: Record) -> RecordQuality:
         *sampling_findings(record, sampling),
         *motion_findings(record, sampling),
         *jump_findings(record, sampling),
+        *spike_findings(record, sampling),
         *_beginning(record, sampling, fit),
         *loop_findings(record, fit),
     )
