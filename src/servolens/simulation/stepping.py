@@ -34,7 +34,7 @@ from servolens.simulation import elementary
 from servolens.simulation.elementary import OPTIONS, exponential
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
-SMOOTH, SHORTEST, MOST_PIECES = 1.2e-4, 1e-3, 4096
+SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
 Y, V, T, U, D, MOVING, STATES = 0, 1, 2, 3, 4, 5, 6
 FARTHEST = 1e6
 
@@ -232,15 +232,17 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
             return piece
-        forward, backward = lacking(x, p, 1.0, series), lacking(x, p, -1.0, series)
+        forward, backward, weight = 0.0, 0.0, 1.0
+        if x[MOVING] == 0.0:
+            forward, backward = lacking(x, p, 1.0, series), lacking(x, p, -1.0, series)
         relaxation(x, p, begin)
         kinked(x, p, before)
         for i in range(nz):
             kept[i] = x[z + i]
         for i in range(2 * nz):
             end[i] = begin[i]
-        part, again = left, nz > 0
-        while True:
+        part, tau, again = left, left, nz > 0
+        for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, z, nz, part)
             taylor(x, p, series)
             if is_rough(series, x[V], part) and part > SHORTEST * h:
@@ -256,17 +258,18 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
                 relaxation(e, p, end)
                 continue
             kinked(e, p, after)
-            share = first_kink(before, after, nk)
+            share, shortest = first_kink(before, after, nk), SHORTEST * h
             if x[MOVING] == 0.0:
                 loose = breaking_loose(e, p, series, forward, backward)
-                if loose * tau <= SHORTEST * h:
+                if loose * tau <= SOON * h:
                     x[MOVING], x[D] = 1.0, e[D]
                     continue
-                forward, backward = HALF * forward, HALF * backward  # Illinois: the root is not crept up on
-                share = min(share, loose)
-            if share == 1.0 or tau <= SHORTEST * h:
+                if loose < share:  # Illinois: the root is not crept up on
+                    share = weight * loose / (weight * loose + 1.0 - loose)
+                    weight, shortest = HALF * weight, SOON * h
+            if share == 1.0 or tau <= shortest:
                 break
-            part = max(share * tau, SHORTEST * h)
+            part = max(share * tau, shortest)
             shorten(begin, end, nz, part / tau)
         for i in range(z + nz):
             x[i] = e[i]
