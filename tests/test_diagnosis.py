@@ -276,16 +276,22 @@ def test_held_out_record_of_another_axis_is_no_sign_of_health():
     assert "Records that were held out are much farther off" in " ".join(diagnosis_summary(diagnosis).sentences)
 
 
-@pytest.mark.parametrize(("factor", "code"), [(1e3, "units_contradict"), (-1.0, "wrong_sign")])
-def test_held_out_record_whose_log_is_wrong_measures_nothing(factor, code):
+def test_single_samples_that_stick_out_are_said_and_spoil_nothing():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
-    *runs, other = steps_of(axis, [(40, 0), (60, 0), (80, 0)])
-    diagnosis = diagnose(runs, heldout=other.with_({"position": factor * other.position}))
-    assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
-    assert diagnosis.findings[0].code == code
-    (said,) = [finding for finding in diagnosis.findings if finding.code == "heldout_unfit"]
-    assert said.record == other.name
-    assert diagnosis.heldout == ()
+    sound = steps_of(axis, [(40, 0), (60, 0), (80, 0)])
+    rng = np.random.default_rng(3)
+    spiked = []
+    for record in sound:
+        position = record.position.copy()
+        position[rng.choice(np.arange(5, len(record) - 5, 9), size=4, replace=False)] += 0.02
+        spiked.append(record.with_({"position": position}))
+    diagnosis, undisturbed = (diagnose(runs[:2], heldout=runs[2]) for runs in (spiked, sound))
+    assert [finding.code for finding in diagnosis.findings[:3]] == 3 * ["position_spikes"]
+    assert [finding.code for finding in diagnosis.findings[3:]] == [finding.code for finding in undisturbed.findings]
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.noise_floor == pytest.approx(undisturbed.noise_floor, rel=0.05)
+    level, truth = (d.causes[0].quantities["level"].value for d in (diagnosis, undisturbed))
+    assert level == pytest.approx(truth, rel=1e-3)
 
 
 def test_record_that_is_fitted_is_not_held_out_again():

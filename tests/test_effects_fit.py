@@ -197,7 +197,7 @@ def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
     truth, runs, options = plant_of(hidden.truth), voltage_runs(hidden.records), FitOptions()
     share = list(truth.parameters).index("backlash.load_share")
     off: dict[bool, list[float]] = {False: [], True: []}
-    said = 0
+    said, deeper = 0, []
     for seed in (1, 2, 3):
         shifts = 1.0 + 0.03 * np.random.default_rng(seed).standard_normal(4)
         start = truth.with_values((np.array(truth.values) * shifts).tolist())
@@ -206,7 +206,9 @@ def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
             errors.append(abs(found.plant.values[share] / truth.values[share] - 1.0))
             assert ("crumpled_error" in [finding.code for finding in doubts(found)]) == found.crumpled
             said += found.crumpled
+            deeper.append(found.rms_error)
     assert said
+    assert all(looking <= descending for descending, looking in zip(deeper[::2], deeper[1::2], strict=True))
     assert max(off[True]) < 0.5 * max(off[False])
 
 

@@ -18,6 +18,7 @@ from servolens import lab
 from servolens.control_law import controller_voltage
 from servolens.quality import assess, check
 from servolens.quality.sampling import quantisation_step
+from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
 from servolens.record import Controller, Record
 
@@ -269,11 +270,28 @@ def test_jump_that_the_controller_has_seen_is_the_sensor_s():
 def test_single_samples_that_stick_out_are_the_sensors(height, encoder):
     record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, encoder=encoder, seed=4)
     position = record.position.copy()
-    position[[40, 250]] += height * np.array([1.0, 0.5])
-    (finding,) = [f for f in check(record.with_({"position": position, "voltage": None})) if f.severity == "warning"]
+    position[[2, 40, 250]] += height * np.array([0.5, 1.0, 0.5])
+    spiked = record.with_({"position": position})
+    (finding,) = check(spiked)  # the voltage knows nothing of them, which is no fault of the gains
     assert finding.code == "position_spikes"
-    assert " at 0.04 s for one sample and is back (2 such samples)" in finding.message
+    assert " at 0.04 s for one sample and is back (3 such samples)" in finding.message
     assert float(re.search(r"leaps by ([\d.]+) m", finding.message)[1]) == pytest.approx(abs(height), rel=0.1)
+    assert np.abs(without_spikes(spiked).position - record.position).max() < 1e-4
+    wrong = spiked.with_({"controller": replace(record.controller, kp=70.0)})
+    assert {"position_spikes", "gains_contradict_log"} <= set(codes(wrong))
+
+
+def positions(time, position):
+    """Return a log of which only the position matters."""
+    return Record(time=time, position=position, voltage=np.zeros(time.size))
+
+
+@pytest.mark.parametrize("samples", [4, 5, 6, 12])
+def test_spike_of_a_short_log_needs_some_samples_to_stand_out_of(samples):
+    line = np.arange(samples) * 1e-3
+    spiked = positions(line, line + np.where(np.arange(samples) == 2, 5.0, 0.0))
+    found = without_spikes(spiked).position
+    assert found == pytest.approx(line if samples > 11 else spiked.position)
 
 
 def test_samples_taken_twice_or_early_are_no_spikes():
@@ -282,6 +300,27 @@ def test_samples_taken_twice_or_early_are_no_spikes():
     position[[30, 40, 52]] = position[[29, 39, 51]]
     position[60] = 0.4 * position[60] + 0.6 * position[61]
     assert "position_spikes" not in codes(record.with_({"position": position, "voltage": None}))
+
+
+@pytest.mark.parametrize("samples", [2.9, 3.0, 3.05])
+def test_vibration_of_a_few_samples_is_no_spike(samples):
+    time = np.arange(400) * 0.01
+    ringing = np.where(time < 0.5, 0.0, 0.1 + 2e-3 * np.exp(-2.0 * time) * np.sin(2.0 * np.pi * 100.0 * time / samples))
+    noisy = ringing + 1e-6 * np.random.default_rng(1).standard_normal(time.size)
+    assert without_spikes(positions(time, noisy)).position == pytest.approx(noisy, abs=0.0)
+
+
+def test_noise_gaps_slips_and_coarse_encoders_are_no_spikes():
+    rng = np.random.default_rng(2)
+    time = np.arange(300_000) * 1e-3
+    noise = positions(time, 0.01 * np.sin(time) + 1e-5 * rng.standard_normal(time.size))
+    late = np.cumsum(np.where(rng.random(3000) < 0.01, 0.02, 1e-3))
+    gaps = positions(late, np.sin(20.0 * late) ** 2)
+    slip = positions(time[:400], 1e-6 * rng.standard_normal(400) + np.where(np.arange(400) < 200, 0.0, 0.1))
+    rest = positions(time[:400], np.where(time[:400] < 0.1, 0.1, 0.1 * (1.0 + 1e-15)) * (time[:400] > 0.05))
+    flicker = lab.step_record(lab.NLM2, 60, 4, noise=1e-4, encoder=0.01, seed=0, duration=1.0)
+    for record in (noise, gaps, slip, rest, cut(flicker, slice(0, None, 10))):
+        assert without_spikes(record) is record
 
 
 HARD = {

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["apart", "beyond", "is_blamed", "judges", "log_findings"]
+__all__ = ["apart", "beyond", "is_blamed", "log_findings"]
 
 FAR_APART = 0.2
 """Relative difference of gains from which on two records are held to be of different axes."""
@@ -33,7 +33,6 @@ BLAMED = (
     "position_shifted",
     "voltage_shifted",
     "position_jumps",
-    "position_spikes",
     "gains_contradict_log",
     "law_contradicts_log",
     "clipped_voltage",
@@ -44,9 +43,6 @@ BLAMED = (
     "voltage_beyond_limit",
 )
 """Findings about a log that may look like physics, the gravest first."""
-
-NO_MEASURE = ("units_contradict", "wrong_sign")
-"""Those by which a record held out says nothing of the axis."""
 
 
 def is_blamed(finding: Finding) -> bool:
@@ -69,22 +65,6 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
                 raise InputError(f"{record.name}: {finding.message}")
             found.append(replace(finding, record=record.name))
     return sorted(found, key=lambda f: (not is_blamed(f), BLAMED.index(f.code) if f.code in BLAMED else len(BLAMED)))
-
-
-def judges(heldout: Sequence[Record], findings: Sequence[Finding]) -> tuple[tuple[Record, ...], list[Finding]]:
-    """Return the records of `heldout` that can be a measure, and a finding for each other one, whose log is wrong."""
-    unfit = {f.record: f.code for f in reversed(findings) if f.code in NO_MEASURE and is_blamed(f)}
-    said = [
-        Finding(
-            code="heldout_unfit",
-            severity="note",
-            message=f"held out, it is no measure of the gain, for its log is wrong ({unfit[record.name]}); mend that.",
-            record=record.name,
-        )
-        for record in heldout
-        if record.name in unfit
-    ]
-    return tuple(record for record in heldout if record.name not in unfit), said
 
 
 def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]:

@@ -13,7 +13,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
-from servolens.diagnosis.logs import beyond, is_blamed, judges, log_findings
+from servolens.diagnosis.logs import beyond, is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.result import Candidate, Cause, Diagnosis
 from servolens.diagnosis.search import WORTH, Search, search
@@ -22,6 +22,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
 from servolens.plant import Plant
+from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -97,9 +98,9 @@ def diagnose(
     _check_priors(priors or {})
     _check_copies(runs, others)
     findings = log_findings((*runs, *others))
-    fit, unfit = judges(others, findings)
+    runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case.of(runs, fit, dict(priors or {})), [*findings, *unfit], progress)
+        return _diagnosed(Case.of(runs, others, dict(priors or {})), findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise

@@ -105,7 +105,7 @@ def fit_effects(
     Each effect starts from the values given and from those it proposes itself; parameters in which a force is linear
     are solved for in the integral equation. The best starts are refined, in closed loop where reference and gains are
     known, else driven by the logged voltage. Where the model reaches the noise the voltage has the last word, for it
-    contains what the controller made of the noise.
+    contains what the controller made of the noise; with contacts, which rattle in closed loop, it has the first.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def fit_runs(records: Sequence[Record], driven: str, options: FitOptions) -> lis
 
 
 def last_word(start: Plant, records: tuple[Record, ...], options: FitOptions) -> EffectsFit:
-    """Refine `start`, first in closed loop where that can be, then by the voltage where that reaches the noise."""
+    """Refine `start`, in closed loop where that can be, and by the voltage where that reaches the noise."""
     noise = _noise(records, options)
     driven: str = first_choice(records, options)
     if options.driven == "auto" and driven == "closed_loop" and options.compared == "position":
@@ -237,6 +237,8 @@ def _either_way(start: Plant, records: tuple[Record, ...], options: FitOptions, 
     try:
         best, driven = _refined(start, records, options, "closed_loop", noise), "closed_loop"
     except NumericalError:
+        if first is None and start.has_contacts:
+            raise
         return first or _refined(start, records, options, "voltage", noise), "voltage"
     for way, enough in (("voltage", AT_NOISE), ("stretches", DOWN_TO_NOISE)):
         with suppress(InputError, NumericalError):
@@ -251,7 +253,7 @@ def _either_way(start: Plant, records: tuple[Record, ...], options: FitOptions, 
 
 
 def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, driven: str, noise: float) -> Refinement:
-    """Refine; once more with coarse sensitivities where that does not reach the noise or contacts crumple the error."""
+    """Refine; once more with coarse sensitivities where that does not reach the noise, or with contacts."""
     runs = fit_runs(records, driven, options)
     found = minimise_error(start, runs, options, noise=noise)
     if found.rms_error <= DOWN_TO_NOISE * noise and not start.has_contacts:

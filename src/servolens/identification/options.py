@@ -37,7 +37,8 @@ class FitOptions:
         Whether outliers count as squares or linearly.
     driven : {"auto", "closed_loop", "voltage"}
         Whether the runs are simulated in closed loop from the reference, or driven by the voltage; ``"auto"`` begins
-        in closed loop where it can and lets the voltage have the last word where the model then reaches the noise.
+        in closed loop where it can, but for contacts, and lets the voltage have the last word where the model then
+        reaches the noise.
     compared : {"position", "voltage"}
         What of a closed loop is compared. A stiff loop hides in its position what its voltage shows; with ``"voltage"``
         all runs are simulated in closed loop.

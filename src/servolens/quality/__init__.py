@@ -14,7 +14,7 @@ from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
-from servolens.quality.spikes import spike_findings
+from servolens.quality.spikes import spike_findings, without_spikes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -103,14 +103,14 @@ def assess(record: Record) -> RecordQuality:
     (True, ())
     """
     sampling = measure(record)
-    fit = fit_loop(record, sampling)
+    fit, doubts = _loop(record, sampling)
     seen = (
         *sampling_findings(record, sampling),
         *motion_findings(record, sampling),
         *jump_findings(record, sampling),
         *spike_findings(record, sampling),
         *_beginning(record, sampling, fit),
-        *loop_findings(record, fit),
+        *doubts,
     )
     findings = (*record.remarks, *(replace(finding, record=record.name) for finding in seen))
     return _quality(record, sampling, fit, findings)
@@ -128,6 +128,17 @@ def check(record: Record) -> tuple[Finding, ...]:
     ['constant_position']
     """
     return assess(record).findings
+
+
+def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Finding, ...]]:
+    """Return the fitted control law and doubts about it, but for those that are only of samples that stick out."""
+    fit = fit_loop(record, sampling)
+    found = tuple(loop_findings(record, fit))
+    mended = without_spikes(record) if found else record
+    if mended is not record:
+        fit = fit_loop(mended, measure(mended))
+        found = tuple(loop_findings(mended, fit))
+    return fit, found
 
 
 def _beginning(record: Record, sampling: Sampling, fit: LoopFit | None) -> Iterator[Finding]:

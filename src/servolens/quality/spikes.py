@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.findings import Finding
+from servolens.quality.sampling import measure
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["spike_findings"]
+__all__ = ["spike_findings", "spikes", "without_spikes"]
 
 STANDS_OUT, STEPS, LEAST = 12.0, 3.0, 1e-4
 """Standard deviations, encoder steps and share of the travel by which a sample must lie off the cubic beside it."""
@@ -25,30 +26,56 @@ BENDS = 4.0
 
 It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike.
 """
+FURTHER = (-4, -3, 3, 4)
+"""Samples that stick out much less: a spike does nothing to them, a vibration is there as well."""
 EVEN = 0.5
 """Share of the sample time within which the neighbours' times agree."""
 
 
 def spike_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield that samples of the position stick out by what no motion does, and the next is where it would be anyway."""
-    if len(record) < 5:
+    places, heights = spikes(record, seen)
+    if not places.size:
         return
+    worst = int(np.argmax(np.abs(heights)))
+    several = f" ({places.size} such samples)" if places.size > 1 else ""
+    message = (
+        f"the position leaps by {abs(heights[worst]):.3g} {record.length_unit} at {record.time[places[worst]]:g} s for"
+        f" one sample and is back{several}: the sensor is disturbed; put what lies between its neighbours in its place,"
+        " as a diagnosis does."
+    )
+    yield Finding(code="position_spikes", severity="warning", message=message)
+
+
+def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return which single samples of the position stick out, and by how much [m or rad].
+
+    The outer two at either end are not judged, nor spikes within four samples of each other; and where every sixth
+    sample sticks out, none does.
+    """
+    if len(record) < 5:
+        return np.zeros(0, dtype=np.intp), np.zeros(0)
     x = record.position
     two_before, before, there, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
     off = there - (4.0 * (before + after) - two_before - two_after) / 6.0  # the cubic through the four neighbours
     even, odd = two_before + two_after - before - after, two_after - two_before - 2.0 * (after - before)
-    least = STANDS_OUT * 1.4826 * float(np.median(np.abs(off))) + STEPS * (seen.step or 0.0) + LEAST * seen.travel
-    moves = np.maximum(np.abs(after - before), BENDS * np.maximum(np.abs(even), np.abs(odd)))
-    places = np.flatnonzero((np.abs(off) > least + moves) & _evenly_logged(record.time)) + 2
+    beside = np.pad(np.abs(off), 4)
+    further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
+    step = max(seen.step or 0.0, record.encoder_resolution or 0.0)
+    least = STANDS_OUT * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
+    usual = np.maximum(np.abs(after - before), BENDS * np.max(np.abs([even, odd, further]), axis=0))
+    places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
+    return places + 2, off[places]
+
+
+def without_spikes(record: Record) -> Record:
+    """Return `record` with what lies between its neighbours in the place of each sample that sticks out."""
+    places, heights = spikes(record, measure(record))
     if not places.size:
-        return
-    worst = places[int(np.argmax(np.abs(off[places - 2])))]
-    several = f" ({places.size} such samples)" if places.size > 1 else ""
-    message = (
-        f"the position leaps by {abs(off[worst - 2]):.3g} {record.length_unit} at {record.time[worst]:g} s for one"
-        f" sample and is back{several}: the sensor is disturbed; put what lies between its neighbours in its place."
-    )
-    yield Finding(code="position_spikes", severity="warning", message=message)
+        return record
+    position = record.position.copy()
+    position[places] -= heights
+    return record.with_({"position": position})
 
 
 def _evenly_logged(time: NDArray[np.float64]) -> NDArray[np.bool_]:
