@@ -190,6 +190,16 @@ def test_an_axis_that_obeys_at_once_is_not_fitted_beyond_what_can_be_simulated()
     assert not found.converged
 
 
+def test_axis_that_sticks_at_its_beginning_is_followed_though_its_velocity_is_free():
+    """The smoothed velocity of such a beginning is off, and that of an axis that sticks has no effect at all."""
+    hidden = hidden_campaign(11206005, effects=["coulomb_friction"], smooth=True)
+    truth, runs = plant_of(hidden.truth), voltage_runs(hidden.records)
+    assert any(run.start.size == 2 for run in runs)
+    found = minimise_error(truth, runs, FitOptions(), noise=hidden.floor)
+    assert found.rms_error < 1.02 * hidden.floor
+    assert found.plant.values == pytest.approx(truth.values, rel=5e-4)
+
+
 @pytest.mark.slow
 def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
     """A small play that rattles: from starts 3 % off, descents alone end far off the load's true share."""

@@ -39,6 +39,8 @@ MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
 """Substeps of all simulations of one linearisation from which on they are shared among threads."""
+UNFELT = 1e-4
+"""Of an initial position's effect, the share up to which a velocity has none: an axis that sticks loses it at once."""
 
 
 @final
@@ -124,11 +126,22 @@ class Problem:
     def start(self) -> Point:
         """Return where the search begins."""
         point = Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
+        point.starts = [self._still_or_moving(point, i) for i in range(len(self.runs))]
         for k, (index, group) in enumerate(self.slots):
             if self.names[index] in self.local and self.names[index] in own_phases(self.plant):
                 point.values[k] = self._phase(point, k, group)
         point.cost = self.cost(point)
         return point
+
+    def _still_or_moving(self, point: Point, i: int) -> NDArray[np.float64]:
+        """Return the initial state of run `i`, at rest if that misses less: dry friction parts the two by a ridge."""
+        moving = point.starts[i]
+        if moving.size < 2 or moving[1] == 0.0:
+            return moving
+        starts = [moving, np.array([moving[0], 0.0])]
+        found = self._evaluate([(i, _Trial(point.values, start)) for start in starts])
+        missed = [np.inf if residual is None else self._loss(residual) for residual in found]
+        return starts[int(np.argmin(missed))]
 
     def _phase(self, point: Point, k: int, group: int) -> float:
         """Return the value of the phase `k` from which the runs of one record are missed least."""
@@ -343,7 +356,7 @@ class Problem:
         values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
         starts = [
-            start - np.linalg.lstsq(block.factor, block.missed + block.along @ moved, rcond=None)[0]
+            start - np.linalg.lstsq(block.factor, block.missed + block.along @ moved, rcond=UNFELT)[0]
             if start.size
             else start
             for start, block in zip(point.starts, blocks, strict=True)
