@@ -223,6 +223,16 @@ def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
 
 
 @njit(**OPTIONS)
+def remember(x: Any, p: Any, kept: Any, begin: Any, end: Any, z: int, nz: int) -> None:
+    """Keep the relaxing states of a piece's beginning; A and B are those there until its end is known."""
+    relaxation(x, p, begin)
+    for i in range(nz):
+        kept[i] = x[z + i]
+    for i in range(2 * nz):
+        end[i] = begin[i]
+
+
+@njit(**OPTIONS)
 def advance(x: Any, p: Any, room: Any, h: float) -> int:
     """Carry the axis in `x` over `h` seconds under the held input; return in how many pieces."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
@@ -235,12 +245,8 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
         forward, backward, weight = 0.0, 0.0, 1.0
         if x[MOVING] == 0.0:
             forward, backward = lacking(x, p, 1.0, series), lacking(x, p, -1.0, series)
-        relaxation(x, p, begin)
         kinked(x, p, before)
-        for i in range(nz):
-            kept[i] = x[z + i]
-        for i in range(2 * nz):
-            end[i] = begin[i]
+        remember(x, p, kept, begin, end, z, nz)
         part, tau, again = left, left, nz > 0
         for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, z, nz, part)
