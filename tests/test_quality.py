@@ -310,17 +310,31 @@ def test_vibration_of_a_few_samples_is_no_spike(samples):
     assert without_spikes(positions(time, noisy)).position == pytest.approx(noisy, abs=0.0)
 
 
-def test_noise_gaps_slips_and_coarse_encoders_are_no_spikes():
+def test_noise_slips_and_coarse_encoders_are_no_spikes():
     rng = np.random.default_rng(2)
     time = np.arange(300_000) * 1e-3
-    noise = positions(time, 0.01 * np.sin(time) + 1e-5 * rng.standard_normal(time.size))
-    late = np.cumsum(np.where(rng.random(3000) < 0.01, 0.02, 1e-3))
-    gaps = positions(late, np.sin(20.0 * late) ** 2)
-    slip = positions(time[:400], 1e-6 * rng.standard_normal(400) + np.where(np.arange(400) < 200, 0.0, 0.1))
-    rest = positions(time[:400], np.where(time[:400] < 0.1, 0.1, 0.1 * (1.0 + 1e-15)) * (time[:400] > 0.05))
+    noise = 1e-5 * rng.standard_normal(time.size)
+    noise[10::50] += 9e-5  # nine standard deviations are not yet beyond doubt
+    slip = 1e-6 * rng.standard_normal(400) + np.where(np.arange(400) < 200, 0.0, 0.1)
     flicker = lab.step_record(lab.NLM2, 60, 4, noise=1e-4, encoder=0.01, seed=0, duration=1.0)
-    for record in (noise, gaps, slip, rest, cut(flicker, slice(0, None, 10))):
+    logs = [positions(time, noise), positions(time[:400], slip), cut(flicker, slice(0, None, 10))]
+    for record in logs:
         assert without_spikes(record) is record
+
+
+def test_rounding_at_rest_is_no_spike():
+    time = np.arange(400) * 1e-3
+    position = 0.1 * np.sin(5.0 * np.pi * np.minimum(time, 0.1))  # rests for most of the time
+    position[300] += 1e-14
+    record = positions(time, position)
+    assert without_spikes(record) is record
+
+
+def test_sample_between_two_gaps_is_no_spike():
+    kept = np.r_[0:190, 200, 211:400]
+    time = kept * 1e-3
+    record = positions(time, 0.1 * np.cos(2.0 * np.pi * (time - 0.2) / 0.022))
+    assert without_spikes(record) is record
 
 
 HARD = {

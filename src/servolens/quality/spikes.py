@@ -22,9 +22,9 @@ __all__ = ["spike_findings", "spikes", "without_spikes"]
 STANDS_OUT, STEPS, LEAST = 12.0, 3.0, 1e-4
 """Standard deviations, encoder steps and share of the travel by which a sample must lie off the cubic beside it."""
 BENDS = 4.0
-"""Times what bends the motion of its four neighbours by which it must do so: a knock or a slip bends them too.
+"""Times what bends the motion of its four neighbours by which it must do so: a knock bends them too.
 
-It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike.
+It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike, nor a slip.
 """
 FURTHER = (-4, -3, 3, 4)
 """Samples that stick out much less: a spike does nothing to them, a vibration is there as well."""
@@ -58,12 +58,12 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     x = record.position
     two_before, before, there, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
     off = there - (4.0 * (before + after) - two_before - two_after) / 6.0  # the cubic through the four neighbours
-    even, odd = two_before + two_after - before - after, two_after - two_before - 2.0 * (after - before)
+    bend = two_before + two_after - before - after
     beside = np.pad(np.abs(off), 4)
     further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
     step = max(seen.step or 0.0, record.encoder_resolution or 0.0)
     least = STANDS_OUT * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
-    usual = np.maximum(np.abs(after - before), BENDS * np.max(np.abs([even, odd, further]), axis=0))
+    usual = np.maximum(np.abs(after - before), BENDS * np.maximum(np.abs(bend), further))
     places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
     return places + 2, off[places]
 
