@@ -22,6 +22,7 @@ from servolens.effects import (
     Cogging,
     CoulombFriction,
     DeadZone,
+    Delay,
     PendulumGravity,
     Presliding,
     ReturnSpring,
@@ -461,6 +462,25 @@ def test_generalising_step_does_not_upset_what_the_search_is_sure_of(monkeypatch
     monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
     found = search(trials, Hypothesis(plant, 100.0 * noise), lambda _: False)
     assert found.chosen.causes == ("stribeck_friction", "dead_zone")
+
+
+@pytest.mark.parametrize(("third", "rounds"), [(9.0, 3), (7.0, 4)])
+def test_fourth_effect_is_looked_for_only_where_the_third_helps(monkeypatch, third, rounds):
+    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
+    effects = (CoulombFriction(level=0.1), DeadZone(width=0.1), Delay(time=1e-3))
+    asked = []
+
+    def explore(_explorer, jobs, _what):
+        asked.append(jobs)
+        if len(asked) > len(effects):
+            return []
+        plant = replace(trials.start, effects=effects[: len(asked)])
+        return [Hypothesis(plant, (50.0, 10.0, third)[len(asked) - 1] * trials.noise)]
+
+    monkeypatch.setattr("servolens.diagnosis.search._Explorer.explore", explore)
+    monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
+    search(trials, Hypothesis(trials.start, 100.0 * trials.noise), lambda _: False)
+    assert len(asked) == rounds
 
 
 @pytest.mark.parametrize("effect", ["flexible_coupling", "speed_servo"])

@@ -103,6 +103,8 @@ def search(
     while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
         if path[-1].error > HOPELESS[count] * trials.noise:
             break
+        if count == MOST_CAUSES - 1 and sure < len(path) - 1:
+            break  # the last takes longest, and has not yet helped where the one before it did not
         jobs = _distinct([(hypothesis, name) for hypothesis in beam for name in CATALOGUE])
         found = explorer.explore(jobs, f"effect {count + 1}")
         if not found or not _worth_it(found[0], path[-1], trials, HARDLY):
