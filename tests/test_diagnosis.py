@@ -14,7 +14,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.remainder import remainder
-from servolens.diagnosis.search import _beam, search
+from servolens.diagnosis.search import _beam, _Explorer, search
 from servolens.diagnosis.trials import MOST_SUBSTEPS, Hypothesis, Trials
 from servolens.diagnosis.workflow import _stands_out, _twin
 from servolens.effects import (
@@ -200,6 +200,22 @@ def test_search_returns_to_the_simpler_effect():
     found = search(trials, trials.fitted(trials.start), lambda h: h.error < 1.1 * trials.noise)
     assert found.chosen.causes == ("coulomb_friction",)
     assert {h.causes for h in found.tried} >= {("stribeck_friction",), ("asymmetric_friction",)}
+
+
+@pytest.mark.slow
+def test_play_whose_fit_ends_in_a_shallow_fold_needs_no_further_effect():
+    campaign = lab.hidden_campaign(412, effects=["backlash"], records=2, visibility=30.0)
+    trials = Trials(campaign.records, {})
+    shallow = trials.judged(trials.fitted(trials.extended(trials.fitted(trials.start), "backlash").plant))
+    assert shallow.error > 1.2 * trials.noise
+
+    def judged(enough):
+        return _Explorer(trials, enough, lambda _what, _share: None).judged([shallow])[0]
+
+    assert judged(lambda _: True) is shallow
+    deep = judged(lambda h: h.error < 1.05 * trials.noise)
+    assert deep.error < trials.noise
+    assert deep.plant.effect("backlash").gap == pytest.approx(campaign.truth.effects["backlash"]["gap"], rel=1e-3)
 
 
 def test_smooth_remainder_is_seen_below_the_noise():

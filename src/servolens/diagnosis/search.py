@@ -98,7 +98,7 @@ def search(
     give_up : callable
         Tells of the best with another effect whether to search no further: the records are to be understood otherwise.
     """
-    explorer = _Explorer(trials, tell)
+    explorer = _Explorer(trials, enough, tell)
     path, beam, sure = [base], [base], 0
     while (count := len(path[-1].causes)) < MOST_CAUSES and not enough(path[-1]):
         if path[-1].error > HOPELESS[count] * trials.noise:
@@ -118,7 +118,7 @@ def search(
     if not enough(path[-1]):
         path = path[: sure + 1]
     for _ in range(MOST_ROUNDS):
-        path, rivals, settled = _reconsidered(path, explorer, enough)
+        path, rivals, settled = _reconsidered(path, explorer)
         if settled:
             break
     return Search(tuple(path), tuple(explorer.known), rivals)
@@ -128,8 +128,10 @@ def search(
 class _Explorer:
     """Fits hypotheses and remembers them."""
 
-    def __init__(self, trials: Trials, tell: Callable[[str, float], None]) -> None:
-        self.trials, self.tell = trials, tell
+    def __init__(
+        self, trials: Trials, enough: Callable[[Hypothesis], bool], tell: Callable[[str, float], None]
+    ) -> None:
+        self.trials, self.enough, self.tell = trials, enough, tell
         self.known: list[Hypothesis] = []
 
     def explore(self, jobs: Sequence[tuple[Hypothesis, str]], what: str) -> list[Hypothesis]:
@@ -153,13 +155,19 @@ class _Explorer:
         return found
 
     def judged(self, found: list[Hypothesis]) -> list[Hypothesis]:
-        """Return `found` by score, the best judged without a tether where the noise is near."""
+        """Return `found` by score, the best judged without a tether where the noise is near.
+
+        Contacts fold the error: where the best has some and leaves something, a deeper fold may be all that is lacking.
+        """
         if not found or found[0].error > NEAR * self.trials.noise:
             return found
         close = [h for h in found if h.error <= ALIKE * found[0].error]
         for _ in range(2):  # one that explains the records untied binds those that were judged before it
             close = in_parallel(self.trials.judged, close)
-        return sorted([*close, *found[len(close) :]], key=self.trials.score)
+        best, *others = sorted([*close, *found[len(close) :]], key=self.trials.score)
+        if best.plant.has_contacts and best.residuals and not self.enough(best):
+            best = self.trials.deepened(best)
+        return [best, *others]
 
     def best(self, plants: Sequence[Plant]) -> Hypothesis | None:
         """Return the best of `plants`, fitted; None if there is none."""
@@ -186,10 +194,10 @@ class _Explorer:
 
 
 def _reconsidered(
-    path: list[Hypothesis], explorer: _Explorer, enough: Callable[[Hypothesis], bool]
+    path: list[Hypothesis], explorer: _Explorer
 ) -> tuple[list[Hypothesis], tuple[tuple[Hypothesis, ...], ...], bool]:
     """Take each cause out again, or swap it for another; return path, rivals, and whether nothing changed."""
-    score, chosen, noise = explorer.trials.score, path[-1], explorer.trials.noise
+    score, chosen, noise, enough = explorer.trials.score, path[-1], explorer.trials.noise, explorer.enough
     if not chosen.causes:
         return path, (), True
     simpler = explorer.best([chosen.plant.without_effect(name) for name in chosen.causes])

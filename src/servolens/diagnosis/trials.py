@@ -153,10 +153,19 @@ class Trials:
         tied = self._led(hypothesis.plant, self.runs, LAST)
         return hypothesis if tied is None else replace(tied, tied=True)
 
-    def _led(self, plant: Plant, runs: Sequence[Run], iterations: int) -> Hypothesis | None:
+    def deepened(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis`, which was judged and has contacts, at the deepest fold of its valley that is found."""
+        runs = self.runs if hypothesis.tied or self._free is None else self._free
+        found = self._led(hypothesis.plant, runs, LAST, valleys=True)
+        if found is None or found.error >= hypothesis.error:
+            return hypothesis
+        return replace(found, tied=hypothesis.tied)
+
+    def _led(self, plant: Plant, runs: Sequence[Run], iterations: int, *, valleys: bool = False) -> Hypothesis | None:
         """Return `plant` fitted to the runs; None where it cannot be simulated, or one of its effects is hardly shown.
 
-        Contacts crumple the error on a small scale: there wide differences find the way, and fine ones its end.
+        Contacts crumple the error on a small scale: there wide differences find the way, and fine ones its end; with
+        `valleys` they look for a deeper one.
         """
         found = None
         for coarse in ((True,) if iterations == FIRST else (True, False)) if plant.has_contacts else (False,):
@@ -169,6 +178,7 @@ class Trials:
                     iterations=iterations,
                     coarse=coarse,
                     most_substeps=self.most_substeps,
+                    valleys=valleys and not coarse,
                 )
             except (InputError, NumericalError):
                 break

@@ -278,6 +278,7 @@ def lead(
     iterations: int,
     coarse: bool,
     most_substeps: float = np.inf,
+    valleys: bool = False,
 ) -> Lead:
     """Return where a few iterations lead; parameters as :func:`minimise_error`.
 
@@ -297,6 +298,8 @@ def lead(
         raise NumericalError("the plant to start from is too stiff to be worth its time")
     problem.weigh_priors(start)
     point, _ = _descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
+    if valleys:
+        point, _ = _along_the_valley(problem, point, iterations, converged=True)
     residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
     return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
 
