@@ -222,6 +222,19 @@ def test_deeper_valleys_are_found_where_contacts_crumple_the_error():
     assert max(off[True]) < 0.5 * max(off[False])
 
 
+@pytest.mark.slow
+def test_error_bars_hold_the_folds_that_explain_as_much():
+    """A small play that rattles: with wide differences alone the truth lay eight standard errors off."""
+    hidden = hidden_campaign(502, effects=["backlash"], visibility=9.0, records=3)
+    truth = plant_of(hidden.truth)
+    fit = fit_effects(hidden.records, effects_of(hidden.truth, 1.3))
+    assert fit.refinement.crumpled
+    assert fit.rms_error < 1.05 * hidden.floor
+    for (name, quantity), value in zip(fit.model.quantities.items(), truth.values, strict=True):
+        assert abs(quantity.value - value) < 3.0 * quantity.stderr, name
+        assert quantity.stderr < 0.05 * value
+
+
 def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     hidden = hidden_campaign(72, effects=["backlash"], visibility=8.9, records=2)
     truth = plant_of(hidden.truth)

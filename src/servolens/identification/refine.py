@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, along_the_valley, descend, folds_beside
 from servolens.identification.error_problem import (
     COARSE,
     FINE,
@@ -58,18 +59,10 @@ __all__ = [
 ]
 
 MOST_ITERATIONS = 60
-NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
-"""Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
-error; of hypotheses that are compared, a tenth."""
 NEARLY = 0.9
 """Share of the substeps that are granted from which on a search was stopped by them, and by no optimum."""
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
-ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
-"""How far a long valley is looked along, in sizes of the parameter that changes most."""
-LOWEST, APART, LOOKS, SHORT = 3, 0.1, 3, 20
-"""Places in the valley from which the search goes on, and how far they are apart at least; times at most that it is
-looked along; iterations of the first descents."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
 
@@ -102,7 +95,8 @@ class Refinement:
     converged : bool
         Whether no step lowered the residual any more.
     crumpled : bool
-        Whether contacts crumple the error: then it has many valleys, and error bars are those of wide differences.
+        Whether contacts crumple the error: then it has many valleys; error bars are those of wide differences, and of
+        the valleys nearby that explain as much.
     status : str
         One sentence.
     """
@@ -240,7 +234,8 @@ def minimise_error(
     coarse : bool
         Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
     valleys : bool
-        Where there are contacts, look along the direction that the data know least for a deeper fold of the error.
+        Where there are contacts, look along the direction that the data know least for deeper folds of the error, and
+        for others as deep, which the error bars have to hold.
 
     Raises
     ------
@@ -254,19 +249,21 @@ def minimise_error(
     problem.weigh_priors(point)
     if coarse:
         problem.share = COARSE
-        point, _ = _descend(problem, point, iterations)
+        point, _ = descend(problem, point, iterations)
         problem.share = FINE
-    point, converged = _descend(problem, point, iterations)
+    point, converged = descend(problem, point, iterations)
+    folds: list[NDArray[np.float64]] = []
     if valleys and plant.has_contacts:
         problem.weigh_priors(point)
-        point, converged = _along_the_valley(problem, point, iterations, converged=converged)
+        point, converged = along_the_valley(problem, point, iterations, converged=converged)
+        point, folds = folds_beside(problem, point)
     if problem.weigh_priors(point):
-        point, converged = _descend(problem, point, iterations)
+        point, converged = descend(problem, point, iterations)
     for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
-        point, converged = _descend(problem, point, iterations)
-    return _finished(problem, point, converged=converged and not problem.too_stiff(point, NEARLY))
+        point, converged = descend(problem, point, iterations)
+    return _finished(problem, point, folds, converged=converged and not problem.too_stiff(point, NEARLY))
 
 
 def lead(
@@ -297,68 +294,15 @@ def lead(
     if problem.too_stiff(start):
         raise NumericalError("the plant to start from is too stiff to be worth its time")
     problem.weigh_priors(start)
-    point, _ = _descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
+    point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
     if valleys:
-        point, _ = _along_the_valley(problem, point, iterations, converged=True)
+        point, _ = along_the_valley(problem, point, iterations, converged=True)
     residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
     return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
 
 
-def _descend(problem: Problem, point: Point, iterations: int, negligible: float = NEGLIGIBLE) -> tuple[Point, bool]:
-    """Return where the search ends and whether that is an optimum: a step gains no more than the `negligible`."""
-    damping = 1e-3
-    for _ in range(iterations):
-        blocks, gradient, information = problem.linearise(point)
-        for _ in range(12):
-            trial = problem.step(point, blocks, gradient, information, damping)
-            if trial.cost < point.cost:
-                break
-            damping *= 5.0
-        else:
-            return point, bool(np.isfinite(point.cost))
-        gained = 1.0 - trial.cost / point.cost
-        point, damping = trial, max(damping / 10.0, 1e-12)
-        if gained < negligible:
-            return point, True
-    return point, False
-
-
-def _along_the_valley(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:
-    """Return where the search ends if it is begun again along the direction that the data know least.
-
-    Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide. The
-    fold may be smooth: that is no sign of its being the deepest.
-    """
-    for _ in range(LOOKS):
-        found, _ = problem.linearised_widely(point)
-        direction = problem.softest(point, found.information)
-        if not direction.any():
-            break
-        trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
-        least = point.cost
-        for start in _lowest(trials):
-            trial, reached = start, False
-            for share in (COARSE, 0.2 * COARSE, FINE):
-                problem.share = share
-                trial, reached = _descend(problem, trial, iterations if share == FINE else SHORT)
-            if trial.cost < point.cost:
-                point, converged = trial, reached
-        if point.cost > (1.0 - NEGLIGIBLE) * least:
-            break
-    return point, converged
-
-
-def _lowest(trials: Sequence[tuple[float, float, Point]]) -> list[Point]:
-    """Return the trials of the least cost that are apart from each other, of their costs and places."""
-    chosen: list[tuple[float, Point]] = []
-    for _, place, trial in sorted(trials, key=lambda found: found[0]):
-        if len(chosen) < LOWEST and all(abs(place - other) >= APART * (1.0 + other) for other, _ in chosen):
-            chosen.append((place, trial))
-    return [trial for _, trial in chosen]
-
-
-def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
-    """Return the result of a search that ended at `point`."""
+def _finished(problem: Problem, point: Point, folds: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
+    """Return the result of a search that ended at `point`; `folds` explain as much, and lie so far from there."""
     (blocks, _, information), crumpled = problem.linearised_widely(point)
     within = (point.values > problem.low) & (point.values < problem.high)
     inside = within & (np.diag(information) > 0)
@@ -368,6 +312,7 @@ def _finished(problem: Problem, point: Point, *, converged: bool) -> Refinement:
     if inside.any() and well_conditioned(information[np.ix_(inside, inside)]):
         index = np.flatnonzero(inside)
         inner = _covariance(problem, point, blocks, information, index)
+        inner += sum(np.outer(away[index], away[index]) for away in folds) / (1 + len(folds))
         white = np.linalg.inv(information[np.ix_(index, index)])
         spread = np.sqrt(np.diag(white))
         kept = [i for i, k in enumerate(index) if k in shared]
