@@ -233,6 +233,10 @@ def test_error_bars_hold_the_folds_that_explain_as_much():
     for (name, quantity), value in zip(fit.model.quantities.items(), truth.values, strict=True):
         assert abs(quantity.value - value) < 3.0 * quantity.stderr, name
         assert quantity.stderr < 0.05 * value
+    assert np.nanmax(fit.refinement.colour) < 2.0, "folds are no coloured residuals"
+    again = fit_effects(hidden.records, fit.model.plant.effects)
+    for name, quantity in fit.model.quantities.items():
+        assert 0.3 < again.model.quantities[name].stderr / quantity.stderr < 3.0, name
 
 
 def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():

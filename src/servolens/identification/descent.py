@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.errors import NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Point
 
 if TYPE_CHECKING:
@@ -57,6 +59,7 @@ def along_the_valley(problem: Problem, point: Point, iterations: int, *, converg
     Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide. The
     fold may be smooth: that is no sign of its being the deepest.
     """
+    way = ((COARSE, SHORT), (0.2 * COARSE, SHORT), (FINE, iterations))
     for _ in range(LOOKS):
         found, _ = problem.linearised_widely(point)
         direction = problem.softest(point, found.information)
@@ -65,14 +68,47 @@ def along_the_valley(problem: Problem, point: Point, iterations: int, *, converg
         trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
         least = point.cost
         for start in _lowest(trials):
-            trial, reached = start, False
-            for share in (COARSE, 0.2 * COARSE, FINE):
-                problem.share = share
-                trial, reached = descend(problem, trial, iterations if share == FINE else SHORT)
+            trial, reached = _by_way_of(problem, start, way)
             if trial.cost < point.cost:
                 point, converged = trial, reached
         if point.cost > (1.0 - NEGLIGIBLE) * least:
             break
+    return point, converged
+
+
+def folds_beside(
+    problem: Problem, point: Point, iterations: int, *, converged: bool
+) -> tuple[Point, bool, list[NDArray[np.float64]]]:
+    """Return where the search ends if deeper folds beside its end are followed, and those that explain as much.
+
+    Of the folds the values of the parameters, shape (k,); the deepest is among them as often as a look beside it leads
+    back. Where contacts do not crumple the error there are none.
+    """
+    seen: list[Point] = []
+    for _ in range(LOOKS):
+        found, crumpled = problem.linearised_widely(point)
+        direction = problem.softest(point, found.information)
+        if not (crumpled and direction.any()):
+            break
+        starts = [trial for share in BESIDE if (trial := problem.moved(point, share * direction)) is not None]
+        ends = [_by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
+        seen += [point, *ends]
+        deepest = min(seen, key=lambda fold: fold.cost)
+        if deepest.cost > DEEPER**2 * point.cost:
+            break
+        point, converged = _by_way_of(problem, deepest, ((FINE, iterations),))
+    return point, converged, [fold.values for fold in seen if fold.cost <= ALIKE**2 * point.cost]
+
+
+def _by_way_of(
+    problem: Problem, start: Point, way: Sequence[tuple[float, int]], negligible: float = NEGLIGIBLE
+) -> tuple[Point, bool]:
+    """Return where descents by these shares and iterations end one after the other, or the last that did not fail."""
+    point, converged = start, False
+    for problem.share, iterations in way:
+        with suppress(NumericalError):
+            point, converged = descend(problem, point, iterations, negligible)
+    problem.share = FINE
     return point, converged
 
 
@@ -83,24 +119,3 @@ def _lowest(trials: Sequence[tuple[float, float, Point]]) -> list[Point]:
         if len(chosen) < LOWEST and all(abs(place - other) >= APART * (1.0 + other) for other, _ in chosen):
             chosen.append((place, trial))
     return [trial for _, trial in chosen]
-
-
-def folds_beside(problem: Problem, point: Point) -> tuple[Point, list[NDArray[np.float64]]]:
-    """Return the deepest fold beside `point`, and how far from it those are that explain as much.
-
-    Where contacts crumple the error, the data do not tell these apart; where they do not, there are none.
-    """
-    folds: list[Point] = []
-    for _ in range(LOOKS):
-        found, crumpled = problem.linearised_widely(point)
-        if not crumpled:
-            return point, []
-        direction = problem.softest(point, found.information)
-        starts = [trial for share in BESIDE if (trial := problem.moved(point, share * direction)) is not None]
-        problem.share = FINE
-        folds = [descend(problem, start, SHORT, NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
-        deepest = min(folds, key=lambda fold: fold.cost, default=point)
-        if deepest.cost > DEEPER**2 * point.cost:
-            break
-        point = deepest
-    return point, [fold.values - point.values for fold in folds if fold.cost <= ALIKE**2 * point.cost]

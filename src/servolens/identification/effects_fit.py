@@ -255,11 +255,7 @@ def _either_way(start: Plant, records: tuple[Record, ...], options: FitOptions, 
 def _refined(start: Plant, records: tuple[Record, ...], options: FitOptions, driven: str, noise: float) -> Refinement:
     """Refine; once more with coarse sensitivities where that does not reach the noise, or with contacts."""
     runs = fit_runs(records, driven, options)
-    found = minimise_error(start, runs, options, noise=noise)
-    if found.rms_error <= DOWN_TO_NOISE * noise and not start.has_contacts:
-        return found
-    again = minimise_error(start, runs, options, noise=noise, coarse=True, valleys=driven != "closed_loop")
-    return again if again.rms_error < found.rms_error else found
+    return minimise_error(start, runs, options, noise=noise, coarse=True, valleys=driven != "closed_loop")
 
 
 def _better(fit: EffectsFit, other: EffectsFit) -> bool:

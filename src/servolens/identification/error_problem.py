@@ -187,6 +187,7 @@ class Problem:
         """
         if not self.priors or not np.isfinite(point.cost):
             return False
+        self.choose_substeps(point)
         residuals = [self.residual(point.values, i, start) for i, start in enumerate(point.starts)]
         self.noise = max(self.least_noise, apparent_noise(residuals))
         point.cost = self.cost(point)
@@ -202,6 +203,11 @@ class Problem:
         except InputError:
             return True
 
+    def choose_substeps(self, point: Point) -> None:
+        """Simulate each run from here on as the plant at `point` needs it."""
+        for i, run in enumerate(self.runs):
+            self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
+
     def spread(self, point: Point) -> float:
         """Return the robust standard deviation of the residuals, from their median size."""
         parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
@@ -209,8 +215,7 @@ class Problem:
 
     def linearise(self, point: Point) -> Linearised:
         """Return each run's block, and gradient and information of the parameters; renews the cost of `point`."""
-        for i, run in enumerate(self.runs):
-            self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
+        self.choose_substeps(point)
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))

@@ -95,8 +95,8 @@ class Refinement:
     converged : bool
         Whether no step lowered the residual any more.
     crumpled : bool
-        Whether contacts crumple the error: then it has many valleys; error bars are those of wide differences, and of
-        the valleys nearby that explain as much.
+        Whether contacts crumple the error: then it has many valleys; error bars are those of wide differences; driven
+        by the voltage, they allow for the valleys nearby that explain as much.
     status : str
         One sentence.
     """
@@ -232,10 +232,11 @@ def minimise_error(
     iterations : int
         Of each descent at most.
     coarse : bool
-        Begin with sensitivities over a twentieth of each parameter: for errors that are crumpled on a small scale.
+        Where that does not reach the noise, or there are contacts, begin once more with sensitivities over a twentieth
+        of each parameter: for errors that are crumpled on a small scale.
     valleys : bool
         Where there are contacts, look along the direction that the data know least for deeper folds of the error, and
-        for others as deep, which the error bars have to hold.
+        for others as deep, for which the error bars have to allow.
 
     Raises
     ------
@@ -247,22 +248,27 @@ def minimise_error(
     if problem.too_stiff(point):  # what begins so is followed as it is; nothing else becomes so
         problem.most_substeps = np.inf
     problem.weigh_priors(point)
-    if coarse:
+    begun = point
+    point, converged = descend(problem, begun, iterations)
+    if coarse and (plant.has_contacts or point.cost > (DOWN_TO_NOISE * noise) ** 2 * problem.samples):
         problem.share = COARSE
-        point, _ = descend(problem, point, iterations)
+        other, _ = descend(problem, begun, iterations)
         problem.share = FINE
-    point, converged = descend(problem, point, iterations)
-    folds: list[NDArray[np.float64]] = []
+        other, reached = descend(problem, other, iterations)
+        if other.cost < point.cost:
+            point, converged = other, reached
     if valleys and plant.has_contacts:
         problem.weigh_priors(point)
         point, converged = along_the_valley(problem, point, iterations, converged=converged)
-        point, folds = folds_beside(problem, point)
     if problem.weigh_priors(point):
         point, converged = descend(problem, point, iterations)
     for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
         point, converged = descend(problem, point, iterations)
+    folds: list[NDArray[np.float64]] = []
+    if valleys and plant.has_contacts:
+        point, converged, folds = folds_beside(problem, point, iterations, converged=converged)
     return _finished(problem, point, folds, converged=converged and not problem.too_stiff(point, NEARLY))
 
 
@@ -297,12 +303,13 @@ def lead(
     point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
     if valleys:
         point, _ = along_the_valley(problem, point, iterations, converged=True)
+    problem.choose_substeps(point)
     residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
     return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
 
 
 def _finished(problem: Problem, point: Point, folds: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
-    """Return the result of a search that ended at `point`; `folds` explain as much, and lie so far from there."""
+    """Return the result of a search that ended at `point`; at the values of `folds` as much is explained."""
     (blocks, _, information), crumpled = problem.linearised_widely(point)
     within = (point.values > problem.low) & (point.values < problem.high)
     inside = within & (np.diag(information) > 0)
@@ -312,12 +319,15 @@ def _finished(problem: Problem, point: Point, folds: Sequence[NDArray[np.float64
     if inside.any() and well_conditioned(information[np.ix_(inside, inside)]):
         index = np.flatnonzero(inside)
         inner = _covariance(problem, point, blocks, information, index)
-        inner += sum(np.outer(away[index], away[index]) for away in folds) / (1 + len(folds))
         white = np.linalg.inv(information[np.ix_(index, index)])
         spread = np.sqrt(np.diag(white))
         kept = [i for i, k in enumerate(index) if k in shared]
         place = np.ix_(problem.free[index[kept]], problem.free[index[kept]])
-        covariance[place] = inner[np.ix_(kept, kept)]
+        scatter = np.zeros_like(inner)
+        if crumpled and folds:
+            away = (np.array(folds) - point.values)[:, index]
+            scatter = away.T @ away / len(folds)
+        covariance[place] = (inner + scatter)[np.ix_(kept, kept)]
         correlation[place] = (white / np.outer(spread, spread))[np.ix_(kept, kept)]
         plain = point.cost / max(problem.samples - point.values.size, 1) * np.diag(white)
         colour[problem.free[index[kept]]] = (np.diag(inner) / np.maximum(plain, 1e-300))[kept]

@@ -24,7 +24,8 @@ STANDS_OUT, STEPS, LEAST = 12.0, 3.0, 1e-4
 BENDS = 4.0
 """Times what bends the motion of its four neighbours by which it must do so: a knock bends them too.
 
-It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike, nor a slip.
+It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike, nor a
+plain slip.
 """
 FURTHER = (-4, -3, 3, 4)
 """Samples that stick out much less: a spike does nothing to them, a vibration is there as well."""
