@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.error_problem import Problem
 
-__all__ = ["NEGLIGIBLE_ON_THE_WAY", "along_the_valley", "descend", "folds_beside"]
+__all__ = ["NEGLIGIBLE_ON_THE_WAY", "along_the_valley", "by_way_of", "descend", "folds_beside"]
 
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
@@ -68,7 +68,7 @@ def along_the_valley(problem: Problem, point: Point, iterations: int, *, converg
         trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
         least = point.cost
         for start in _lowest(trials):
-            trial, reached = _by_way_of(problem, start, way)
+            trial, reached = by_way_of(problem, start, way)
             if trial.cost < point.cost:
                 point, converged = trial, reached
         if point.cost > (1.0 - NEGLIGIBLE) * least:
@@ -91,16 +91,16 @@ def folds_beside(
         if not (crumpled and direction.any()):
             break
         starts = [trial for share in BESIDE if (trial := problem.moved(point, share * direction)) is not None]
-        ends = [_by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
+        ends = [by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
         seen += [point, *ends]
         deepest = min(seen, key=lambda fold: fold.cost)
         if deepest.cost > DEEPER**2 * point.cost:
             break
-        point, converged = _by_way_of(problem, deepest, ((FINE, iterations),))
+        point, converged = by_way_of(problem, deepest, ((FINE, iterations),))
     return point, converged, [fold.values for fold in seen if fold.cost <= ALIKE**2 * point.cost]
 
 
-def _by_way_of(
+def by_way_of(
     problem: Problem, start: Point, way: Sequence[tuple[float, int]], negligible: float = NEGLIGIBLE
 ) -> tuple[Point, bool]:
     """Return where descents by these shares and iterations end one after the other, or the last that did not fail."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, along_the_valley, descend, folds_beside
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, along_the_valley, by_way_of, descend, folds_beside
 from servolens.identification.error_problem import (
     COARSE,
     FINE,
@@ -251,10 +251,7 @@ def minimise_error(
     begun = point
     point, converged = descend(problem, begun, iterations)
     if coarse and (plant.has_contacts or point.cost > (DOWN_TO_NOISE * noise) ** 2 * problem.samples):
-        problem.share = COARSE
-        other, _ = descend(problem, begun, iterations)
-        problem.share = FINE
-        other, reached = descend(problem, other, iterations)
+        other, reached = by_way_of(problem, begun, ((COARSE, iterations), (FINE, iterations)))
         if other.cost < point.cost:
             point, converged = other, reached
     if valleys and plant.has_contacts:
