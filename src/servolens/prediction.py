@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from servolens.effects import Sensor
+from servolens.quality.beginning import initial_motion
 from servolens.simulation import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Prediction", "RecordError", "predict", "prediction_error"]
+__all__ = ["Prediction", "RecordError", "predict", "prediction_error", "prediction_residual"]
+
+WINDOW = 5.0
+"""Time constants of the axis that a window of a simulation without a reference lasts."""
 
 
 @final
@@ -77,9 +84,7 @@ def prediction_error(plant: Plant, record: Record) -> RecordError:
     InputError, NumericalError
         As :func:`servolens.simulation.simulate`.
     """
-    simulation = simulate(plant, record)
-    shown = simulation.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else simulation.position
-    error = shown - record.position
+    error = prediction_residual(plant, record)
     spread = float(np.linalg.norm(record.position - record.position.mean()))
     mean = float(np.mean(np.abs(error)))
     step = record.step_size
@@ -90,6 +95,33 @@ def prediction_error(plant: Plant, record: Record) -> RecordError:
         percent_error=100.0 * mean / step if step > 0 else float("nan"),
         fit_percent=100.0 * (1.0 - float(np.linalg.norm(error)) / spread) if spread > 0 else float("nan"),
     )
+
+
+def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
+    """Return simulated minus measured position, shape (n,) [m or rad]: the one error that is reported anywhere.
+
+    The loop is closed from the record's own reference with its stated controller; nothing but the initial state is
+    read off the record. Without a reference the logged voltage drives the simulation, in windows of a few time
+    constants, each from its own initial state: an error would grow for ever.
+
+    Raises
+    ------
+    InputError, NumericalError
+        As :func:`servolens.simulation.simulate`.
+    """
+    if record.reference is not None and record.controller is not None:
+        return _difference(plant, record)
+    lasts = max(WINDOW / max(plant.damping, 1e-9), 50 * record.sample_time)
+    count = int(np.clip(np.ceil(record.duration / lasts), 1, max(len(record) // 50, 1)))
+    edges = np.linspace(0, len(record), count + 1).astype(int)
+    parts = [record.slice(float(record.time[a]), float(record.time[b - 1])) for a, b in pairwise(edges)]
+    return np.concatenate([_difference(plant, part) for part in parts])
+
+
+def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
+    simulation = simulate(plant, record, initial_velocity=initial_motion(record))
+    shown = simulation.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else simulation.position
+    return np.asarray(shown - record.position)
 
 
 def predict(models: Mapping[str, Plant], records: Sequence[Record]) -> Prediction:

@@ -1,222 +1,172 @@
-"""The records of a diagnosis, and what its steps ask of them."""
+"""The records of a diagnosis: what is fitted, what is held out, and what the noise in them is."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.errors import pooled, residual, rotated
-from servolens.diagnosis.logs import apart
-from servolens.diagnosis.remainder import remainder
-from servolens.diagnosis.result import Errors, RecordGain
+from servolens.diagnosis.errors import KEPT, Gains, residual
+from servolens.diagnosis.logs import beyond
+from servolens.diagnosis.score import ScoreTest
+from servolens.diagnosis.structure import depends_on_inputs
 from servolens.diagnosis.threads import in_parallel
-from servolens.diagnosis.trials import Hypothesis, Trials
-from servolens.effects import CoulombFriction
+from servolens.diagnosis.trials import SOME, Hypothesis, Trials
 from servolens.errors import InputError, NumericalError
-from servolens.identification.effects_fit import EffectsFit, last_word
+from servolens.identification.noise import observer_gains
+from servolens.identification.observed import Signals
+from servolens.identification.ripple import mains_ripple
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import NDArray
-
-    from servolens.findings import Finding
     from servolens.identification.integral import Prior
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Case", "Gains"]
+__all__ = ["Case"]
 
-LEFT = 0.35
-"""Smooth remainder, in units of the noise, up to which nothing is left to be explained."""
-LEFT_OF_ERROR = 0.005
-"""The same as a share of the error of gain and damping alone: no simulation is quite the axis."""
-AT_REST = 0.9
-"""Share of samples at rest that repeat the one before, from which on nothing smears the encoder's steps."""
+RESTING = 0.1
+"""Last share of each step over which an axis that has settled shows its noise."""
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """Training and held-out records, prepared.
+    """Training and held-out records, prepared, and gain and damping alone fitted to the former.
 
-    Attributes
+    Parameters
     ----------
-    trials : Trials
-        The training records, on which hypotheses are tried.
-    base : Hypothesis
-        Gain and damping alone.
     records, heldout : tuple of Record
         For training, and for the test alone.
     priors : mapping of str to Prior
         Knowledge from elsewhere.
-    rounding : float
-        Step of an encoder that no noise smears; else 0 [m or rad].
+    candidates : int
+        Effects that will be tried.
+
+    Raises
+    ------
+    InputError
+        If the axis moves in none.
+    NumericalError
+        If gain and damping alone cannot be simulated on them.
     """
 
-    trials: Trials
-    base: Hypothesis
-    records: tuple[Record, ...]
-    heldout: tuple[Record, ...]
-    priors: Mapping[str, Prior]
-    rounding: float
+    def __init__(
+        self,
+        records: tuple[Record, ...],
+        heldout: tuple[Record, ...],
+        priors: Mapping[str, Prior],
+        candidates: int,
+    ) -> None:
+        self.records, self.heldout = records, heldout
+        self.trials = Trials(records, priors, candidates)
+        self.base = self.trials.base()
+        self.ripple = mains_ripple(self.trials.signals, self._missed(self.base))
+        if self.ripple:
+            self.trials.signals = tuple(
+                replace(signals, position=signals.position - ripple)
+                for signals, ripple in zip(self.trials.signals, self.ripple.waves, strict=True)
+            )
+            self.base = self.trials.base()
+        self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
+        self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
 
-    @classmethod
-    def of(cls, records: tuple[Record, ...], heldout: tuple[Record, ...], priors: Mapping[str, Prior]) -> Case:
-        """Prepare the records.
+    def _missed(self, hypothesis: Hypothesis) -> list[np.ndarray]:
+        test = ScoreTest(self.trials, hypothesis)
+        ends = np.cumsum([run.samples for run in test.runs])[:-1]
+        return np.split(test.left, ends)
 
-        Raises
-        ------
-        InputError
-            If the axis moves in none.
-        NumericalError
-            If gain and damping alone cannot be simulated on them.
-        """
-        trials = Trials(records, priors)
-        base = trials.fitted(trials.start)
-        if base is None:
-            raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
-        return cls(trials, trials.judged(base), records, heldout, priors, max(_rounding(r) for r in records))
+    def is_enough(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether what `hypothesis` leaves does not depend on the inputs."""
+        known = self._dependent.get(id(hypothesis))
+        if known is None:
+            known = hypothesis, depends_on_inputs(ScoreTest(self.trials, hypothesis))
+            self._dependent[id(hypothesis)] = known
+        return not known[1]
 
-    def left(self, hypothesis: Hypothesis) -> float:
-        """Return what of the residual is smooth, and so no noise [m or rad]."""
-        if not hypothesis.residuals:
-            return hypothesis.error
-        return remainder(hypothesis.residuals, self.rounding)
-
-    def is_explained(self, hypothesis: Hypothesis) -> bool:
-        """Tell whether what is left is noise, or so little of the error that no simulation is as exact."""
-        return self.left(hypothesis) <= max(LEFT * self.trials.noise, LEFT_OF_ERROR * self.base.error)
-
-    def fitted(self, plant: Plant) -> EffectsFit:
-        """Return `plant` refined on the training records, with error bars."""
-        return last_word(plant, self.records, self.trials.options(plant))
-
-    def gains(self, plants: Sequence[Plant]) -> Gains:
-        """Return the residuals of `plants` on training and held-out records."""
+    def gains(self, path: Sequence[Hypothesis]) -> Gains:
+        """Return the errors of the hypotheses, as `predict` has them, on training and held-out records."""
+        plants = [h.plant for h in path]
         trained = tuple(tuple(residual(plant, record) for record in self.records) for plant in plants)
         if self.heldout:
-            tested = tuple(tuple(residual(plant, record) for record in self.heldout) for plant in plants)
+            held = tuple(tuple(residual(plant, record) for record in self.heldout) for plant in plants)
         else:
-            tested = tuple(tuple(rotated(self.records, partial(self._refit, plant))) for plant in plants)
-        return Gains(self.records, self.heldout, trained, tested)
-
-    def tested(self, plant: Plant) -> float:
-        """Return the r.m.s. error of `plant` where it was not fitted [m or rad]."""
-        return self.gains([plant]).tested(0)
-
-    def contradiction(self) -> Finding | None:
-        """Return a finding if each record by itself is explained, by friction at most, but by values of no one axis."""
-        return None if self.is_explained(self.base) else self.apart(self.base, [CoulombFriction.name])
-
-    def apart(self, hypothesis: Hypothesis, names: Sequence[str] = ()) -> Finding | None:
-        """Return a finding if each record by itself is explained, but by values that no single axis has.
-
-        Explained by `hypothesis`, or with the best of the effects `names` beside it.
-        """
-        if len(self.records) < 2:
-            return None
-        found = []
-        for record in self.records:
-            alone = self._alone(record, hypothesis.plant, names)
-            if alone is None:
-                return None
-            found.append(alone)
-        return apart(found, [record.name for record in self.records])
-
-    def _alone(self, record: Record, plant: Plant, names: Sequence[str]) -> Plant | None:
-        """Return `plant` fitted to one record, at need with the best of the effects; None if nothing explains it."""
-        try:
-            trials = Trials([record], self.priors)
-        except (InputError, NumericalError):
-            return None
-
-        def is_explained(hypothesis: Hypothesis) -> bool:
-            return bool(hypothesis.residuals) and remainder(hypothesis.residuals, self.rounding) <= LEFT * trials.noise
-
-        fit = trials.fitted(plant)
-        if fit is None:
-            return None
-        bare = trials.judged(fit)
-        if is_explained(bare):
-            return bare.plant
-        begun = [h for h in in_parallel(partial(trials.extended, bare), names) if h]
-        fits = [h for h in in_parallel(lambda h: trials.fitted(h.plant), begun) if h]
-        explained = [h for h in map(trials.judged, fits) if is_explained(h)]
-        return min(explained, key=trials.score).plant if explained else None
-
-    def _refit(self, plant: Plant, records: Sequence[Record]) -> Plant:
-        try:
-            trials = Trials(records, self.priors, self.trials.seen)
-        except (InputError, NumericalError):
-            return plant
-        found = trials.fitted(plant)
-        return plant if found is None else trials.judged(found).plant
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Gains:
-    """Residuals of several plants, the first of gain and damping alone.
-
-    Attributes
-    ----------
-    records, heldout : tuple of Record
-        ``heldout`` is empty where each training record in turn was left out of the fit.
-    trained, held : tuple of tuple of ndarray
-        Of each plant on each record.
-    """
-
-    records: tuple[Record, ...]
-    heldout: tuple[Record, ...]
-    trained: tuple[tuple[NDArray[np.float64], ...], ...]
-    held: tuple[tuple[NDArray[np.float64], ...], ...]
-
-    def train(self, i: int) -> float:
-        """Return the r.m.s. error of plant `i` on the training records."""
-        return pooled(self.trained[i])
-
-    def tested(self, i: int) -> float:
-        """Return the same where the plant was not fitted."""
-        return pooled(self.held[i])
-
-    def of_travel(self, i: int) -> float:
-        """Return the error of plant `i` as a share of the travel, on training or other records, where it is larger."""
-        return max(
-            pooled([e / max(float(np.ptp(r.position)), 1e-300) for r, e in zip(runs, errors, strict=True)])
-            for runs, errors in ((self.records, self.trained[i]), (self.heldout or self.records, self.held[i]))
-        )
-
-    def errors(self, i: int) -> Errors:
-        """Return both errors of plant `i`."""
-        return Errors(rms_error=self.train(i), heldout_rms_error=self.tested(i))
-
-    def by_record(self) -> tuple[RecordGain, ...]:
-        """Return the errors of the first and the last plant, record by record."""
-        sets = [(self.records, self.trained, False), (self.heldout or self.records, self.held, True)]
-        return tuple(
-            RecordGain(
-                name=record.name,
-                heldout=heldout,
-                before=pooled([residuals[0][k]]),
-                after=pooled([residuals[-1][k]]),
-                noise=noise_level(record),
+            held = tuple(
+                tuple(
+                    residual(plant, record)[cut:]
+                    for plant, record, cut in zip(self.left_out(h), self.records, self.cuts, strict=True)
+                )
+                for h in path
             )
-            for records, residuals, heldout in sets
-            for k, record in enumerate(records)
-        )
+        return Gains(self.records, self.heldout, trained, held, self.noise_floor(path[-1]))
+
+    def misfit(self, hypothesis: Hypothesis) -> float:
+        """Return −2 log-likelihood of the records, or ends of records, to which `hypothesis` was not fitted.
+
+        Nothing is fitted there but initial states, and phases that each record has of its own.
+        """
+        if self.heldout:
+            return self.trials.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
+        return self.trials.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+
+    @property
+    def cuts(self) -> list[int]:
+        """First sample of each record that is held out where no record is: 0, or of one that is parted a later one."""
+        return [
+            max(int(KEPT * len(record)), 2) if len(self.records) == 1 or beyond(self._others(i), [record]) else 0
+            for i, record in enumerate(self.records)
+        ]
+
+    def left_out(self, hypothesis: Hypothesis) -> list[Plant]:
+        """Return, for each training record, the plant of `hypothesis` refitted without it."""
+        known = self._left_out.get(id(hypothesis))
+        if known is None:
+            jobs = list(zip(range(len(self.records)), self.cuts, strict=True))
+            known = hypothesis, in_parallel(lambda job: self._without(hypothesis, *job), jobs)
+            self._left_out[id(hypothesis)] = known
+        return known[1]
+
+    def _without(self, hypothesis: Hypothesis, i: int, cut: int) -> Plant:
+        others = self._others(i)
+        if cut:
+            record = self.records[i]
+            others = (*others, record.slice(float(record.time[0]), float(record.time[cut - 1])))
+        try:
+            found = self.trials.on(others).tried(
+                hypothesis.plant, hypothesis.noise, SOME, unpowered=hypothesis.unpowered
+            )
+        except (InputError, NumericalError):
+            found = None
+        return hypothesis.plant if found is None else found.plant
+
+    def _others(self, i: int) -> tuple[Record, ...]:
+        return tuple(record for k, record in enumerate(self.records) if k != i)
+
+    def noise_floor(self, chosen: Hypothesis) -> float:
+        """Return the r.m.s. of sensor noise and rounding together [m or rad].
+
+        Of a model that leaves nothing else, what it leaves; what shakes the axis is not the sensor's. Else what a
+        settled axis shows at the end of its steps, but no less than third differences do.
+        """
+        if self.is_enough(chosen):
+            alpha, _ = observer_gains(chosen.noise.rate, float(np.median(np.diff(self.trials.signals[0].time[:64]))))
+            return max(chosen.noise.spread * float(np.sqrt(1.0 - alpha)), 1e-300)
+        resting = [spread for record in self.records for step in record.steps() if (spread := _resting(step)) > 0.0]
+        return max(self.trials.floor, float(np.median(resting)) if resting else 0.0)
+
+    def signals(self) -> tuple[Signals, ...]:
+        """Return the training records as they are simulated."""
+        return self.trials.signals
 
 
-def _rounding(record: Record) -> float:
-    """Return the encoder's step if nothing smears it: at rest the position then repeats itself."""
-    step = record.encoder_resolution
-    if step is None:
+def _resting(step: Record) -> float:
+    """Return the r.m.s. deviation of the end of a step from a straight line; 0 where that is too short."""
+    count = int(RESTING * len(step))
+    if count < 20:
         return 0.0
-    moved = np.abs(record.position[8:] - record.position[:-8])
-    resting = moved[:-1] <= step
-    same = np.diff(record.position[8:]) == 0.0
-    return step if resting.any() and float(np.mean(same[resting])) > AT_REST else 0.0
+    time, end = step.time[-count:] - step.time[-1], step.position[-count:]
+    if abs(float(end[-1] - end[0])) > 10.0 * noise_level(step):
+        return 0.0
+    return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))

@@ -1,96 +1,37 @@
-"""How far plants are from records: in closed loop, as a person sees it, and on records held out."""
+"""What a person sees: how far plants are from records, and from records that took no part in the fit."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.diagnosis.logs import beyond
-from servolens.diagnosis.trials import LOOSE, loop_rate
-from servolens.errors import NumericalError
-from servolens.identification.phases import synchronised
-from servolens.identification.refine import square_error
-from servolens.identification.runs import ClosedRun, TetheredRun, tether, voltage_runs
-from servolens.identification.segments import noise_level
-from servolens.quality.beginning import initial_motion
-from servolens.simulation.rates import substeps_for
+from servolens.diagnosis.result import Errors, RecordGain
+from servolens.errors import InputError, NumericalError
+from servolens.prediction import prediction_residual
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.runs import Run
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["pooled", "residual", "rotated"]
+__all__ = ["KEPT", "Gains", "pooled", "residual", "rotated"]
 
-SETTLED, SURE, SMOOTHED = 3, 3.0, 12.0
-"""Steps in which an initial state is found, and its standard errors within which; samples that a velocity is as of."""
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position, of the closest of several simulations.
-
-    In closed loop from the reference, as other gains are predicted, from rest and, if it seems to move at first, in
-    motion: a late start seems to be one backward. And driven by the logged voltage, which knows what the controller
-    made of the noise: an axis that sticks is shaken loose by it. Where none is possible, without reference and away
-    from rest, the run is loosely tied to the measured position. Infinite where a simulation leaves all bounds.
-    """
-    runs: list[Run] = [*voltage_runs([record])]
-    if len(runs) != 1 or runs[0].measured.size != len(record):
-        runs = []
-    moves = initial_motion(record) != 0.0
-    if record.reference is not None and record.controller is not None:
-        runs += [ClosedRun(record, 0), *([ClosedRun(record, 0, in_motion=True)] if moves else [])]
-    noise = noise_level(record)
-    closest = min((_difference(plant, run, noise, moves=moves) for run in runs), key=_size, default=np.array([np.inf]))
-    if np.isfinite(closest).all():
-        return closest
-    tied = TetheredRun(record, 0, tether(plant, LOOSE * loop_rate(plant, [record])))
-    return _difference(plant, tied, noise, moves=moves)
-
-
-def _difference(plant: Plant, run: Run, noise: float, *, moves: bool) -> NDArray[np.float64]:
-    """Return simulated minus measured position.
-
-    What only the record can know is fitted: phases, and the initial state within its own errors. That of a record which
-    does not begin in motion may be rest at the first sample as well: smoothed, a start at full voltage is motion.
-    """
-    substeps, start = substeps_for(plant, run.sample_time), run.start
-    plant = synchronised(plant, partial(square_error, run, substeps))
-    reach = SURE * noise * np.array([1.0, 1.0 / (SMOOTHED * run.sample_time)])[: start.size]
-    low, high = start - reach, start + reach
-    if start.size and not moves:
-        rest = np.array([run.measured[0], 0.0])[: start.size]
-        low, high = np.minimum(low, rest - reach), np.maximum(high, rest + reach)
-
-    def at(start: NDArray[np.float64]) -> NDArray[np.float64]:
-        return run.simulated(plant, start, substeps) - run.measured
-
+    """Return simulated minus measured position as `predict` has it [m or rad]; infinite where it cannot be simulated."""
     try:
-        found = at(start)
-        for _ in range(SETTLED if start.size else 0):
-            shifts = np.diag(run.shifts)
-            slopes = np.column_stack([(at(start + m) - at(start - m)) / (2.0 * m.sum()) for m in shifts])
-            further = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
-            further = np.clip(further, low, high)
-            better = at(further)
-            if _size(better) >= _size(found):
-                break
-            start, found = further, better
-    except NumericalError:
-        return np.full(run.measured.size, np.inf)
-    return found
-
-
-def _size(residual: NDArray[np.float64]) -> float:
-    return float(residual @ residual)
+        return prediction_residual(plant, record)
+    except (InputError, NumericalError):
+        return np.full(len(record), np.inf)
 
 
 def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
@@ -114,3 +55,52 @@ def rotated(records: Sequence[Record], fit: Callable[[Sequence[Record]], Plant])
             others.append(record.slice(float(record.time[0]), float(record.time[cut - 1])))
         found.append(residual(fit(others), record)[cut:])
     return found
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Gains:
+    """Residuals of several plants, the first of gain and damping alone.
+
+    Attributes
+    ----------
+    records, heldout : tuple of Record
+        ``heldout`` is empty where each training record in turn was left out of the fit.
+    trained, held : tuple of tuple of ndarray
+        Of each plant on each record.
+    noise : float
+        Standard deviation of the position's noise [m or rad].
+    """
+
+    records: tuple[Record, ...]
+    heldout: tuple[Record, ...]
+    trained: tuple[tuple[NDArray[np.float64], ...], ...]
+    held: tuple[tuple[NDArray[np.float64], ...], ...]
+    noise: float
+
+    def train(self, i: int) -> float:
+        """Return the r.m.s. error of plant `i` on the training records."""
+        return pooled(self.trained[i])
+
+    def tested(self, i: int) -> float:
+        """Return the same where the plant was not fitted."""
+        return pooled(self.held[i])
+
+    def errors(self, i: int) -> Errors:
+        """Return both errors of plant `i`."""
+        return Errors(rms_error=self.train(i), heldout_rms_error=self.tested(i))
+
+    def by_record(self) -> tuple[RecordGain, ...]:
+        """Return the errors of the first and the last plant, record by record."""
+        sets = [(self.records, self.trained, False), (self.heldout or self.records, self.held, True)]
+        return tuple(
+            RecordGain(
+                name=record.name,
+                heldout=heldout,
+                before=pooled([residuals[0][k]]),
+                after=pooled([residuals[-1][k]]),
+                noise=self.noise,
+            )
+            for records, residuals, heldout in sets
+            for k, record in enumerate(records)
+        )

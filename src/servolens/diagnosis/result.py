@@ -11,6 +11,7 @@ from servolens.effects import effect_class
 if TYPE_CHECKING:
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.next_experiment import Experiment
+    from servolens.diagnosis.structure import Remainder
     from servolens.effects import Effect
     from servolens.findings import Finding
     from servolens.model import Model, Quantity
@@ -78,13 +79,13 @@ class Candidate:
         Names; the last is the one that was added.
     error : float
         What is left in the training records driven by their voltage [m or rad].
-    by_run : tuple of float
-        The same of each record, or of each stretch of them; empty where it is not known.
+    likelihood : float
+        By how much it lowers −2 log-likelihood, its price paid; negative where it does not pay.
     """
 
     effects: tuple[str, ...]
     error: float
-    by_run: tuple[float, ...] = ()
+    likelihood: float = 0.0
 
 
 @final
@@ -153,8 +154,8 @@ class Diagnosis:
         Of gain and damping alone, and with the causes.
     noise_floor : float
         R.m.s. of the position's noise [m or rad].
-    remainder : float
-        What of the residual is smooth, and so no noise, with the causes [m or rad].
+    remainder : Remainder
+        What the simulation misses beyond the noise, with the causes.
     where : tuple of Share
         Where the error of gain and damping alone lives.
     instruments : tuple of Instrument
@@ -180,7 +181,7 @@ class Diagnosis:
     baseline: Errors
     extended: Errors
     noise_floor: float
-    remainder: float
+    remainder: Remainder
     where: tuple[Share, ...]
     instruments: tuple[Instrument, ...]
     gains: tuple[RecordGain, ...]
@@ -207,7 +208,7 @@ class Diagnosis:
             "baseline": self.baseline.to_json(),
             "extended": self.extended.to_json(),
             "noise_floor": self.noise_floor,
-            "remainder": self.remainder,
+            "remainder": self.remainder.to_json(),
             "unit": unit,
             "where": [share.to_json() for share in self.where],
             "instruments": [instrument.to_json() for instrument in self.instruments],
@@ -215,7 +216,9 @@ class Diagnosis:
                 {"name": g.name, "heldout": g.heldout, "before": g.before, "after": g.after, "noise": g.noise}
                 for g in self.gains
             ],
-            "candidates": [{"effects": list(c.effects), "rms_error": c.error} for c in self.candidates],
+            "candidates": [
+                {"effects": list(c.effects), "rms_error": c.error, "likelihood": c.likelihood} for c in self.candidates
+            ],
             "linear_model": self.linear.to_json(),
             "model": self.model.to_json(),
             "rival_models": {

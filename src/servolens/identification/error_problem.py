@@ -114,13 +114,14 @@ class Problem:
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.touched = np.array([plant.has_contacts and _is_touched(plant, names[i]) for i in self.free], dtype=bool)
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
-        self.samples = sum(run.measured.size for run in runs)
+        self.samples = sum(run.samples for run in runs)
         self.noise = self.least_noise = max(noise, 1e-12)
         self.outlier, self.share = np.inf, FINE
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
         self.most_substeps: float = MOST_SUBSTEPS - 1
         self.one_sided = False
+        self.simulated = 0
         self._plants: dict[bytes, Plant] = {}
 
     def start(self) -> Point:
@@ -171,13 +172,13 @@ class Problem:
     def residual(self, values: NDArray[np.float64], i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return simulated minus measured position of run `i`."""
         run = self.runs[i]
-        return run.simulated(self.plant_at(values, i), start, self.substeps[i]) - run.measured
+        return run.residual(self.plant_at(values, i), start, self.substeps[i])
 
     def cost(self, point: Point) -> float:
         """Return the sum of the losses, priors included; infinite where a run cannot be simulated."""
         parts = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
         losses = [np.inf if r is None else self._loss(r) for r in parts]
-        return sum(losses) + self._prior_cost(point.values)
+        return sum(losses) + self.prior_cost(point.values)
 
     def weigh_priors(self, point: Point) -> bool:
         """Weigh the priors against the residual at `point`; return whether there are any. Renews its cost.
@@ -219,8 +220,8 @@ class Problem:
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))
-        cost = self._prior_cost(point.values)
-        for residual, jacobian, initial in self._differences(point):
+        cost = self.prior_cost(point.values)
+        for residual, jacobian, initial in self.differences(point):
             cost += self._loss(residual)
             weight = self._weight(residual)[:, None]
             q, r = np.linalg.qr(weight * initial)
@@ -237,7 +238,7 @@ class Problem:
             information[index, index] += weight_of_prior
         return Linearised(blocks, gradient, information)
 
-    def _differences(self, point: Point) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
+    def differences(self, point: Point) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
         """Return each run's residual and its differences by the parameters and by the initial state.
 
         Central, one-sided at a bound and where one side is no plant.
@@ -292,7 +293,8 @@ class Problem:
             except (InputError, NumericalError):
                 return None
 
-        work = sum(self.runs[i].measured.size * self.substeps[i] for i, _ in trials)
+        work = sum(self.runs[i].samples * self.substeps[i] for i, _ in trials)
+        self.simulated += work
         workers = min(os.cpu_count() or 1, len(trials))
         if work < WORTH_THREADS or workers < 2:
             return [one(job) for job in trials]
@@ -438,7 +440,8 @@ class Problem:
         """Return the names of the `chosen` among the free parameters."""
         return tuple(dict.fromkeys(self.names[self.free[k]] for k in np.flatnonzero(chosen)))
 
-    def _prior_cost(self, values: NDArray[np.float64]) -> float:
+    def prior_cost(self, values: NDArray[np.float64]) -> float:
+        """Return what the priors add to the cost."""
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
 
 

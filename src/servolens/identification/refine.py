@@ -194,13 +194,13 @@ def error_of(plant: Plant, runs: Sequence[Run], *, fine: bool = True) -> float:
     for run in runs:
         missed = partial(square_error, run, substeps_for(plant, run.sample_time))
         squares += missed(synchronised(plant, missed, fine=fine))
-    return float(np.sqrt(squares / sum(run.measured.size for run in runs)))
+    return float(np.sqrt(squares / sum(run.samples for run in runs)))
 
 
 def square_error(run: Run, substeps: int, plant: Plant) -> float:
     """Return the sum of the squared differences between `plant` and what was measured; infinite where it fails."""
     try:
-        residual = run.simulated(plant, run.start, substeps) - run.measured
+        residual = run.residual(plant, run.start, substeps)
     except (InputError, NumericalError):
         return float(np.inf)
     return float(residual @ residual)

@@ -67,8 +67,10 @@ class Run(Protocol):
     start: NDArray[np.float64]
     shifts: tuple[float, ...]
 
-    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """Return what `plant` makes of the run, to be compared with `measured`."""
+    samples: int
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return what `plant` misses of the run."""
 
 
 @final
@@ -105,6 +107,15 @@ class ClosedRun:
         if in_motion:
             self.start, self.shifts = _moving(record.time, record.position)
 
+    @property
+    def samples(self) -> int:
+        """How many samples are compared."""
+        return self.measured.size
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        return self.simulated(plant, start, substeps) - self.measured
+
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
         run = simulate_trial(
@@ -134,6 +145,15 @@ class VoltageRun:
         self.start, self.shifts = _moving(segment.time, segment.position, window)
         if rest:
             self.start, self.shifts = np.array([np.mean(segment.position[:rest])]), self.shifts[:1]
+
+    @property
+    def samples(self) -> int:
+        """How many samples are compared."""
+        return self.measured.size
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        return self.simulated(plant, start, substeps) - self.measured
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -167,6 +187,15 @@ class TetheredRun:
             self.shifts = (self.shifts[0], max(self.shifts[1], slow))
             if still > 1:
                 self.start, self.shifts = self.start[:1], self.shifts[:1]
+
+    @property
+    def samples(self) -> int:
+        """How many samples are compared."""
+        return self.measured.size
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        return self.simulated(plant, start, substeps) - self.measured
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.control_law import samples_a_period
 from servolens.dynamics import ideal_pd
-from servolens.effects import Saturation
+from servolens.effects import Saturation, Sensor, Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.simulation.rates import substeps_for
 
@@ -25,6 +25,7 @@ __all__ = [
     "simulate",
     "simulate_continuous",
     "simulate_loop",
+    "simulate_observed",
     "simulate_trial",
     "simulate_voltage",
     "without_gaps",
@@ -33,8 +34,10 @@ __all__ = [
 PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
 fast lag splits each sample; most pieces, where there is no such limit."""
-OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, ANY_NUMBER]
-"""What the rule is told of a loop where there is none, but for what was applied before."""
+OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
+"""What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
+NO_OBSERVER = (0.0,)
+"""What the rule is told where no measurement corrects the axis."""
 
 
 @final
@@ -160,7 +163,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
-    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER, *_known(before)]
+    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER, *_known(before), *NO_OBSERVER]
     count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
@@ -192,7 +195,7 @@ def simulate_trial(
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
-    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, granted, *_known(before)]
+    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, granted, *_known(before), *NO_OBSERVER]
     return _run(plant, time, held, reference, settings, start, substeps)
 
 
@@ -236,7 +239,57 @@ def simulate_voltage(
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
-    return _run(plant, grid, held, held, [*OPEN_LOOP, *_known(before)], start, substeps or substeps_for(plant, step))
+    return _run(plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(before), *NO_OBSERVER], start, substeps or substeps_for(plant, step))
+
+
+def simulate_observed(
+    plant: Plant,
+    time: NDArray[np.float64],
+    voltage: NDArray[np.float64],
+    position: NDArray[np.float64],
+    *,
+    gains: tuple[float, float],
+    start: tuple[float, float],
+    before: float | None = None,
+    substeps: int,
+) -> Simulation:
+    """Predict each sample of `position` from those before it: an observer under a `voltage` that is held.
+
+    After each sample the axis is moved towards what was measured, by the `gains` times the difference. With gains 0 it
+    is a simulation. Gives up where the axis rattles, as :func:`simulate_trial` does.
+
+    Parameters
+    ----------
+    plant, time, voltage, start, before, substeps
+        As of :func:`simulate_voltage`.
+    position : ndarray, shape (n,)
+        As measured [m or rad].
+    gains : tuple of float
+        Of position [1] and velocity [1/s]; a load and a filtered sensor are moved along.
+
+    Returns
+    -------
+    Simulation
+        With the predictions as `measured`.
+    """
+    granted = PATIENCE * time.size * max(substeps, ONE_OF)
+    settings = [*OPEN_LOOP, granted, *_known(before), *(NO_OBSERVER if gains == (0.0, 0.0) else (1.0, *_moved(plant, gains)))]
+    return _run(plant, time, voltage, position, settings, start, substeps)
+
+
+def _moved(plant: Plant, gains: tuple[float, float]) -> list[float]:
+    """Return the observer's gains of position, velocity and states, in the kernel's order."""
+    from servolens.simulation.native import native
+
+    kinds = [(cls, state.name) for cls in plant.structure for state in cls.states]
+    own = [
+        gains[("position", "velocity").index(name)] if issubclass(cls, Transmission) else gains[0] * issubclass(cls, Sensor)
+        for cls, name in kinds
+    ]
+    placed = [0.0] * len(own)
+    for value, place in zip(own, native(plant.structure).order.tolist(), strict=True):
+        placed[place] = value
+    return [*gains, *placed]
 
 
 def simulate_continuous(
@@ -265,7 +318,7 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    result = _run(plant, grid, held, held, [*OPEN_LOOP, *_known(None)], start, count, gains=(kp, kd))
+    result = _run(plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(None), *NO_OBSERVER], start, count, gains=(kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured

@@ -324,6 +324,16 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop
 
 
 @njit(**OPTIONS)
+def correct(x: Any, loop: Any, ns: int, nz: int, innovation: float) -> None:
+    """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
+    x[Y] += loop[14] * innovation
+    if x[V] != 0.0:
+        x[V] += loop[15] * innovation
+    for i in range(ns + nz):
+        x[STATES + i] += loop[16 + i] * innovation
+
+
+@njit(**OPTIONS)
 def sent(results: Any, n: int, k: int, before: float) -> float:
     """Return the voltage of sample `k`, `before` where that is earlier than the first."""
     voltage: float = results[2 * n + k] if k >= 0 else before
@@ -369,7 +379,9 @@ def run(
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
-    pieces, whether it is known what was applied before, what was). Minus one is returned where more pieces than granted
+    pieces, whether it is known what was applied before, what was, whether to correct, then the gains with which an
+    observer corrects position, velocity and states by the innovation: `reference` then holds the measured position, and
+    `measured` its prediction from the samples before). Minus one is returned where more pieces than granted
     would be needed; zero grants any number. Without a closed loop the input is `held`; with one, `held` is added to
     what the controller asks for. The input reaches the actuator `delay` seconds late; before the record the first one
     was applied, if it is not known.
@@ -398,6 +410,8 @@ def run(
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
+        if loop[13] != 0.0:
+            correct(x, loop, ns, nz, reference[k] - seen)
         if k == 0 and loop[11] == 0.0:
             before = results[2 * n]
         if not abs(x[Y]) < FARTHEST:

@@ -1,0 +1,123 @@
+"""What a verdict alone does not say: the noise, what shakes the axis, records that contradict each other or the rest."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.diagnosis.errors import pooled
+from servolens.diagnosis.logs import apart, beyond
+from servolens.diagnosis.trials import SOME, begins_with_its_step
+from servolens.errors import InputError, NumericalError
+from servolens.findings import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.diagnosis.case import Case
+    from servolens.diagnosis.errors import Gains
+    from servolens.diagnosis.result import Verdict
+    from servolens.diagnosis.search import Search
+    from servolens.diagnosis.structure import Remainder
+    from servolens.diagnosis.trials import Hypothesis
+
+__all__ = ["said"]
+
+FARTHER = 3.0
+"""Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
+NAMED = 4
+"""Records that are named in a sentence."""
+
+
+def said(
+    case: Case, found: Search, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
+) -> list[Finding]:
+    """Return the findings of a diagnosis beside those of its logs and its fit."""
+    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, gains)]
+    if case.ripple:
+        lines = ", ".join(f"{f:g}" for f in case.ripple.frequencies)
+        message = (
+            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude {case.ripple.amplitude:.2g}"
+            f" {case.records[0].length_unit}; it is counted as noise and taken out. Check shielding and grounding."
+        )
+        told.append(Finding(code="mains_ripple", severity="note", message=message))
+    if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
+        told.append(_shaken(case, remainder))
+    if chosen.unpowered:
+        told.append(_unpowered(case))
+    if found.ended_early:
+        message = "the search ended when its effort was spent; a thorough one (--effort thorough) may find more."
+        told.append(Finding(code="effort_spent", severity="note", message=message))
+    if verdict in ("partly_explained", "unexplained") and not remainder.material:
+        message = (
+            f"what is left depends on the inputs, but is immaterial: {100 * remainder.of_travel:.2g} % of the travel."
+        )
+        told.append(Finding(code="immaterial_remainder", severity="note", message=message))
+    contradiction = _contradiction(case, chosen) if verdict in ("partly_explained", "unexplained") else None
+    return told if contradiction is None else [*told, contradiction]
+
+
+def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
+    """Describe the noise model in a sentence."""
+    noise, unit = chosen.noise, case.records[0].length_unit
+    sample = float(np.median(np.diff(case.trials.signals[0].time[:64])))
+    parts = [f"noise {gains.noise:.2g} {unit} (r.m.s.)"]
+    memory = noise.memory()
+    if noise.rate == 0.0 and memory > 2.0:
+        slow = float(np.sqrt(max(noise.spread**2 - noise.innovation**2, 0.0)))
+        parts.append(f"of which {slow:.2g} {unit} change slowly (over {memory * sample:.2g} s)")
+    if noise.share > 0.5:
+        parts.append(f"the encoder's rounding of {noise.rounding:.2g} {unit} dominates")
+    return Finding(code="noise_model", severity="note", message=f"{', '.join(parts)}.")
+
+
+def _shaken(case: Case, remainder: Remainder) -> Finding:
+    message = (
+        f"something shakes the axis irregularly, by about {remainder.acceleration_rms:.2g}"
+        f" {case.records[0].length_unit}/s^2 (r.m.s.), {100 * remainder.of_motor:.2g} % of what the motor gives at most."
+        " It does not depend on the reference: it is no cause of the catalogue, and no gain designed from a model"
+        " removes it. Look for vibration, cables or a machine nearby."
+    )
+    return Finding(code="shaken_axis", severity="note", message=message)
+
+
+def _unpowered(case: Case) -> Finding:
+    names = [record.name for record in (*case.records, *case.heldout) if begins_with_its_step(record)]
+    several, more = len(names) > 1, f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    message = (
+        f"{', '.join(names[:NAMED])}{more} {'begin with their' if several else 'begins with its'} step, and"
+        f" {'are' if several else 'is'} understood only if no voltage was applied before; state '# voltage_before = 0'"
+        " there for identify and predict, or log from before the step."
+    )
+    return Finding(code="unpowered_before", severity="note", message=message)
+
+
+def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+    """Yield a finding for each held-out record that is much farther off than those that were fitted."""
+    fitted = gains.train(-1)
+    known = {finding.record for finding in beyond(case.records, case.heldout)}
+    for record, error in zip(case.heldout, gains.held[-1], strict=False):
+        size = pooled([error])
+        if record.name not in known and size > FARTHER * max(fitted, gains.noise):
+            message = (
+                f"held out, the simulation misses it by {size:.2g} {record.length_unit} (r.m.s.), the records that were"
+                f" fitted by {fitted:.2g}; is it of the same axis, load and units?"
+            )
+            yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
+
+
+def _contradiction(case: Case, chosen: Hypothesis) -> Finding | None:
+    """Return a finding if each record by itself gives the plant, but with gains that no single axis has."""
+    if len(case.records) < 2:
+        return None
+    plants = []
+    for record in case.records:
+        try:
+            found = case.trials.on([record]).tried(chosen.plant, chosen.noise, SOME, unpowered=chosen.unpowered)
+        except (InputError, NumericalError):
+            return None
+        if found is None or found.noise.spread > 0.5 * chosen.noise.spread:
+            return None
+        plants.append(found.plant)
+    return apart(plants, [record.name for record in case.records])

@@ -1,0 +1,57 @@
+"""A hypothesis fitted to its optimum, with error bars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+from servolens.identification.doubts import doubts
+from servolens.identification.refine import Refinement, minimise_error
+from servolens.model import Model
+
+if TYPE_CHECKING:
+    from servolens.diagnosis.trials import Hypothesis, Trials
+    from servolens.findings import Finding
+    from servolens.plant import Plant
+
+__all__ = ["Fitted", "fitted"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """Model and refinement of a hypothesis, and what the fit itself says against it."""
+
+    model: Model
+    refinement: Refinement
+    findings: tuple[Finding, ...]
+
+    @property
+    def plant(self) -> Plant:
+        """The best plant."""
+        return self.model.plant
+
+
+def fitted(trials: Trials, hypothesis: Hypothesis) -> Fitted:
+    """Return `hypothesis` at its optimum beside its own noise, with error bars.
+
+    Parameters
+    ----------
+    trials : Trials
+        The records.
+    hypothesis : Hypothesis
+        Where to begin.
+    """
+    runs = trials.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+    plant = hypothesis.plant
+    refined = minimise_error(plant, runs, trials.options(plant), noise=1.0, valleys=plant.has_contacts)
+    names = dict.fromkeys(refined.undetermined, "the data do not determine it")
+    names |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
+    names |= dict.fromkeys(trials.options(plant).held, "it is held")
+    model = Model(
+        plant=refined.plant,
+        covariance=refined.covariance,
+        identified_from=tuple(record.name for record in trials.records),
+        reasons=names,
+    )
+    return Fitted(model, refined, doubts(refined))

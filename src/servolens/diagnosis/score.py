@@ -1,0 +1,128 @@
+"""Score tests: what each effect would explain to first order, at the cost of one linearisation of the null."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.error_problem import Problem
+from servolens.identification.phases import own_phases
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.diagnosis.trials import Hypothesis, Trials
+    from servolens.plant import Plant
+
+__all__ = ["ScoreTest"]
+
+
+@final
+class ScoreTest:
+    """The whitened residual of a hypothesis, and the directions that its own parameters and initial states explain.
+
+    Rao's score (Lagrange multiplier) test of Gaussian regression: the statistic of a direction z is the squared length
+    of the residual along what of z is at right angles to the hypothesis' own directions (Rao 1948; Engle 1984).
+
+    Parameters
+    ----------
+    trials : Trials
+        The records.
+    hypothesis : Hypothesis
+        The null, at its optimum.
+    """
+
+    def __init__(self, trials: Trials, hypothesis: Hypothesis) -> None:
+        self.hypothesis = hypothesis
+        self.runs = trials.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+        self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
+        problem = Problem(hypothesis.plant, self.runs, trials.options(hypothesis.plant), 1.0)
+        point = problem.start()
+        point.values = np.array(
+            [
+                hypothesis.local[problem.names[i]][group] if problem.names[i] in hypothesis.local else value
+                for (i, group), value in zip(problem.slots, point.values, strict=True)
+            ]
+        )
+        point.starts = [start.copy() for start in hypothesis.starts]
+        blocks = problem.differences(point)
+        trials.work += problem.simulated
+        self.residual = np.concatenate([r[: run.samples] for run, (r, _, _) in zip(self.runs, blocks, strict=True)])
+        width = sum(initial.shape[1] for _, _, initial in blocks)
+        own = np.zeros((self.residual.size, problem.free.size + width))
+        column = problem.free.size
+        for i, (_, jacobian, initial) in enumerate(blocks):
+            rows, samples = slice(self._ends[i], self._ends[i + 1]), self.runs[i].samples
+            own[rows, : problem.free.size] = jacobian[:samples]
+            own[rows, column : column + initial.shape[1]] = initial[:samples]
+            column += initial.shape[1]
+        sizes = np.linalg.norm(own, axis=0)
+        self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
+        self._left = self.free_of_own(self.residual)
+
+    @property
+    def left(self) -> NDArray[np.float64]:
+        """The whitened residual at right angles to the hypothesis' own directions, shape (n,)."""
+        return self._left
+
+    def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
+        once = columns - self._own @ (self._own.T @ columns)
+        return np.asarray(once - self._own @ (self._own.T @ once))
+
+    def gain(self, plant: Plant) -> float:
+        """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it cannot be simulated."""
+        try:
+            columns = self._columns(plant)
+        except (InputError, NumericalError):
+            return 0.0
+        return self.explained(columns)
+
+    def explained(self, columns: NDArray[np.float64]) -> float:
+        """Return how much of the squared residual the `columns`, shape (n, k), explain beside the hypothesis."""
+        free = self.free_of_own(columns)
+        sizes = np.linalg.norm(free, axis=0)
+        free = free[:, sizes > 1e-9 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
+        if free.shape[1] == 0:
+            return 0.0
+        q, _ = np.linalg.qr(free / np.linalg.norm(free, axis=0))
+        along = q.T @ self._left
+        return float(along @ along)
+
+    def _columns(self, plant: Plant) -> NDArray[np.float64]:
+        """Return the differences of what `plant` and the hypothesis miss; of a wave, for each record and two phases."""
+        names = own_phases(plant)
+        new = [name for name in names if name not in own_phases(self.hypothesis.plant)]
+        if not new or len(self.runs) == 1:
+            return (self._missed(plant) - self.residual)[:, None]
+        index = list(plant.parameters).index(new[0])
+        turned = list(plant.values)
+        turned[index] += 0.5 * np.pi if turned[index] < 0.0 else -0.5 * np.pi
+        found = [self._missed(one) - self.residual for one in (plant, plant.with_values(turned))]
+        columns = np.zeros((self.residual.size, 2 * len(self.runs)))
+        for i in range(len(self.runs)):
+            rows = slice(self._ends[i], self._ends[i + 1])
+            columns[rows, 2 * i], columns[rows, 2 * i + 1] = found[0][rows], found[1][rows]
+        return columns
+
+    def _missed(self, plant: Plant) -> NDArray[np.float64]:
+        parts = []
+        for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
+            missed = run.missed(self._of_record(plant, i), start, substeps_for(plant, run.sample_time))
+            parts.append(run.whiten(missed))
+        found = np.concatenate(parts)
+        if not np.isfinite(found).all():
+            raise NumericalError("the simulated axis leaves all bounds")
+        return found
+
+    def _of_record(self, plant: Plant, group: int) -> Plant:
+        """Return `plant` with what the hypothesis knows of this record alone."""
+        local = self.hypothesis.local
+        if not local:
+            return plant
+        values = dict(zip(plant.parameters, plant.values, strict=True))
+        own = {name: float(found[group]) for name, found in local.items() if name in values}
+        return plant.with_values(list({**values, **own}.values()))

@@ -1,0 +1,147 @@
+"""One record as a prediction-error problem: an observer under the applied voltage, from an uncertain initial state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.identification.noise import NoiseModel, Whitener, observer_gains
+from servolens.identification.runs import rest
+from servolens.identification.segments import applied_before, applied_voltage
+from servolens.quality.beginning import initial_motion
+from servolens.simulation.loop import simulate_observed, without_gaps
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["InitialState", "ObservedRun", "Signals"]
+
+FIRST = 12
+"""Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
+WIDE = 3.0
+"""Standard errors of what the first samples show that the initial state may be away: it is a prior, not a measurement."""
+MOVED = 1e-5
+"""Share of the travel by which an initial state is moved for its sensitivity."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class InitialState:
+    """Position and velocity at the first sample: mean and standard deviation, each of shape (2,)."""
+
+    mean: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, record: Record, noise: float) -> InitialState:
+        """Read it off the first samples of `record`, whose noise has the standard deviation `noise`."""
+        still = rest(record)
+        count = min(max(still, FIRST), len(record))
+        span = record.time[:count] - record.time[0]
+        duration = max(float(span[-1]), 1e-9)
+        floor = 1e-6 * max(float(np.ptp(record.position)), 1e-12)
+        slope_error = np.sqrt(12.0 / count) * max(noise, floor) / duration
+        velocity = 0.0 if still > 1 else initial_motion(record)
+        level = float(np.mean(record.position[:still]))
+        return cls(np.array([level, velocity]), WIDE * np.array([max(noise, floor), slope_error]))
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """What of a record is simulated: possibly every few samples only, the voltage averaged between them.
+
+    Attributes
+    ----------
+    record : Record
+        Where it comes from.
+    time, voltage, position : ndarray, shape (n,)
+        On a grid without gaps.
+    index : ndarray of int or None
+        Where the samples that were measured stand in the grid; None if none are lost.
+    initial : InitialState
+        Of the first sample.
+    """
+
+    record: Record
+    time: NDArray[np.float64]
+    voltage: NDArray[np.float64]
+    position: NDArray[np.float64]
+    index: NDArray[np.intp] | None
+    initial: InitialState
+
+    @classmethod
+    def of(cls, record: Record, noise: float, every: int = 1) -> Signals:
+        """Prepare `record`, `every` so many samples of it."""
+        time, held, index = without_gaps(record.time)
+        voltage, position = applied_voltage(record)[held], record.position[held]
+        if index is not None:
+            position = np.interp(time, record.time, record.position)
+        if every > 1:
+            whole = time.size // every * every
+            voltage = voltage[:whole].reshape(-1, every).mean(axis=1)
+            time, position, index = time[:whole:every], position[:whole:every], None
+        signals = (np.ascontiguousarray(signal) for signal in (time, voltage, position))
+        return cls(record, *signals, index, InitialState.of(record, noise))
+
+    @property
+    def measured(self) -> NDArray[np.float64]:
+        """Positions that were measured."""
+        return self.position if self.index is None else self.position[self.index]
+
+
+@final
+class ObservedRun:
+    """A record predicted sample by sample; what is missed is whitened, and the initial state is held to its prior.
+
+    Parameters
+    ----------
+    signals : Signals
+        The record.
+    group : int
+        Its number.
+    noise : NoiseModel
+        Gives the observer's rate and the whitening.
+    unpowered : bool
+        Whether nothing was applied before a record that does not say it; else its first voltage was.
+    """
+
+    def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
+        self.group, self.signals, self.noise = group, signals, noise
+        self.whiten = Whitener(signals.measured, noise)
+        self.samples = signals.measured.size
+        self.sample_time = float(np.max(np.diff(signals.time)))
+        self.start = signals.initial.mean
+        travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
+        self.shifts = (travel, travel / max(float(signals.time[-1] - signals.time[0]), 1e-3))
+        self._gains = observer_gains(noise.rate, float(np.median(np.diff(signals.time[:64]))))
+        self._before = applied_before(signals.record)
+        if unpowered and self._before is None:
+            self._before = 0.0
+
+    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return predicted minus measured position [m or rad], shape (n,)."""
+        signals = self.signals
+        run = simulate_observed(
+            plant,
+            signals.time,
+            signals.voltage,
+            signals.position,
+            gains=self._gains,
+            start=(float(start[0]), float(start[1])),
+            before=self._before,
+            substeps=substeps,
+        )
+        found = run.measured - signals.position
+        return found if signals.index is None else found[signals.index]
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return the whitened difference, and how far the initial state is from its prior, in standard deviations."""
+        initial = self.signals.initial
+        away = (start - initial.mean) / initial.deviation
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])

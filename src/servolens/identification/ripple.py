@@ -1,0 +1,93 @@
+"""A ripple of the sensor at the mains frequency or a multiple of it: noise, with a finding, and taken out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.observed import Signals
+
+__all__ = ["Ripple", "mains_ripple"]
+
+MAINS = (50.0, 60.0)
+"""[Hz]; the frequencies of public grids, IEC 60196."""
+MULTIPLES = 5
+RIPPLE_LEVEL = 1e-6
+"""Probability that noise shows a line as high by chance, all lines that are looked at together."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Ripple:
+    """Waves of the mains in the measured position.
+
+    Attributes
+    ----------
+    frequencies : tuple of float
+        [Hz].
+    amplitude : float
+        Of the largest [m or rad].
+    waves : tuple of ndarray
+        Their sum in each record, on the samples that are simulated [m or rad].
+    """
+
+    frequencies: tuple[float, ...]
+    amplitude: float
+    waves: tuple[NDArray[np.float64], ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.frequencies)
+
+
+def mains_ripple(signals: Sequence[Signals], white: Sequence[NDArray[np.float64]]) -> Ripple:
+    """Return the ripple that the whitened residuals show beyond chance.
+
+    White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency). The waves
+    are then fitted to the third differences of the position, in which the motion is small.
+
+    Parameters
+    ----------
+    signals : sequence of Signals
+        The records.
+    white : sequence of ndarray
+        Whitened residual of each, of variance about 1.
+    """
+    from scipy.stats import chi2
+
+    fastest = 0.5 / max(float(np.median(np.diff(s.time[:64]))) for s in signals)
+    lines = sorted({f * k for f in MAINS for k in range(1, MULTIPLES + 1) if f * k < 0.9 * fastest})
+    limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(signals)))
+    shown = [f for f in lines if sum(_power(s, r, f) for s, r in zip(signals, white, strict=True)) > limit]
+    fits = [_fitted(s, shown) for s in signals]
+    amplitude = max((a for amplitudes, _ in fits for a in amplitudes), default=0.0)
+    return Ripple(tuple(shown), amplitude, tuple(wave for _, wave in fits))
+
+
+def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) -> float:
+    """Return the squared length of the residual along the wave, over that of its neighbours' mean."""
+    time = signals.time if signals.index is None else signals.time[signals.index]
+    window = np.hanning(residual.size)
+    window = window / np.sqrt(np.mean(window**2))
+    width = 1.0 / max(float(time[-1] - time[0]), 1e-9)
+    around = [frequency + k * width for k in (-9, -7, -5, 5, 7, 9)]
+    sizes = [
+        2.0 * abs(np.vdot(np.exp(2j * np.pi * f * time), window * residual)) ** 2 / residual.size
+        for f in (frequency, *around)
+    ]
+    return sizes[0] / max(float(np.mean(sizes[1:])) / 2.0, 1.0)
+
+
+def _fitted(signals: Signals, frequencies: Sequence[float]) -> tuple[list[float], NDArray[np.float64]]:
+    """Return amplitude of each frequency and the sum of the waves."""
+    if not frequencies:
+        return [], np.zeros(signals.time.size)
+    waves = np.column_stack([w(2.0 * np.pi * f * signals.time) for f in frequencies for w in (np.cos, np.sin)])
+    sizes, *_ = np.linalg.lstsq(np.diff(waves, 3, axis=0), np.diff(signals.position, 3), rcond=None)
+    return [float(np.hypot(*pair)) for pair in sizes.reshape(-1, 2)], waves @ sizes
