@@ -94,8 +94,7 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
-    if record.voltage_limit is not None and plant.effect(Saturation.name) is None:
-        plant = plant.with_effect(Saturation(limit=record.voltage_limit))
+    plant = _limited(plant, record.voltage_limit)
     start = (float(record.position[0]), initial_velocity)
     if driven:
         before = record.voltage_before
@@ -119,6 +118,14 @@ def simulate(
     if index is None:
         return result
     return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
+
+
+def _limited(plant: Plant, limit: float | None) -> Plant:
+    """Return `plant` behind an amplifier with this limit; the smaller one counts where the plant has its own."""
+    own = plant.effect(Saturation.name)
+    if limit is None or (isinstance(own, Saturation) and own.limit <= limit):
+        return plant
+    return plant.with_effect(Saturation(limit=limit))
 
 
 def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
