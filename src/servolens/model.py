@@ -94,14 +94,15 @@ class Model:
     def quantities(self) -> dict[str, Quantity]:
         """Every parameter by qualified name."""
         variances = np.full(len(self.plant.values), np.nan) if self.covariance is None else np.diag(self.covariance)
+        known = np.isfinite(variances) & (variances >= 0)
         return {
             name: Quantity(
                 value=value,
                 unit=self.plant.unit(name),
-                stderr=float(np.sqrt(variance)) if np.isfinite(variance) and variance >= 0 else None,
-                reason=self.reasons.get(name, "given, not estimated"),
+                stderr=float(np.sqrt(variances[i])) if known[i] else None,
+                reason=None if known[i] else self.reasons.get(name, "given, not estimated"),
             )
-            for name, value, variance in zip(self.plant.parameters, self.plant.values, variances, strict=True)
+            for i, (name, value) in enumerate(zip(self.plant.parameters, self.plant.values, strict=True))
         }
 
     def to_json(self) -> dict[str, Any]:
