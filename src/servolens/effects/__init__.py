@@ -18,8 +18,10 @@ from servolens.effects.constant_force import ConstantForce
 from servolens.effects.coulomb_friction import CoulombFriction
 from servolens.effects.dead_zone import DeadZone
 from servolens.effects.delay import Delay
+from servolens.effects.end_stop import EndStop
 from servolens.effects.flexible_coupling import FlexibleCoupling
 from servolens.effects.force_limit import ForceLimit
+from servolens.effects.friction_map import FrictionMap
 from servolens.effects.gain_drift import GainDrift
 from servolens.effects.hardening_spring import HardeningSpring
 from servolens.effects.kinds import (
@@ -32,6 +34,7 @@ from servolens.effects.kinds import (
     TimeShift,
     Transmission,
 )
+from servolens.effects.load_friction import LoadFriction
 from servolens.effects.pendulum_gravity import PendulumGravity
 from servolens.effects.periodic_disturbance import PeriodicDisturbance
 from servolens.effects.position_friction import PositionFriction
@@ -61,11 +64,14 @@ __all__ = [
     "Drive",
     "DryFriction",
     "Effect",
+    "EndStop",
     "FlexibleCoupling",
     "Force",
     "ForceLimit",
+    "FrictionMap",
     "GainDrift",
     "HardeningSpring",
+    "LoadFriction",
     "MotorForce",
     "Parameter",
     "PendulumGravity",
@@ -100,10 +106,13 @@ CATALOGUE: dict[str, type[Effect]] = {
         CoulombFriction,
         DeadZone,
         Delay,
+        EndStop,
         FlexibleCoupling,
         ForceLimit,
+        FrictionMap,
         GainDrift,
         HardeningSpring,
+        LoadFriction,
         PendulumGravity,
         PeriodicDisturbance,
         PositionFriction,

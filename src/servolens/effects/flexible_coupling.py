@@ -28,6 +28,7 @@ class FlexibleCoupling(Transmission):
     latex = r"k(x-y)+d(\dot x-\dot y)"
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
     linear = True
+    same_structure = ("second_order_actuator",)
     looks_like = (
         "The load swings on after the motor has stopped, at one frequency that the gains hardly move; "
         "with higher gains it grows into a hum."
