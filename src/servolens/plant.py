@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
-from servolens.effects import Drive, Effect, Parameter, TimeShift, Transmission, effect_class
+from servolens.effects import Drive, Effect, Parameter, TimeShift, Transmission, check_effect, effect_class
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -160,7 +160,9 @@ def _named(structure: tuple[type[Effect], ...]) -> dict[str, Parameter]:
 
 @lru_cache(maxsize=1024)
 def _check_together(structure: tuple[type[Effect], ...]) -> None:
-    """Refuse effects that no axis can have together."""
+    """Refuse what is no effect, and effects that no axis can have together."""
+    for effect in structure:
+        check_effect(effect)
     names = [effect.name for effect in structure]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
