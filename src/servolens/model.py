@@ -23,6 +23,8 @@ __all__ = ["Model", "Quantity", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
+OPTIONAL = ("inertia", "free_damping")
+"""Numbers of a plant that stand in its file where they are known."""
 
 
 @final
@@ -123,6 +125,7 @@ class Model:
             "effects": effects,
             "length_unit": self.plant.length_unit,
             "command_unit": self.plant.command_unit,
+            **{name: value for name in OPTIONAL if (value := getattr(self.plant, name)) is not None},
             "covariance": _finite_lists(self.covariance),
             "identified_from": list(self.identified_from),
         }
@@ -150,6 +153,7 @@ class Model:
                 effects=found,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
                 command_unit=str(data.get("command_unit", "V")),
+                **{name: _value({"value": data[name]}) for name in OPTIONAL if data.get(name) is not None},
             )
             _check_units(data, plant)
             covariance = _covariance(data, plant)

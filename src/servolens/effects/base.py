@@ -75,6 +75,9 @@ class Parameter:
         Admissible range, both ends included.
     meaning : str
         What it says about the machine.
+    per_mass : float, optional
+        Power of 1/(moving mass) that it goes with: 1 for what is stated per unit of moving mass, 0 for what does not
+        depend on it. Actuators, time shifts and sensors, which know no mass, need not state it.
     """
 
     name: str
@@ -83,6 +86,7 @@ class Parameter:
     low: float
     high: float
     meaning: str
+    per_mass: float | None = None
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
@@ -97,9 +101,12 @@ class Parameter:
         return self.unit.format(x=length_unit, u=command)
 
 
-def parameter(symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: float = 1e12) -> Any:
+def parameter(
+    symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: float = 1e12, per_mass: float | None = None
+) -> Any:
     """Declare a field of an effect as its parameter; see :class:`Parameter`."""
-    return field(metadata={"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high})
+    told = {"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high, "per_mass": per_mass}
+    return field(metadata=told)
 
 
 @final

@@ -50,8 +50,8 @@ class EndStop(Force):
         "though the target lies before it."
     )
 
-    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of the lower stop", low=-1e12)
-    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of the upper stop", low=-1e12)
+    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of the lower stop", low=-1e12, per_mass=0)
+    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of the upper stop", low=-1e12, per_mass=0)
 
     def __post_init__(self) -> None:
         Force.__post_init__(self)

@@ -26,7 +26,7 @@ NEGATIVE = tuple(f"negative_{i}" for i in range(KNOTS))
 def _level(sign: str, knot: int) -> Any:
     way = "grows" if sign == "+" else "falls"
     meaning = f"friction at knot {knot} while the position {way}, per unit of moving mass"
-    return parameter(f"F_{{{sign}{knot}}}", "{x}/s^2", meaning)
+    return parameter(f"F_{{{sign}{knot}}}", "{x}/s^2", meaning, per_mass=1)
 
 
 @final
@@ -66,8 +66,8 @@ class FrictionMap(DryFriction):
     negative_2: float = _level("-", 2)
     negative_3: float = _level("-", 3)
     negative_4: float = _level("-", 4)
-    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of knot 0", low=-1e12)
-    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of knot 4", low=-1e12)
+    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of knot 0", low=-1e12, per_mass=0)
+    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of knot 4", low=-1e12, per_mass=0)
 
     def __post_init__(self) -> None:
         DryFriction.__post_init__(self)

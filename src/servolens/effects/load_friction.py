@@ -43,7 +43,7 @@ class LoadFriction(DryFriction):
         "choose kp for the smaller and check overshoot with the larger."
     )
 
-    share: float = parameter(r"\rho", "1", "friction over transmitted force", high=0.999)
+    share: float = parameter(r"\rho", "1", "friction over transmitted force", high=0.999, per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -10,8 +10,8 @@ import numpy as np
 
 from servolens.control_law import samples_a_period
 from servolens.dynamics import ideal_pd
-from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
+from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def simulate(
     plant : Plant
         In the record's units.
     record : Record
-        Gives time, reference, feedforward, controller, encoder and voltage limit.
+        Gives time, reference, feedforward, controller, encoder, voltage limit, inertia, and when the motor is on.
     initial_velocity : float
         [m/s or rad/s].
     voltage_driven : bool, optional
@@ -94,7 +94,7 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
-    plant = _limited(plant, record.voltage_limit)
+    plant = plant_in(plant, record)
     start = (float(record.position[0]), initial_velocity)
     if driven:
         before = record.voltage_before
@@ -118,14 +118,6 @@ def simulate(
     if index is None:
         return result
     return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
-
-
-def _limited(plant: Plant, limit: float | None) -> Plant:
-    """Return `plant` behind an amplifier with this limit; the smaller one counts where the plant has its own."""
-    own = plant.effect(Saturation.name)
-    if limit is None or (isinstance(own, Saturation) and own.limit <= limit):
-        return plant
-    return plant.with_effect(Saturation(limit=limit))
 
 
 def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
