@@ -130,7 +130,7 @@ def remarks(cls: type[Effect]) -> list[str]:
 
 def at(value: float) -> str:
     """Return a value at which an effect changes nothing."""
-    return "without end" if value >= ENDLESS else f"{value:g}"
+    return "without end" if abs(value) >= ENDLESS else f"{value:g}"
 
 
 def modules() -> str:

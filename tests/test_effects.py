@@ -41,10 +41,16 @@ CONTRACT: dict[str, tuple[str, dict[str, str]]] = {
     "coulomb_friction": ("DryFriction", {"level": "m/s^2"}),
     "dead_zone": ("Actuator", {"width": "V"}),
     "delay": ("TimeShift", {"time": "s"}),
+    "end_stop": ("Force", {"low": "m", "high": "m"}),
     "flexible_coupling": ("Transmission", {"frequency": "Hz", "damping_ratio": "1", "load_ratio": "1"}),
     "force_limit": ("MotorForce", {"acceleration": "m/s^2"}),
+    "friction_map": (
+        "DryFriction",
+        {f"{way}_{i}": "m/s^2" for way in ("positive", "negative") for i in range(5)} | {"low": "m", "high": "m"},
+    ),
     "gain_drift": ("Actuator", {"rate": "1/s"}),
     "hardening_spring": ("Force", {"cubic_stiffness": "1/s^2/m^2"}),
+    "load_friction": ("DryFriction", {"share": "1"}),
     "pendulum_gravity": ("Force", {"amplitude": "m/s^2", "phase": "rad"}),
     "periodic_disturbance": ("Force", {"amplitude": "m/s^2", "frequency": "Hz", "phase": "rad"}),
     "position_friction": ("DryFriction", {"level": "m/s^2", "centre": "m", "width": "m"}),
@@ -114,6 +120,18 @@ def coupling(m: Instant, p: Any) -> float:
     return w**2 * reduced * (m.x - load) + 2 * p.damping_ratio * w * reduced * (m.v - load_speed)
 
 
+def stop(m: Instant, p: Any) -> float:
+    """Force of the stops: a spring and damper at either end that can only push back."""
+    depth = m.x - p.high if m.x > p.high else min(m.x - p.low, 0.0)
+    force = 2000.0**2 * depth + 2 * 2000.0 * m.v
+    return force if depth * force > 0 else 0.0
+
+
+def mapped(m: Instant, p: Any) -> float:
+    levels = [getattr(p, f"{'positive' if m.sign > 0 else 'negative'}_{i}") for i in range(5)]
+    return float(np.interp(m.x, np.linspace(p.low, p.high, 5), levels))
+
+
 # Of an instant and parameters: what stands in place of the command ("a") or of the motor ("motor"), what the forces
 # sum to, the level of dry friction, the rates of the states, the load's share and more; the rest is the bare plant's.
 FORMS: dict[str, Callable[[Instant, Any], dict[str, Any]]] = {
@@ -134,6 +152,7 @@ FORMS: dict[str, Callable[[Instant, Any], dict[str, Any]]] = {
     "coulomb_friction": lambda m, p: form(level=p.level),
     "dead_zone": lambda m, p: form(a=np.sign(m.u) * max(abs(m.u) - p.width, 0.0)),
     "delay": lambda m, p: form(delay=p.time),
+    "end_stop": lambda m, p: form(forces=stop(m, p)),
     "flexible_coupling": lambda m, p: form(
         forces=coupling(m, p),
         share=p.load_ratio,
@@ -142,8 +161,10 @@ FORMS: dict[str, Callable[[Instant, Any], dict[str, Any]]] = {
         output_velocity=m.states[1],
     ),
     "force_limit": lambda m, p: form(motor=np.clip(m.gain * m.u - m.damping * m.v, -p.acceleration, p.acceleration)),
+    "friction_map": lambda m, p: form(level=mapped(m, p)),
     "gain_drift": lambda m, p: form(a=m.u + m.u * p.rate * m.t),
     "hardening_spring": lambda m, p: form(forces=p.cubic_stiffness * m.x**3),
+    "load_friction": lambda m, p: form(level=p.share * abs(m.gain * m.u)),
     "pendulum_gravity": lambda m, p: form(forces=p.amplitude * np.sin(m.x + p.phase)),
     "periodic_disturbance": lambda m, p: form(forces=p.amplitude * np.sin(2 * np.pi * p.frequency * m.t + p.phase)),
     "position_friction": lambda m, p: form(level=p.level * np.exp(-(((m.x - p.centre) / p.width) ** 2))),
@@ -198,9 +219,16 @@ def drawn(cls: type[Effect], rng: np.random.Generator) -> Effect:
         size = rng.uniform(0.02, 0.98) if spec.high <= 1.0 else np.exp(rng.normal())
         sign = rng.choice([-1.0, 1.0]) if spec.low < 0 else 1.0
         values[spec.name] = float(np.clip(sign * size, spec.low, spec.high))
+    return cls(**allowed(values))
+
+
+def allowed(values: dict[str, float]) -> dict[str, float]:
+    """Return `values` changed so that they go together."""
     if "static_excess" in values:
         values["static_excess"] = max(values["static_excess"], -values["level"])
-    return cls(**values)
+    if "low" in values and not values["low"] < values["high"]:
+        values["low"], values["high"] = values["high"], np.nextafter(values["low"], np.inf)
+    return values
 
 
 def instant(rng: np.random.Generator, states: int) -> Instant:
@@ -360,6 +388,9 @@ def test_starts_are_admissible(cls, seen):
         ("force_limit", "acceleration", 1.9, 17.1, 6),
         ("backlash", "gap", 4e-5, 1.2e-2, 6),
         ("speed_servo", "proportional", 3.0, 200.0, 5),
+        ("load_friction", "share", 0.03, 0.3, 3),
+        ("friction_map", "high", 0.4, 0.4, 1),
+        ("end_stop", "high", 0.4 - 0.02 * 0.4 - 4e-5, 0.8, 3),
     ],
 )
 def test_starts_span_what_the_record_can_show(name, parameter, low, high, count):
@@ -399,9 +430,7 @@ def frictions(draw: Any) -> Effect:
     """Dry friction with any parameters in bounds."""
     cls = draw(dry_friction)
     values = {spec.name: draw(st.floats(spec.low, spec.high)) for spec in cls.parameters()}
-    if "static_excess" in values:
-        values["static_excess"] = max(values["static_excess"], -values["level"])
-    return cls(**values)
+    return cls(**allowed(values))
 
 
 @given(
@@ -417,6 +446,45 @@ def test_friction_never_gives_energy(friction, position, velocity, sharpness):
     assert np.isfinite(level)
     assert level >= 0
     assert level * m.direction * velocity >= 0
+
+
+def test_load_is_the_force_of_the_motor_and_of_what_position_and_time_decide():
+    """Not that of damping, of drag, or of bristles, which know how the axis moves."""
+    parts = {
+        "load_friction": (0.3,),
+        "quadratic_drag": (2.0,),
+        "presliding": (50.0, 0.4),
+        "pendulum_gravity": (1.5, 0.2),
+        "periodic_disturbance": (0.7, 3.0, 0.1),
+        "dead_zone": (0.5,),
+    }
+    structure = tuple(CATALOGUE[name] for name in parts)
+    m = Instant(x=0.4, v=-0.8, t=0.21, u=-2.0, gain=1.9, damping=6.0, states=(0.3,))
+    found = evaluated(structure, m, tuple(value for values in parts.values() for value in values))
+    outside = 1.5 * np.sin(0.4 + 0.2) + 0.7 * np.sin(2 * np.pi * 3.0 * 0.21 + 0.1)
+    assert found["level"] == pytest.approx(0.3 * abs(1.9 * -1.5 + outside))
+
+
+def test_effects_that_no_data_can_tell_apart_know_of_each_other():
+    assert CATALOGUE["asymmetric_friction"].unites == ("coulomb_friction", "constant_force")
+    assert (CATALOGUE["actuator_lag"].twin, CATALOGUE["sensor_lag"].twin) == ("sensor_lag", "actuator_lag")
+    assert CATALOGUE["flexible_coupling"].same_structure == ("second_order_actuator",)
+    assert CATALOGUE["load_friction"].generalises == ()
+    assert set(CATALOGUE["friction_map"].generalises) == {
+        "coulomb_friction",
+        "asymmetric_friction",
+        "position_friction",
+    }
+
+
+@every_effect
+def test_what_a_fit_holds_are_parameters(cls):
+    assert set(cls.fixed) <= set(names_of(cls))
+
+
+@pytest.mark.parametrize(("high", "whole"), [(0.399, True), (0.40003, True), (0.41, False)])
+def test_end_stop_is_known_where_the_axis_reaches_it(high, whole):
+    assert CATALOGUE["end_stop"](low=-1.0, high=high).is_whole(TYPICAL) == whole
 
 
 @given(

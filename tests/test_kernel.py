@@ -231,19 +231,21 @@ def middle(cls: type[Effect], **fixed: float) -> Effect:
         "frequency": 20.0, "damping_ratio": 0.05, "load_ratio": 0.4, "load_share": 0.4, "gap": 1e-3, "pitch": 0.02,
         "time_constant": 4e-3, "time": 2.5e-3, "limit": 5.0, "width": 0.1, "acceleration": 5.0, "rate": 0.01,
         "speed_per_volt": 0.05, "proportional": 60.0, "integral": 300.0, "stiffness": 20.0, "level": 0.2,
-        "stribeck_speed": 0.05, "amplitude": 0.2, "phase": 0.3, "centre": 0.03,
+        "stribeck_speed": 0.05, "amplitude": 0.2, "phase": 0.3, "centre": 0.03, "low": -0.02, "high": 0.08,
     }  # fmt: skip
     values = {spec.name: float(np.clip(usual.get(spec.name, 0.1), spec.low, spec.high)) for spec in cls.parameters()}
     return cls(**{**values, **fixed})
 
 
+WIDE = {"low": -0.3, "high": 0.7}
+"""A map whose knots are not crossed: at each the step is split, which by itself changes the last digits."""
 VANISHING = [name for name, cls in CATALOGUE.items() if cls.absent_at]
 
 
 @pytest.mark.parametrize("name", VANISHING)
 def test_an_effect_of_size_zero_changes_nothing_but_rounding(name: str) -> None:
     cls, time = CATALOGUE[name], grid(0.4)
-    absent = middle(cls, **cls.absent_at)
+    absent = middle(cls, **(WIDE if name == "friction_map" else {}) | cls.absent_at)
     assert absent.absent
     reference = np.full(time.size, 0.1)
     plain = simulate_loop(plant_with(), LOOP, time, reference, substeps=2).position

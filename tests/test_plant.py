@@ -84,6 +84,12 @@ def test_quantity_has_a_95_percent_interval_or_a_reason() -> None:
     assert unknown == {"value": 2.0, "stderr": None, "interval": None, "unit": "1/s", "reason": "at its bound"}
 
 
+def test_reason_stands_only_where_no_standard_error_does() -> None:
+    covariance = np.diag([1e-6, np.nan, np.nan, 1e-2])
+    model = Model(plant=NLM1, covariance=covariance, reasons={"damping": "at its bound", "gain": "held"})
+    assert [q.reason for q in model.quantities.values()] == [None, "at its bound", "given, not estimated", None]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -38,7 +38,7 @@ FILL = "; fill or leave out such rows"
 LAW = "; give it in V/m or V/rad, or A, N, N m, % in place of V"
 MAP = " (map names of your own, e.g. --column {}=NAME)"
 PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
-SIGNALS = "time, position, reference, voltage, velocity, feedforward"
+SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS
 
 

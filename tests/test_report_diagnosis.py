@@ -108,7 +108,7 @@ def test_page_of_a_healthy_axis_shows_no_cause(healthy, tmp_path):
     text = page_of(healthy, tmp_path)
     assert text.count("<figure") == 1
     assert "than chance would have it" in text
-    assert "none of the 24 effects of the catalogue was added" in text
+    assert f"none of the {len(CATALOGUE)} effects of the catalogue was added" in text
     assert "with the causes" not in text.lower()
     assert "Before" not in text
     assert text.count('<th scope="col">Error</th>') == 1

@@ -222,6 +222,18 @@ def test_a_known_voltage_limit_of_the_record_saturates_the_plant() -> None:
     np.testing.assert_array_equal(simulate(LINEAR, record).position, limited.position)
 
 
+@pytest.mark.parametrize("driven", [False, True], ids=["closed loop", "driven"])
+@pytest.mark.parametrize(("own", "stated"), [(3.0, 2.0), (2.0, 3.0), (2.0, 2.0), (2.0, None)])
+def test_the_smaller_of_two_limits_counts(own: float, stated: float | None, driven: bool) -> None:
+    time, loop = grid(0.4), Controller(kp=60.0)
+    given = {"time": time, "position": 0 * time, "reference": 0 * time + 0.1, "controller": loop}
+    record = Record(**given, voltage=4.0 - 10.0 * time, voltage_limit=stated)
+    plant = LINEAR.with_effect(Saturation(limit=own)).with_effect(CoulombFriction(level=0.2))
+    limited = LINEAR.with_effect(Saturation(limit=2.0)).with_effect(CoulombFriction(level=0.2))
+    expected = simulate(limited, record.with_({"voltage_limit": None}), voltage_driven=driven).position
+    np.testing.assert_allclose(simulate(plant, record, voltage_driven=driven).position, expected, rtol=0, atol=1e-15)
+
+
 def test_unstable_loop_is_a_numerical_error_that_names_the_plant() -> None:
     time = grid(60.0, 0.05)
     with pytest.raises(NumericalError, match="leaves all bounds"):

@@ -96,13 +96,12 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
     )
     axis = Axis(position=position, velocity=velocity, speed=direction * velocity, direction=direction, time=time)
     own = _Symbols(structure, axis)
-    motor = _motor(own, own.symbols[0], own.symbols[1], command, velocity)
-    for cls in own.of(Force):
-        motor -= own.value(cls)
-        own.remember(cls)
-    level = ca.SX(0)
-    for cls in own.of(DryFriction):
-        level += own.value(cls)
+    motor, load = _motor(own, own.symbols[0], own.symbols[1], command, velocity)
+    forces, external = _forces(own)
+    motor -= forces
+    own.axis = axis._replace(load=load + external)
+    level = sum((own.value(cls) for cls in own.of(DryFriction)), start=ca.SX(0))
+    own.axis = axis
     output, output_velocity, share = position, velocity, ca.SX(0)
     for cls in own.of(Transmission):
         share = cls.share(own.parameters[cls])  # type: ignore[attr-defined]  # by its kind
@@ -139,8 +138,8 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
     )
 
 
-def _motor(own: _Symbols, gain: Any, damping: Any, command: Any, velocity: Any) -> Any:
-    """Return the acceleration by the motor, back-EMF included: β·a(V) − c·v, or what takes its place."""
+def _motor(own: _Symbols, gain: Any, damping: Any, command: Any, velocity: Any) -> tuple[Any, Any]:
+    """Return the acceleration by the motor, β·a(V) − c·v or what takes its place, and the same without damping."""
     effective = command
     for cls in sorted(own.of(Actuator), key=lambda part: part.stage):  # type: ignore[attr-defined]  # by its kind
         own.remember(cls, effective)
@@ -149,10 +148,23 @@ def _motor(own: _Symbols, gain: Any, damping: Any, command: Any, velocity: Any) 
     for cls in own.of(Drive):
         own.remember(cls, effective)
         force = own.value(cls, effective)
-    force -= damping * velocity
-    for cls in own.of(MotorForce):
-        force = own.value(cls, force)
-    return force
+    limits = own.of(MotorForce)
+    motor = force - damping * velocity
+    for cls in limits:
+        motor = own.value(cls, motor)
+    return motor, motor + damping * velocity if limits else force
+
+
+def _forces(own: _Symbols) -> tuple[Any, Any]:
+    """Return the sum of the forces that are subtracted, and that of those which position and time alone decide."""
+    inner = ca.vertcat(own.axis.velocity, own.axis.direction, own.states)
+    total, external = ca.SX(0), ca.SX(0)
+    for cls in own.of(Force):
+        force = ca.SX(own.value(cls))
+        own.remember(cls)
+        total += force
+        external += 0 if ca.depends_on(force, inner) else force
+    return total, external
 
 
 def _at_rest(own: _Symbols, rates: Any) -> Any:

@@ -23,6 +23,8 @@ __all__ = ["Model", "Quantity", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
+OPTIONAL = ("inertia", "free_damping")
+"""Numbers of a plant that stand in its file where they are known."""
 
 
 @final
@@ -94,14 +96,15 @@ class Model:
     def quantities(self) -> dict[str, Quantity]:
         """Every parameter by qualified name."""
         variances = np.full(len(self.plant.values), np.nan) if self.covariance is None else np.diag(self.covariance)
+        known = np.isfinite(variances) & (variances >= 0)
         return {
             name: Quantity(
                 value=value,
                 unit=self.plant.unit(name),
-                stderr=float(np.sqrt(variance)) if np.isfinite(variance) and variance >= 0 else None,
-                reason=self.reasons.get(name, "given, not estimated"),
+                stderr=float(np.sqrt(variances[i])) if known[i] else None,
+                reason=None if known[i] else self.reasons.get(name, "given, not estimated"),
             )
-            for name, value, variance in zip(self.plant.parameters, self.plant.values, variances, strict=True)
+            for i, (name, value) in enumerate(zip(self.plant.parameters, self.plant.values, strict=True))
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -122,6 +125,7 @@ class Model:
             "effects": effects,
             "length_unit": self.plant.length_unit,
             "command_unit": self.plant.command_unit,
+            **{name: value for name in OPTIONAL if (value := getattr(self.plant, name)) is not None},
             "covariance": _finite_lists(self.covariance),
             "identified_from": list(self.identified_from),
         }
@@ -149,6 +153,7 @@ class Model:
                 effects=found,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
                 command_unit=str(data.get("command_unit", "V")),
+                **{name: _value({"value": data[name]}) for name in OPTIONAL if data.get(name) is not None},
             )
             _check_units(data, plant)
             covariance = _covariance(data, plant)

@@ -7,13 +7,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import inf
 from typing import TYPE_CHECKING, Any, final
 
-from servolens.effects import Drive, Effect, Parameter, TimeShift, Transmission, effect_class
+from servolens.effects import (
+    Actuator,
+    Drive,
+    Effect,
+    Parameter,
+    Sensor,
+    TimeShift,
+    Transmission,
+    check_effect,
+    effect_class,
+)
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from servolens.record import Record
 
 __all__ = ["BASE_PARAMETERS", "Plant"]
 
@@ -30,6 +43,10 @@ BASE_PARAMETERS = (
         name="damping", symbol="c", unit="1/s", low=-1e9, high=1e12, meaning="viscous damping, back-EMF included"
     ),
 )
+
+ENDLESS = 1e12
+"""A limit of this size is none."""
+FREE_DAMPING = replace(BASE_PARAMETERS[1], name="free_damping", meaning="viscous damping while the motor is off")
 
 
 @final
@@ -49,6 +66,10 @@ class Plant:
         Unit of position.
     command_unit : str
         Unit of the command.
+    inertia : float, optional
+        Moving inertia [kg m²] or mass [kg] that the numbers are for, where records differ in it; see `for_record`.
+    free_damping : float, optional
+        Viscous damping [1/s] while the motor is off, which then has no back-EMF; None is the same damping.
 
     Raises
     ------
@@ -61,6 +82,8 @@ class Plant:
     effects: tuple[Effect, ...] = ()
     length_unit: str = "m"
     command_unit: str = "V"
+    inertia: float | None = None
+    free_damping: float | None = None
 
     def __post_init__(self) -> None:
         for spec in BASE_PARAMETERS:
@@ -74,6 +97,10 @@ class Plant:
                 object.__setattr__(self, "gain", effect.gain)
         if self.gain == 0:
             raise InputError("plant: gain must not be 0, the command would move nothing")
+        if self.inertia is not None and not 0 < self.inertia < inf:
+            raise InputError(f"plant: inertia must be positive, got {self.inertia!r}")
+        if self.free_damping is not None:
+            object.__setattr__(self, "free_damping", FREE_DAMPING.check(self.free_damping, "plant"))
 
     @property
     def structure(self) -> tuple[type[Effect], ...]:
@@ -119,6 +146,37 @@ class Plant:
             rest = rest[count:]
         return replace(self, gain=gain, damping=damping, effects=tuple(effects))
 
+    def scaled(self, ratio: float) -> Plant:
+        """Return the plant with 1/`ratio` times the moving mass, of the same shares of motor and load.
+
+        Gain, damping, forces and levels of friction, which are per unit of moving mass, become `ratio` times as large.
+        A coupling keeps its spring and damper: its frequency and damping ratio go with the root of `ratio`. Actuators,
+        sensors, lengths, phases and times stay; so do the contacts of a backlash or an end stop, which are only stiff.
+
+        Parameters
+        ----------
+        ratio : float
+            Positive.
+
+        Raises
+        ------
+        InputError
+            If an effect does not say how its parameters go with the mass.
+        """
+        if not 0 < ratio < inf:
+            raise InputError(f"plant: a ratio of inertias must be positive, got {ratio!r}")
+        powers = zip(self.values, _powers(self.structure), strict=True)
+        values = [value if abs(value) >= ENDLESS else value * ratio**power for value, power in powers]
+        free = None if self.free_damping is None else self.free_damping * ratio
+        inertia = None if self.inertia is None else self.inertia / ratio
+        return replace(self.with_values(values), inertia=inertia, free_damping=free)
+
+    def for_record(self, record: Record) -> Plant:
+        """Return the plant with the moving inertia that `record` states, where both state one."""
+        if self.inertia is None or record.inertia is None or record.inertia == self.inertia:
+            return self
+        return replace(self.scaled(self.inertia / record.inertia), inertia=record.inertia)
+
     def with_effect(self, effect: Effect) -> Plant:
         """Return the plant with `effect` added, in place of one of the same name."""
         others = tuple(e for e in self.effects if e.name != effect.name)
@@ -159,8 +217,25 @@ def _named(structure: tuple[type[Effect], ...]) -> dict[str, Parameter]:
 
 
 @lru_cache(maxsize=1024)
+def _powers(structure: tuple[type[Effect], ...]) -> tuple[float, ...]:
+    """Return for each of the plant's values the power of 1/(moving mass) that it goes with."""
+    powers = [1.0, 1.0]
+    for effect in structure:
+        for spec in effect.parameters():
+            if spec.per_mass is None and not issubclass(effect, Actuator | TimeShift | Sensor):
+                raise InputError(
+                    f"{effect.name} does not say how {spec.name} goes with the moving mass, so records of different "
+                    "inertia cannot share it; declare the parameter with per_mass=1 (per unit of mass) or 0"
+                )
+            powers.append(spec.per_mass or 0.0)
+    return tuple(powers)
+
+
+@lru_cache(maxsize=1024)
 def _check_together(structure: tuple[type[Effect], ...]) -> None:
-    """Refuse effects that no axis can have together."""
+    """Refuse what is no effect, and effects that no axis can have together."""
+    for effect in structure:
+        check_effect(effect)
     names = [effect.name for effect in structure]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
-SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward")
+SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
 
 @final
@@ -111,6 +111,8 @@ class Record:
         What the controller asked for [`command_unit`], held until the next sample.
     velocity, feedforward : array_like, shape (n,), optional
         Logged velocity [m/s or rad/s]; voltage added to the controller's [`command_unit`].
+    enabled : array_like, shape (n,), optional
+        1 while the motor is on, 0 while it is off and the axis runs free, until the next sample.
     controller : Controller, optional
         Settings of the loop.
     encoder_resolution : float, optional
@@ -119,6 +121,8 @@ class Record:
         The amplifier's limit [`command_unit`], positive.
     voltage_before : float, optional
         What was applied before the first sample [`command_unit`]; None takes the first voltage for it.
+    inertia : float, optional
+        Moving inertia [kg m²] or mass [kg], positive, where records of one axis differ in it.
     name, source : str
         What people call the record; where it came from.
     length_unit : {"m", "rad"}
@@ -145,10 +149,12 @@ class Record:
     voltage: NDArray[np.float64] | None = None
     velocity: NDArray[np.float64] | None = None
     feedforward: NDArray[np.float64] | None = None
+    enabled: NDArray[np.float64] | None = None
     controller: Controller | None = None
     encoder_resolution: float | None = None
     voltage_limit: float | None = None
     voltage_before: float | None = None
+    inertia: float | None = None
     name: str = "record"
     source: str = ""
     length_unit: LengthUnit = "m"
@@ -178,13 +184,14 @@ class Record:
             self.voltage is not None or self.controller is not None,
             f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd",
         )
-        for quantity in ("encoder_resolution", "voltage_limit"):
+        for quantity in ("encoder_resolution", "voltage_limit", "inertia"):
             value = getattr(self, quantity)
             _require(
                 value is None or (np.isfinite(value) and value > 0),
                 f"{self.name}: {quantity} must be positive, got {value!r}",
             )
 
+        _check_enabled(self.enabled, self.name)
         before = self.voltage_before
         _require(before is None or np.isfinite(before), f"{self.name}: voltage_before must be finite, got {before!r}")
 
@@ -268,7 +275,7 @@ class Record:
     def resample(self, sample_time: float) -> Record:
         """Return the record on a uniform grid of `sample_time` [s].
 
-        Position and velocity are interpolated linearly; reference, voltage and feedforward are held.
+        Position and velocity are interpolated linearly; reference, voltage, feedforward and enabled are held.
         """
         _require(
             np.isfinite(sample_time) and 0 < sample_time <= self.duration,
@@ -341,6 +348,15 @@ def _check_time(time: NDArray[np.float64], steps: NDArray[np.float64], record: s
         raise InputError(
             f"{record}: time must increase; sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
         )
+
+
+def _check_enabled(enabled: NDArray[np.float64] | None, record: str) -> None:
+    if enabled is None:
+        return
+    odd = np.flatnonzero((enabled != 0) & (enabled != 1))
+    if odd.size:
+        k = int(odd[0])
+        raise InputError(f"{record}: enabled must be 0 (motor off) or 1 (on); sample {k} is {enabled[k]:g}")
 
 
 def _require(condition: object, message: str) -> None:

@@ -38,7 +38,7 @@ SPEC_FIELDS = (
     "sample_time",
     "derivative_filter",
 )
-SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward")
+SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
 
 @final

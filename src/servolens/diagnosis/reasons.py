@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.result import Cause
-from servolens.effects import CATALOGUE, Actuator
+from servolens.effects import catalogue, Actuator
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def _rivals(found: Search, chosen: Hypothesis, cause: str, twins: Sequence[str])
     effect = chosen.plant.effect(cause)
     if effect is not None and effect.unites:
         told.append(" + ".join(effect.unites))
-    told += [cls.name for cls in CATALOGUE.values() if cause in cls.unites and set(cls.unites) <= set(chosen.causes)]
+    told += [cls.name for cls in catalogue().values() if cause in cls.unites and set(cls.unites) <= set(chosen.causes)]
     return tuple(dict.fromkeys([*told, *twins]))
 
 
@@ -98,7 +98,7 @@ def _twins(chosen: Hypothesis, cause: str) -> list[str]:
     same = [name for name in getattr(effect, "same_structure", ()) if name not in chosen.causes]
     if not effect.twin or effect.twin in chosen.causes:
         return same
-    places = [cls.stage for name in (cause, effect.twin) if issubclass(cls := CATALOGUE[name], Actuator)]
+    places = [cls.stage for name in (cause, effect.twin) if issubclass(cls := catalogue()[name], Actuator)]
     between = [e for e in chosen.plant.effects if not (isinstance(e, Actuator) and e.stage < min(places, default=0))]
     return [effect.twin, *same] if all(e.linear for e in between) else same
 

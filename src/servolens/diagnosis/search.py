@@ -14,7 +14,7 @@ import numpy as np
 from servolens.diagnosis.score import ScoreTest
 from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import FEW, FULL, SOME
-from servolens.effects import CATALOGUE, Drive, effect_class
+from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ class _Explorer:
         trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
         test = ScoreTest(trials, hypothesis)
         self.tell(what, done)
-        names = [n for n in CATALOGUE if frozenset((*hypothesis.causes, n)) not in self._seen]
+        names = [n for n in catalogue() if frozenset((*hypothesis.causes, n)) not in self._seen]
         self._seen |= {frozenset((*hypothesis.causes, name)) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
@@ -256,7 +256,7 @@ def _specialised(plant: Plant) -> Iterator[Plant]:
 def _united(plant: Plant) -> Iterator[Plant]:
     """Yield `plant` with effects replaced by the one that they are together."""
     own = {effect.name: effect for effect in plant.effects}
-    for cls in CATALOGUE.values():
+    for cls in catalogue().values():
         if cls.unites and own.keys() >= set(cls.unites):
             one = cls.united(*(own[name] for name in cls.unites))
             if one is not None:

@@ -19,7 +19,7 @@ from servolens.diagnosis.reasons import causes_of, rival_plants
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT, Search, search
 from servolens.diagnosis.structure import MATERIAL, Remainder, unexplained_acceleration
-from servolens.effects import CATALOGUE
+from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
@@ -93,7 +93,7 @@ def diagnose(
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case(runs, others, dict(priors or {}), len(CATALOGUE)), effort, findings, progress)
+        return _diagnosed(Case(runs, others, dict(priors or {}), len(catalogue())), effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise
@@ -152,7 +152,7 @@ def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:
 
 
 def _check_priors(names: Iterable[str]) -> None:
-    known = {f"{effect.name}.{spec.name}" for effect in CATALOGUE.values() for spec in effect.parameters()}
+    known = {f"{effect.name}.{spec.name}" for effect in catalogue().values() for spec in effect.parameters()}
     for name in names:
         if name not in known | {"gain", "damping"}:
             raise InputError(

@@ -34,7 +34,7 @@ class AsymmetricDamping(Force):
     for_the_gain = "Choose kd for the direction with less damping, and check the settling time in the other."
 
     damping_difference: float = parameter(
-        "Δ", "1/s", "damping while the position grows less that while it falls", low=-1e12
+        "Δ", "1/s", "damping while the position grows less that while it falls", low=-1e12, per_mass=1
     )
 
     @staticmethod

@@ -39,8 +39,12 @@ class AsymmetricFriction(DryFriction):
         "Choose kp by the larger of the two levels: the error at rest is up to level / (gain kp) on that side."
     )
 
-    level_positive: float = parameter("F_+", "{x}/s^2", "friction while the position grows, per unit of moving mass")
-    level_negative: float = parameter("F_-", "{x}/s^2", "friction while the position falls, per unit of moving mass")
+    level_positive: float = parameter(
+        "F_+", "{x}/s^2", "friction while the position grows, per unit of moving mass", per_mass=1
+    )
+    level_negative: float = parameter(
+        "F_-", "{x}/s^2", "friction while the position falls, per unit of moving mass", per_mass=1
+    )
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -42,8 +42,8 @@ class Backlash(Transmission):
         "No gain makes the position better than the gap."
     )
 
-    gap: float = parameter("g", "{x}", "all of the lost motion")
-    load_share: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6)
+    gap: float = parameter("g", "{x}", "all of the lost motion", per_mass=0)
+    load_share: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6, per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

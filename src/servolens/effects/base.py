@@ -29,7 +29,9 @@ class Axis(NamedTuple):
 
     Position and velocity are those of the motor, which differ from the load's behind a transmission. ``speed`` is
     |velocity| and ``direction`` its sign; each consumer realises the sign in its own way (exact in the kernel, smoothed
-    with a stated width in optimisation). ``state`` holds the effect's own states by name.
+    with a stated width in optimisation). ``state`` holds the effect's own states by name. ``load`` is the force that
+    the motor transmits, per unit of moving mass: its own, without viscous damping, plus the sum of the subtracted
+    forces that depend on position and time only. Dry friction alone is given it.
     """
 
     position: SX
@@ -38,6 +40,7 @@ class Axis(NamedTuple):
     direction: SX
     time: SX
     state: Any = None
+    load: SX = None
 
 
 class State(NamedTuple):
@@ -72,6 +75,9 @@ class Parameter:
         Admissible range, both ends included.
     meaning : str
         What it says about the machine.
+    per_mass : float, optional
+        Power of 1/(moving mass) that it goes with: 1 for what is stated per unit of moving mass, 0 for what does not
+        depend on it. Actuators, time shifts and sensors, which know no mass, need not state it.
     """
 
     name: str
@@ -80,6 +86,7 @@ class Parameter:
     low: float
     high: float
     meaning: str
+    per_mass: float | None = None
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
@@ -94,9 +101,12 @@ class Parameter:
         return self.unit.format(x=length_unit, u=command)
 
 
-def parameter(symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: float = 1e12) -> Any:
+def parameter(
+    symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: float = 1e12, per_mass: float | None = None
+) -> Any:
     """Declare a field of an effect as its parameter; see :class:`Parameter`."""
-    return field(metadata={"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high})
+    told = {"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high, "per_mass": per_mass}
+    return field(metadata=told)
 
 
 @final
@@ -162,12 +172,18 @@ class Effect(ABC):
         Whether an axis of gain and damping stays linear and time-invariant with it.
     twin : str
         Name of an effect with which a linear axis gives the same records; may be empty.
+    same_structure : tuple of str
+        Names of effects, in or outside the catalogue, with which any axis gives the same records at suitable values.
     unites : tuple of str
         Names of effects that together are this one; see `united`.
+    fixed : tuple of str
+        Names of parameters that a fit holds at the values it starts from.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
         Whether it is a force whose law over the speed has a shape of its own: two of them are a curve that is fitted.
+    contact_rate : float
+        Rate [1/s] of a contact that it closes somewhere along the travel, with the moving mass.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """
@@ -182,9 +198,12 @@ class Effect(ABC):
     generalises: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
     twin: ClassVar[str] = ""
+    same_structure: ClassVar[tuple[str, ...]] = ()
     unites: ClassVar[tuple[str, ...]] = ()
+    fixed: ClassVar[tuple[str, ...]] = ()
     passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
+    contact_rate: ClassVar[float] = 0.0
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
     for_the_gain: ClassVar[str] = ""

@@ -44,9 +44,9 @@ class Cogging(Force):
         "or the axis settles in the nearest detent. More kd does not move it out."
     )
 
-    amplitude: float = parameter("A", "{x}/s^2", "largest pull, per unit of moving mass")
-    pitch: float = parameter("p", "{x}", "distance after which it repeats", low=1e-9)
-    phase: float = parameter(r"\phi", "rad", "where in the period position 0 lies", low=-1e3, high=1e3)
+    amplitude: float = parameter("A", "{x}/s^2", "largest pull, per unit of moving mass", per_mass=1)
+    pitch: float = parameter("p", "{x}", "distance after which it repeats", low=1e-9, per_mass=0)
+    phase: float = parameter(r"\phi", "rad", "where in the period position 0 lies", low=-1e3, high=1e3, per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

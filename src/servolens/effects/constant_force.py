@@ -33,7 +33,9 @@ class ConstantForce(Force):
     )
     for_the_gain = "The error at rest is acceleration / (gain kp): only kp or a feedforward changes it, kd does not."
 
-    acceleration: float = parameter("g", "{x}/s^2", "what it takes from the acceleration, of either sign", low=-1e12)
+    acceleration: float = parameter(
+        "g", "{x}/s^2", "what it takes from the acceleration, of either sign", low=-1e12, per_mass=1
+    )
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

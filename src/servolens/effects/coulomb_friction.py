@@ -39,7 +39,7 @@ class CoulombFriction(DryFriction):
         "The error left at rest is kp's affair, kd does not change it."
     )
 
-    level: float = parameter("F", "{x}/s^2", "friction per unit of moving mass")
+    level: float = parameter("F", "{x}/s^2", "friction per unit of moving mass", per_mass=1)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -28,6 +28,7 @@ class FlexibleCoupling(Transmission):
     latex = r"k(x-y)+d(\dot x-\dot y)"
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
     linear = True
+    same_structure = ("second_order_actuator",)
     looks_like = (
         "The load swings on after the motor has stopped, at one frequency that the gains hardly move; "
         "with higher gains it grows into a hum."
@@ -41,9 +42,9 @@ class FlexibleCoupling(Transmission):
         "With the load measured, more kd excites the resonance rather than damping it: there is a largest kd."
     )
 
-    frequency: float = parameter("f", "Hz", "free-free resonance", low=0.1, high=1e5)
-    damping_ratio: float = parameter(r"\zeta", "1", "damping of the resonance", high=10.0)
-    load_ratio: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6)
+    frequency: float = parameter("f", "Hz", "free-free resonance", low=0.1, high=1e5, per_mass=0.5)
+    damping_ratio: float = parameter(r"\zeta", "1", "damping of the resonance", high=10.0, per_mass=0.5)
+    load_ratio: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6, per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -39,7 +39,9 @@ class ForceLimit(MotorForce):
         "Choose kd by the largest step that must not overshoot."
     )
 
-    acceleration: float = parameter(r"a_\mathrm{max}", "{x}/s^2", "largest acceleration that the motor gives")
+    acceleration: float = parameter(
+        r"a_\mathrm{max}", "{x}/s^2", "largest acceleration that the motor gives", per_mass=1
+    )
 
     @staticmethod
     def physics(push: Any, axis: Axis, p: Any) -> Any:

@@ -36,7 +36,7 @@ class HardeningSpring(Force):
     )
 
     cubic_stiffness: float = parameter(
-        "k_3", "1/s^2/{x}^2", "force over the cube of the position, per unit of moving mass"
+        "k_3", "1/s^2/{x}^2", "force over the cube of the position, per unit of moving mass", per_mass=1
     )
 
     @staticmethod

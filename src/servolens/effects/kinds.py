@@ -50,7 +50,10 @@ class DryFriction(Effect):
     @staticmethod
     @abstractmethod
     def physics(axis: Axis, p: Any) -> SX:
-        """Return the level, not negative [x/s²]; at rest `axis.direction` is that of the push."""
+        """Return the level, not negative [x/s²]; at rest `axis.direction` is that of the push.
+
+        `axis.load` is the force that the motor transmits.
+        """
 
 
 class Actuator(Effect):

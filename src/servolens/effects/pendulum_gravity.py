@@ -40,8 +40,12 @@ class PendulumGravity(Force):
         "near hanging it helps. Choose kp and kd for the upright side."
     )
 
-    amplitude: float = parameter("A", "{x}/s^2", "the weight's pull with the arm level, per unit of moving inertia")
-    phase: float = parameter(r"\phi", "rad", "angle from the arm hanging down to position 0", low=-1e3, high=1e3)
+    amplitude: float = parameter(
+        "A", "{x}/s^2", "the weight's pull with the arm level, per unit of moving inertia", per_mass=1
+    )
+    phase: float = parameter(
+        r"\phi", "rad", "angle from the arm hanging down to position 0", low=-1e3, high=1e3, per_mass=0
+    )
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

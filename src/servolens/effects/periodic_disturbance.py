@@ -42,9 +42,9 @@ class PeriodicDisturbance(Force):
         "Keep the closed loop's own frequency away from it."
     )
 
-    amplitude: float = parameter("A", "{x}/s^2", "largest push, per unit of moving mass")
-    frequency: float = parameter("f", "Hz", "swings a second", low=1e-6)
-    phase: float = parameter(r"\phi", "rad", "phase at time 0 of the record", low=-1e3, high=1e3)
+    amplitude: float = parameter("A", "{x}/s^2", "largest push, per unit of moving mass", per_mass=1)
+    frequency: float = parameter("f", "Hz", "swings a second", low=1e-6, per_mass=0)
+    phase: float = parameter(r"\phi", "rad", "phase at time 0 of the record", low=-1e3, high=1e3, per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -38,9 +38,11 @@ class PositionFriction(DryFriction):
         "repair it rather than raise kp for the whole travel."
     )
 
-    level: float = parameter("L", "{x}/s^2", "friction at the centre of the spot, per unit of moving mass")
-    centre: float = parameter("y_0", "{x}", "where the spot is", low=-1e12)
-    width: float = parameter("w", "{x}", "distance from the centre at which 37 % of the friction is left", low=1e-9)
+    level: float = parameter("L", "{x}/s^2", "friction at the centre of the spot, per unit of moving mass", per_mass=1)
+    centre: float = parameter("y_0", "{x}", "where the spot is", low=-1e12, per_mass=0)
+    width: float = parameter(
+        "w", "{x}", "distance from the centre at which 37 % of the friction is left", low=1e-9, per_mass=0
+    )
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -41,8 +41,10 @@ class Presliding(Force):
         "check kd on the smallest step, where the axis never slips."
     )
 
-    stiffness: float = parameter(r"\sigma", "1/s^2", "stiffness of the contacts per unit of moving mass", high=1e9)
-    level: float = parameter("F", "{x}/s^2", "friction once it slips, per unit of moving mass")
+    stiffness: float = parameter(
+        r"\sigma", "1/s^2", "stiffness of the contacts per unit of moving mass", high=1e9, per_mass=1
+    )
+    level: float = parameter("F", "{x}/s^2", "friction once it slips, per unit of moving mass", per_mass=1)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

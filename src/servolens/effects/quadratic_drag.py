@@ -35,7 +35,7 @@ class QuadraticDrag(Force):
         "where there is none to help."
     )
 
-    drag: float = parameter("d", "1/{x}", "resistance over speed squared, per unit of moving mass")
+    drag: float = parameter("d", "1/{x}", "resistance over speed squared, per unit of moving mass", per_mass=1)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

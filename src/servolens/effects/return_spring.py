@@ -39,7 +39,7 @@ class ReturnSpring(Force):
         "The spring raises the closed loop's frequency, so a given kd damps slightly less."
     )
 
-    stiffness: float = parameter("k", "1/s^2", "stiffness per unit of moving mass")
+    stiffness: float = parameter("k", "1/s^2", "stiffness per unit of moving mass", per_mass=1)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -41,9 +41,11 @@ class SpeedServo(Drive):
         "keep that rate several times below proportional, the drive's own."
     )
 
-    speed_per_volt: float = parameter("s", "{x}/s/{u}", "speed that the drive holds per unit of command", low=-1e12)
-    proportional: float = parameter("p", "1/s", "acceleration per speed error", low=1e-3, high=1e6)
-    integral: float = parameter("i", "1/s^2", "acceleration per summed speed error")
+    speed_per_volt: float = parameter(
+        "s", "{x}/s/{u}", "speed that the drive holds per unit of command", low=-1e12, per_mass=0
+    )
+    proportional: float = parameter("p", "1/s", "acceleration per speed error", low=1e-3, high=1e6, per_mass=1)
+    integral: float = parameter("i", "1/s^2", "acceleration per summed speed error", per_mass=1)
 
     def __post_init__(self) -> None:
         Drive.__post_init__(self)

@@ -42,14 +42,15 @@ class StribeckFriction(DryFriction):
         "and kp must overcome the breakaway level within the error allowed."
     )
 
-    level: float = parameter("F", "{x}/s^2", "friction in fast motion, per unit of moving mass")
+    level: float = parameter("F", "{x}/s^2", "friction in fast motion, per unit of moving mass", per_mass=1)
     static_excess: float = parameter(
         "S",
         "{x}/s^2",
         "what friction at rest has more, negative if less; level + static_excess is at least 0",
         low=-1e12,
+        per_mass=1,
     )
-    stribeck_speed: float = parameter("v_s", "{x}/s", "speed over which the excess fades", low=1e-6)
+    stribeck_speed: float = parameter("v_s", "{x}/s", "speed over which the excess fades", low=1e-6, per_mass=0)
 
     def __post_init__(self) -> None:
         DryFriction.__post_init__(self)

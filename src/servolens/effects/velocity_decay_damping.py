@@ -40,8 +40,8 @@ class VelocityDecayDamping(Force):
         "choose kd on this model."
     )
 
-    alpha1: float = parameter(r"\alpha_1", "1/s", "extra damping at standstill")
-    alpha2: float = parameter(r"\alpha_2", "s/{x}", "how fast it fades with speed")
+    alpha1: float = parameter(r"\alpha_1", "1/s", "extra damping at standstill", per_mass=1)
+    alpha2: float = parameter(r"\alpha_2", "s/{x}", "how fast it fades with speed", per_mass=0)
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:

@@ -11,6 +11,7 @@ from servolens.identification.noise import NoiseModel, Whitener, observer_gains
 from servolens.identification.runs import rest
 from servolens.identification.segments import applied_before, applied_voltage
 from servolens.quality.beginning import initial_motion
+from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_observed, without_gaps
 
 if TYPE_CHECKING:
@@ -126,9 +127,10 @@ class ObservedRun:
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return predicted minus measured position [m or rad], shape (n,)."""
-        signals = self.signals
+        signals, record = self.signals, self.signals.record
+        is_usual = record.inertia is None and record.enabled is None
         run = simulate_observed(
-            plant,
+            plant if is_usual else plant_in(plant, record),
             signals.time,
             signals.voltage,
             signals.position,

@@ -96,6 +96,8 @@ def _elementwise(program: Any, signals: int) -> Any:
 def regressor(effect: type[Effect]) -> Regressor:
     """Return the regressor of an `effect`: of a force or of dry friction; without columns of any other.
 
+    Friction that depends on the command has none either: its force hangs on the gain too, which is not known yet.
+
     Which parameters are sizes is found from the expression itself: those in which it is jointly linear.
     """
     d = dynamics((effect,))
@@ -103,7 +105,7 @@ def regressor(effect: type[Effect]) -> Regressor:
     base = ca.substitute(command_free, d.parameters[:2], ca.SX.zeros(2))
     force = -base
     names = [spec.name for spec in effect.parameters()]
-    if not issubclass(effect, Force | DryFriction) or effect.states:
+    if not issubclass(effect, Force | DryFriction) or effect.states or ca.depends_on(d.level, d.command):
         return Regressor(sizes=(), shapes=tuple(names), _columns=None)
     symbols = [d.parameters[2 + i] for i in range(len(names))]
     sizes: list[int] = []
@@ -111,6 +113,8 @@ def regressor(effect: type[Effect]) -> Regressor:
         together = ca.vertcat(*(symbols[k] for k in [*sizes, i]))
         if bool(ca.is_linear(force, together)):
             sizes.append(i)
+    if not sizes:
+        return Regressor(sizes=(), shapes=tuple(names), _columns=None)
     shapes = [i for i in range(len(names)) if i not in sizes]
     columns = ca.vertcat(*(ca.gradient(force, symbols[i]) for i in sizes))
     placeholders = [ca.SX.sym(names[i]) for i in shapes]

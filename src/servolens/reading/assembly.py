@@ -39,6 +39,8 @@ KINDS = {
     "voltage_before": "{command}",
     "control_period": "s",
     "counts_per_unit": "1/{length}",
+    "inertia": "kg m^2",
+    "mass": "kg",
 }
 """What each quantity is measured in; those that settle the units of the record stand first."""
 LENGTHS = ("m", "rad")
@@ -93,6 +95,7 @@ def assemble(
         "encoder_resolution": numbers.get("encoder_resolution", per_count),
         "voltage_limit": numbers.get("voltage_limit"),
         "voltage_before": numbers.get("voltage_before"),
+        "inertia": numbers.get("inertia", numbers.get("mass")),
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
     }
     return _record(values, made, (length, command), title, source)

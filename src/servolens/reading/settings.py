@@ -19,6 +19,7 @@ __all__ = ["KEYS", "Amount", "Settings", "comment_settings", "parse_settings"]
 
 DIMENSIONED = (
     "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
+    "inertia", "mass",
 )  # fmt: skip
 PURE = ("derivative_filter", "derivative_window")
 WORDS = {
@@ -28,7 +29,7 @@ WORDS = {
 }
 KEYS = ("name", *DIMENSIONED, *PURE, *WORDS)
 """Keys that are understood."""
-_POSITIVE = ("encoder_resolution", "voltage_limit", "control_period", "counts_per_unit")
+_POSITIVE = ("encoder_resolution", "voltage_limit", "control_period", "counts_per_unit", "inertia", "mass")
 _COMMENT = re.compile(r"#+\s*([A-Za-z_]\w*)\s*=\s*(.*?)\s*")
 
 
@@ -107,6 +108,8 @@ def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] |
         if key in merged:
             amounts[key] = _amount(key, merged[key], remarks)
     _check_integral(amounts.pop("ki", None))
+    if "inertia" in amounts and "mass" in amounts:
+        raise InputError("inertia and mass are given both; keep the one that the axis moves")
     return Settings(
         name=_name(merged.get("name", "")),
         amounts=amounts,

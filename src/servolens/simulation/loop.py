@@ -10,8 +10,9 @@ import numpy as np
 
 from servolens.control_law import samples_a_period
 from servolens.dynamics import ideal_pd
-from servolens.effects import Saturation, Sensor, Transmission
+from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError, NumericalError
+from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def simulate(
     plant : Plant
         In the record's units.
     record : Record
-        Gives time, reference, feedforward, controller, encoder and voltage limit.
+        Gives time, reference, feedforward, controller, encoder, voltage limit, inertia, and when the motor is on.
     initial_velocity : float
         [m/s or rad/s].
     voltage_driven : bool, optional
@@ -97,8 +98,7 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
-    if record.voltage_limit is not None and plant.effect(Saturation.name) is None:
-        plant = plant.with_effect(Saturation(limit=record.voltage_limit))
+    plant = plant_in(plant, record)
     start = (float(record.position[0]), initial_velocity)
     if driven:
         before = record.voltage_before

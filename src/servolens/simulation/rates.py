@@ -41,6 +41,7 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
     from servolens.simulation.native import native
 
     code = native(structure)
+    contact = max((cls.contact_rate for cls in structure), default=0.0)
     smooth, relaxing = code.sizes
     n = 2 + smooth + relaxing
     exact = np.array([2 + i for i, place in enumerate(code.order) if place >= smooth], dtype=np.intp)
@@ -53,7 +54,8 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
     @lru_cache(maxsize=1024)
     def rate(values: tuple[float, ...]) -> float:
         p = np.array(values)
-        return max(_rate(jacobian(_probe(n + relaxing, *probe), p), exact) for probe in PROBES)
+        slopes = (jacobian(_probe(n + relaxing, *probe), p) for probe in PROBES)
+        return max(contact, *(_rate(found, exact, quick=contact == 0.0) for found in slopes))
 
     return rate
 
@@ -63,11 +65,14 @@ def _probe(size: int, position: float, velocity: float, state: float) -> NDArray
     return np.array([position, velocity, 0.0, 0.0, 1.0, 1.0, *([state] * (size - 2))])
 
 
-def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp]) -> float:
-    """Return the fastest rate of the Jacobian `slopes`; how fast relaxing states forget is no matter."""
+def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> float:
+    """Return the fastest rate of the Jacobian `slopes`; how fast relaxing states forget is no matter.
+
+    With `quick` a bound of it does, which is three times too large for a critically damped contact.
+    """
     if not np.isfinite(slopes).all():
         return 0.0
-    if slopes.shape[0] == 2:
+    if quick and slopes.shape[0] == 2:
         return float(abs(slopes[1, 1]) + np.sqrt(abs(slopes[1, 0])))
     slopes[exact, exact] = 0.0
     return float(np.abs(np.linalg.eigvals(slopes)).max())

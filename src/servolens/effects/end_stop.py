@@ -1,0 +1,92 @@
+"""End stop: a hard limit of travel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, nextafter
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from servolens.effects._grids import within
+from servolens.effects.backlash import CONTACT_RATE
+from servolens.effects.base import parameter
+from servolens.effects.kinds import Force
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.effects.base import Axis, Seen
+
+__all__ = ["EndStop"]
+
+NOISES = 4.0
+"""How many standard deviations of the noise the largest of a few thousand samples may be off."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndStop(Force):
+    """The axis runs into a hard limit of its travel.
+
+    The contact is critically damped and can only push. Its stiffness gives ``CONTACT_RATE`` [rad/s] with the moving
+    mass, as the contacts of a backlash do: a push of 10 m/s² enters it by 2.5 µm.
+    """
+
+    name = "end_stop"
+    sentence = "The axis runs into a hard limit of its travel."
+    latex = r"\max(0,\ k\delta + d\dot\delta)\ \mathrm{inwards},\ \delta = \mathrm{depth\ in\ the\ stop}"
+    absent_at: ClassVar[dict[str, float]] = {"low": -1e12, "high": 1e12}
+    contact_rate = CONTACT_RATE
+    looks_like = (
+        "Moves end abruptly always at the same position, whatever the reference asks; "
+        "there the command stays large and the axis stands still."
+    )
+    remedy = (
+        "Keep references inside the travel, or move the stop or the zero of the encoder. "
+        "Do not identify from records that hit the stop if others are at hand."
+    )
+    for_the_gain = (
+        "No gain helps beyond the stop. Leave room for overshoot: with less kd the axis may hit the stop "
+        "though the target lies before it."
+    )
+
+    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of the lower stop", low=-1e12, per_mass=0)
+    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of the upper stop", low=-1e12, per_mass=0)
+
+    def __post_init__(self) -> None:
+        Force.__post_init__(self)
+        if not self.low < self.high:
+            raise InputError(f"{self.name}: low must be less than high, got low {self.low:g} and high {self.high:g}")
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Force.physics`."""
+        from casadi import fmax, if_else
+
+        stiffness, damper = CONTACT_RATE * CONTACT_RATE, 2 * CONTACT_RATE  # critically damped
+        above, below = axis.position - p.high, p.low - axis.position
+        back = if_else(above > 0, fmax(0, stiffness * above + damper * axis.velocity), 0)
+        forth = if_else(below > 0, fmax(0, stiffness * below - damper * axis.velocity), 0)
+        return back - forth
+
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[EndStop]:
+        """See :meth:`servolens.effects.base.Effect.starts`: where the positions end, at one side or at both.
+
+        A little inside, for a stop that the axis does not reach changes nothing; the other one is far away.
+        """
+        low, high = seen.low, max(seen.low + seen.travel, nextafter(seen.low, inf))
+        for inside in (0.001, 0.02):
+            room = min(inside * seen.travel + NOISES * seen.noise, 0.25 * seen.travel)
+            for first, last in (
+                (low - seen.travel, high - room),
+                (low + room, high + seen.travel),
+                (low + room, high - room),
+            ):
+                if first < last:
+                    yield within(cls, low=first, high=last)
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""
+        noise = NOISES * seen.noise
+        return self.high <= seen.high + noise or self.low >= seen.low - noise

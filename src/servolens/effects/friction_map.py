@@ -1,0 +1,95 @@
+"""Friction map: dry friction differs along the travel and by direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, nextafter
+from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from servolens.effects._grids import within
+from servolens.effects.base import parameter
+from servolens.effects.kinds import DryFriction
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.effects.base import Axis, Seen
+
+__all__ = ["FrictionMap"]
+
+KNOTS = 5
+POSITIVE = tuple(f"positive_{i}" for i in range(KNOTS))
+NEGATIVE = tuple(f"negative_{i}" for i in range(KNOTS))
+
+
+def _level(sign: str, knot: int) -> Any:
+    way = "grows" if sign == "+" else "falls"
+    meaning = f"friction at knot {knot} while the position {way}, per unit of moving mass"
+    return parameter(f"F_{{{sign}{knot}}}", "{x}/s^2", meaning, per_mass=1)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrictionMap(DryFriction):
+    """Dry friction differs from place to place along the travel, and by direction.
+
+    Its level is linear between five knots that lie evenly from `low` to `high`, and constant outside.
+    """
+
+    name = "friction_map"
+    sentence = "Dry friction differs from place to place along the travel, and by direction."
+    latex = r"F_\pm(y)\,\operatorname{sgn} v"
+    absent_at: ClassVar[dict[str, float]] = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.0)
+    generalises = ("coulomb_friction", "asymmetric_friction", "position_friction")
+    fixed = ("low", "high")
+    looks_like = (
+        "How far from its target the axis stops depends on the place and on the direction of approach; "
+        "moves over the same stretch repeat well."
+    )
+    remedy = (
+        "Inspect where the level is high: alignment of the rails, preload, cables, seals. "
+        "Friction compensation that uses this map, by position and direction, removes most of the error."
+    )
+    for_the_gain = (
+        "Choose kp by the largest level that a target can meet: the error at rest there is up to level / (gain kp). "
+        "Check kd at both ends of the travel."
+    )
+
+    positive_0: float = _level("+", 0)
+    positive_1: float = _level("+", 1)
+    positive_2: float = _level("+", 2)
+    positive_3: float = _level("+", 3)
+    positive_4: float = _level("+", 4)
+    negative_0: float = _level("-", 0)
+    negative_1: float = _level("-", 1)
+    negative_2: float = _level("-", 2)
+    negative_3: float = _level("-", 3)
+    negative_4: float = _level("-", 4)
+    low: float = parameter(r"y_\mathrm{min}", "{x}", "position of knot 0", low=-1e12, per_mass=0)
+    high: float = parameter(r"y_\mathrm{max}", "{x}", "position of knot 4", low=-1e12, per_mass=0)
+
+    def __post_init__(self) -> None:
+        DryFriction.__post_init__(self)
+        if not self.low < self.high:
+            raise InputError(f"{self.name}: low must be less than high, got low {self.low:g} and high {self.high:g}")
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.DryFriction.physics`."""
+        from casadi import fmax, fmin, if_else
+
+        forward, backward = (1 + axis.direction) / 2, (1 - axis.direction) / 2
+        pairs = ((getattr(p, up), getattr(p, down)) for up, down in zip(POSITIVE, NEGATIVE, strict=True))
+        levels = [forward * up + backward * down for up, down in pairs]
+        place = fmin(fmax((axis.position - p.low) / (p.high - p.low), 0), 1) * (KNOTS - 1)
+        level = (KNOTS - 1 - place) * levels[-2] + (place - (KNOTS - 2)) * levels[-1]
+        for i in range(KNOTS - 3, -1, -1):  # weights that are never negative, so that no level is
+            level = if_else(place < i + 1, (i + 1 - place) * levels[i] + (place - i) * levels[i + 1], level)
+        return level
+
+    @classmethod
+    def starts(cls, seen: Seen) -> Iterator[FrictionMap]:
+        """See :meth:`servolens.effects.base.Effect.starts`."""
+        levels = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.1 * seen.push)
+        yield within(cls, **levels, low=seen.low, high=max(seen.low + seen.travel, nextafter(seen.low, inf)))

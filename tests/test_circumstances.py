@@ -1,0 +1,311 @@
+"""Records of one axis that differ in their moving inertia, or in which the motor is off for a while."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from servolens.campaign import read_records
+from servolens.dynamics import dynamics
+from servolens.effects import (
+    CATALOGUE,
+    Actuator,
+    ActuatorLag,
+    CoulombFriction,
+    EndStop,
+    FlexibleCoupling,
+    Force,
+    ForceLimit,
+    Presliding,
+    Sensor,
+    SpeedServo,
+    TimeShift,
+    parameter,
+)
+from servolens.errors import InputError
+from servolens.model import Model, read_model
+from servolens.plant import Plant
+from servolens.reading import read_record, record_from_dataframe
+from servolens.record import Controller, Record
+from servolens.simulation import plant_in, simulate, simulate_voltage
+
+GAIN, DAMPING = 1.9, 6.0
+TIME = 1e-3 * np.arange(801)
+PUSH = np.where(TIME < 0.3, 4.0, -2.0)
+
+
+def record(**changes: Any) -> Record:
+    given = {"time": TIME, "position": 0 * TIME, "voltage": PUSH, **changes}
+    return Record(**given)
+
+
+# --- files
+
+CSV = """# kp = 60
+# inertia = {inertia}
+time [s],reference,position,voltage,enabled
+0.000,0.1,0.0,6.0,1
+0.001,0.1,0.0,6.0,1
+0.002,0.1,0.0,6.0,0
+0.003,0.1,0.0,6.0,0
+0.004,0.1,0.0,6.0,1
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "inertia"), [("0.02", 0.02), ("0.02 kg m^2", 0.02), ("200 kg cm^2", 0.02), ("0.02 kg m²", 0.02)]
+)
+def test_inertia_and_enabled_are_read_from_a_file(tmp_path, text, inertia):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV.format(inertia=text), encoding="utf-8")
+    found = read_record(path)
+    assert found.inertia == pytest.approx(inertia)
+    assert found.enabled is not None
+    assert found.enabled.tolist() == [1.0, 1.0, 0.0, 0.0, 1.0]
+    assert found.remarks == ()
+
+
+def test_mass_and_mapped_columns_are_read_from_a_campaign(tmp_path):
+    lines = CSV.format(inertia=0.02).replace("enabled", "servo_on").splitlines()
+    (tmp_path / "run.csv").write_text("\n".join(lines[:1] + lines[2:]))
+    (tmp_path / "campaign.toml").write_text(
+        '[[records]]\nfile = "run.csv"\nmass = "1500 g"\ncolumns = {enabled = "servo_on"}\n'
+    )
+    (found,) = read_records(tmp_path / "campaign.toml")
+    assert found.inertia == pytest.approx(1.5)
+    assert found.enabled is not None
+    assert found.enabled.sum() == 3
+
+
+def test_data_frame_may_say_true_and_false():
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame(
+        {"time": [0, 1, 2], "position": [0, 0, 0], "voltage": [1, 1, 1], "enabled": [True, False, True]}
+    )
+    found = record_from_dataframe(frame, settings={"inertia": "0.02 kg m^2"})
+    assert found.enabled is not None
+    assert found.enabled.tolist() == [1.0, 0.0, 1.0]
+    assert found.inertia == 0.02
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("0.02", "-1", "inertia must be positive, got -1"),
+        ("0.02", "2 kg", "inertia is in 'kg', which is not a unit for it; give it in kg m\\^2"),
+        ("0.02", "0.02\n# mass = 3 kg", "inertia and mass are given both; keep the one that the axis moves"),
+        ("6.0,0\n", "6.0,2\n", r"enabled must be 0 \(motor off\) or 1 \(on\); sample 2 is 2"),
+    ],
+)
+def test_wrong_inertia_and_enabled_are_refused(tmp_path, old, new, sentence):
+    path = tmp_path / "run.csv"
+    path.write_text(CSV.format(inertia="0.02").replace(old, new))
+    with pytest.raises(InputError, match=f"run.csv: {sentence}"):
+        read_record(path)
+
+
+def test_enabled_is_held_between_samples_and_cut_with_the_record():
+    one = record(enabled=(TIME < 0.1).astype(float), inertia=0.3)
+    assert one.resample(0.03).enabled.tolist() == [1, 1, 1, 1] + [0] * 23
+    assert one.slice(0.05, 0.15).enabled.sum() == 50
+    assert one.slice(0.05, 0.15).inertia == 0.3
+
+
+# --- moving inertia
+
+
+def test_bare_axis_of_twice_the_inertia_has_half_of_gain_and_damping():
+    plant = Plant(gain=GAIN, damping=DAMPING, inertia=0.02, free_damping=3.0)
+    heavy = plant.for_record(record(inertia=0.04))
+    assert (heavy.gain, heavy.damping, heavy.free_damping, heavy.inertia) == (GAIN / 2, DAMPING / 2, 1.5, 0.04)
+    assert heavy.for_record(record(inertia=0.04)) is heavy
+    assert heavy.for_record(record(inertia=0.02)) == plant
+    assert plant.for_record(record()) is plant
+    assert Plant(gain=GAIN, damping=DAMPING).for_record(record(inertia=0.04)).gain == GAIN
+
+
+FORCE_OF = {
+    "asymmetric_damping": {"damping_difference": 3.0},
+    "coulomb_friction": {"level": 0.8},
+    "friction_map": {
+        **{f"{way}_{i}": 0.4 + 0.2 * i for way in ("positive", "negative") for i in range(5)},
+        "low": 0.01,
+        "high": 0.09,
+    },
+    "hardening_spring": {"cubic_stiffness": 500.0},
+    "load_friction": {"share": 0.2},
+    "pendulum_gravity": {"amplitude": 2.0, "phase": 0.4},
+    "presliding": {"stiffness": 2000.0, "level": 0.8},
+    "quadratic_drag": {"drag": 8.0},
+    "speed_servo": {"speed_per_volt": 0.1, "proportional": 40.0, "integral": 200.0},
+    "stribeck_friction": {"level": 0.5, "static_excess": 0.4, "stribeck_speed": 0.02},
+    "velocity_decay_damping": {"alpha1": 17.3, "alpha2": 13.1},
+    "flexible_coupling": {"frequency": 12.0, "damping_ratio": 0.05, "load_ratio": 0.4},
+    "force_limit": {"acceleration": 4.0},
+}
+
+
+@pytest.mark.parametrize("name", FORCE_OF)
+def test_every_acceleration_is_divided_by_the_inertia(name):
+    """At the same instant the same forces act, so push and level of friction are three times smaller."""
+    plant = Plant(gain=GAIN, damping=DAMPING).with_effect(CATALOGUE[name](**FORCE_OF[name]))
+    heavy = plant.scaled(1 / 3.0)
+    d = dynamics(plant.structure)
+    function = ca.Function("at", d.inputs, [d.push, d.level])
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        position, velocity, command = rng.normal(scale=(0.05, 0.3, 4.0))
+        states, lighter = rng.normal(scale=0.1, size=d.states.numel()), [1.0] * d.states.numel()
+        if name == "presliding":
+            lighter = [1 / 3.0]  # its state is a force per mass
+        instant = (position, velocity, 0.1, command, np.sign(velocity))
+        light = [float(value) for value in function(*instant, plant.values, states)]
+        found = [float(value) for value in function(*instant, heavy.values, states * lighter)]
+        np.testing.assert_allclose(found, np.array(light) / 3.0, rtol=1e-12, atol=1e-15)
+
+
+def test_every_parameter_of_what_acts_on_the_mass_says_how_it_goes_with_it():
+    knows_no_mass = (Actuator, TimeShift, Sensor)
+    specs = [spec for cls in CATALOGUE.values() if not issubclass(cls, knows_no_mass) for spec in cls.parameters()]
+    assert all(spec.per_mass in (0, 0.5, 1) for spec in specs)
+    assert all(spec.per_mass == 1 for spec in specs if spec.unit == "{x}/s^2")
+
+
+def test_coupling_keeps_its_spring_and_damper():
+    coupling = FlexibleCoupling(frequency=12.0, damping_ratio=0.05, load_ratio=0.4)
+    (heavy,) = Plant(gain=GAIN, damping=DAMPING, effects=(coupling,)).scaled(0.25).effects
+    assert isinstance(heavy, FlexibleCoupling)
+    assert heavy.values == pytest.approx((6.0, 0.025, 0.4))
+
+
+def test_limits_that_are_none_stay_none_and_drives_keep_their_speed():
+    plant = Plant(gain=1.0, damping=0.0, effects=(ForceLimit(acceleration=1e12), EndStop(low=-0.1, high=1e12)))
+    assert plant.scaled(2.0).effects == plant.effects
+    servo = SpeedServo(speed_per_volt=0.1, proportional=40.0, integral=200.0)
+    assert Plant(gain=1.0, damping=0.0, effects=(servo,)).scaled(0.5).gain == pytest.approx(2.0)
+
+
+def test_simulation_takes_the_inertia_of_the_record():
+    parts = (CoulombFriction(level=0.8), Presliding(stiffness=900.0, level=0.4), ActuatorLag(time_constant=0.01))
+    plant = Plant(gain=GAIN, damping=DAMPING, effects=parts, inertia=0.02)
+    heavy = (CoulombFriction(level=0.5), Presliding(stiffness=562.5, level=0.25), ActuatorLag(time_constant=0.01))
+    by_hand = Plant(gain=GAIN / 1.6, damping=DAMPING / 1.6, effects=heavy)
+    expected = simulate_voltage(by_hand, TIME, PUSH).position
+    np.testing.assert_allclose(simulate(plant, record(inertia=0.032)).position, expected, rtol=1e-9, atol=1e-12)
+    assert np.ptp(expected) > 0.05
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Silent(Force):
+    name = "silent"
+    sentence = "A force that does not say how it goes with the mass."
+    latex = "s"
+    size: float = parameter("s", "{x}/s^2", "its size")
+
+    @staticmethod
+    def physics(axis: Any, p: Any) -> Any:
+        return p.size
+
+
+def test_effect_that_does_not_say_how_it_goes_with_the_mass_is_refused_for_another_inertia():
+    plant = Plant(gain=GAIN, damping=DAMPING, effects=(Silent(size=1.0),), inertia=0.02)
+    assert plant.for_record(record(inertia=0.02)) is plant
+    with pytest.raises(InputError, match=r"silent does not say how size goes with the moving mass.*per_mass=1"):
+        simulate(plant, record(inertia=0.03))
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_inertia_is_positive(wrong):
+    with pytest.raises(InputError, match="inertia must be positive"):
+        Plant(gain=GAIN, damping=DAMPING, inertia=wrong)
+    with pytest.raises(InputError, match="inertia must be positive"):
+        record(inertia=wrong)
+    with pytest.raises(InputError, match="a ratio of inertias must be positive"):
+        Plant(gain=GAIN, damping=DAMPING).scaled(wrong)
+
+
+def test_model_file_keeps_inertia_and_free_damping(tmp_path):
+    plant = Plant(gain=GAIN, damping=DAMPING, inertia=0.02, free_damping=2.5)
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **Model(plant=plant).to_json()}, allow_nan=False))
+    assert read_model(path).plant == plant
+    assert "inertia" not in Model(plant=Plant(gain=GAIN, damping=DAMPING)).to_json()
+
+
+# --- motor off
+
+
+@pytest.mark.parametrize("free", [None, 2.5])
+def test_axis_whose_motor_is_off_runs_free(free):
+    enabled = (TIME < 0.25).astype(float)
+    run = simulate(Plant(gain=GAIN, damping=DAMPING, free_damping=free), record(enabled=enabled))
+    off, c = 250, DAMPING if free is None else free
+    gone = np.exp(-c * (TIME[off:] - TIME[off]))
+    np.testing.assert_allclose(run.velocity[off:], run.velocity[off] * gone, rtol=0, atol=1e-8)
+    on = simulate_voltage(Plant(gain=GAIN, damping=DAMPING), TIME, PUSH)
+    np.testing.assert_allclose(run.position[: off + 1], on.position[: off + 1], rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(run.voltage, PUSH)
+
+
+def test_motor_goes_off_and_on_beside_friction_and_a_lag_as_an_independent_integration_says():
+    enabled = ((TIME < 0.05) | ((TIME >= 0.1) & (TIME < 0.2)) | (TIME >= 0.26)).astype(float)
+    lag, level, free = 0.02, 0.5, 2.0
+    parts = (ActuatorLag(time_constant=lag), CoulombFriction(level=level))
+    plant = Plant(gain=GAIN, damping=DAMPING, effects=parts, free_damping=free)
+    run = simulate(plant, record(voltage=np.full(TIME.size, 4.0), enabled=enabled, voltage_before=0.0))
+    state, expected = np.array([0.0, 0.0, 0.0]), [0.0]
+    for k in range(TIME.size - 1):
+
+        def motion(_: float, x: np.ndarray, on: bool = bool(enabled[k])) -> list[float]:
+            motor = GAIN * x[2] - DAMPING * x[1] if on else -free * x[1]
+            moving = x[1] > 0 or motor > level
+            return [x[1], motor - level if moving else 0.0, (4.0 - x[2]) / lag]
+
+        state = solve_ivp(motion, (TIME[k], TIME[k + 1]), state, rtol=1e-10, atol=1e-13, max_step=2e-4).y[:, -1]
+        expected.append(state[0])
+    np.testing.assert_allclose(run.position, expected, rtol=0, atol=1e-6)
+
+
+def test_closed_loop_goes_on_asking_while_the_motor_is_off():
+    enabled = (TIME >= 0.2).astype(float)
+    loop = Controller(kp=60.0, kd=1.0)
+    run = simulate(
+        Plant(gain=GAIN, damping=DAMPING),
+        record(reference=0 * TIME + 0.1, controller=loop, enabled=enabled, voltage=None),
+    )
+    assert np.all(run.position[:201] == 0.0)
+    np.testing.assert_allclose(run.voltage[:201], 6.0)
+    later = simulate(
+        Plant(gain=GAIN, damping=DAMPING),
+        Record(time=TIME[:601], position=0 * TIME[:601], reference=0 * TIME[:601] + 0.1, controller=loop),
+    )
+    np.testing.assert_allclose(run.position[200:], later.position, rtol=0, atol=1e-9)
+
+
+def test_drive_with_a_speed_loop_does_not_brake_while_it_is_off():
+    servo = SpeedServo(speed_per_volt=0.1, proportional=40.0, integral=0.0)
+    plant = Plant(gain=4.0, damping=0.0, effects=(servo,), free_damping=0.5)
+    run = simulate(plant, record(voltage=np.full(TIME.size, 2.0), enabled=(TIME < 0.4).astype(float)))
+    assert run.velocity[400] == pytest.approx(0.2, rel=1e-5)
+    assert run.velocity[-1] == pytest.approx(run.velocity[400] * np.exp(-0.5 * 0.4), rel=1e-6)
+
+
+def test_plant_in_a_record_can_be_made_twice_and_is_the_plant_itself_where_nothing_differs():
+    plant = Plant(gain=GAIN, damping=DAMPING, inertia=0.02)
+    assert plant_in(plant, record()) is plant
+    hard = record(inertia=0.05, voltage_limit=3.0, enabled=(TIME < 0.4).astype(float))
+    once = plant_in(plant, hard)
+    assert plant_in(once, hard) == once
+    assert [effect.name for effect in once.effects] == ["saturation", "motor_off"]
+
+
+def test_motor_that_goes_off_all_the_time_is_refused():
+    flicker = (np.arange(TIME.size) % 4 < 2).astype(float)
+    with pytest.raises(InputError, match="the motor goes off 200 times; a simulation allows 50, cut the record"):
+        simulate(Plant(gain=GAIN, damping=DAMPING), record(enabled=flicker))
