@@ -1,85 +1,119 @@
 """How often a diagnosis names what the virtual laboratory has hidden, and what it names instead (``make confusion``).
 
-Sections: single effects, pairs, triples, healthy axes, laws foreign to the catalogue, effects near the noise, three
-levels of noise, one record only, no voltage or no reference in the log, smooth references. ``--seeds development`` is
-for tuning, ``final`` for judging: no threshold may be chosen on the latter.
+``confusion.py`` diagnoses campaigns and appends what came of each to a file, one JSON line a campaign; a campaign that
+stands there already is not done again, so that a long run can be stopped and resumed. ``confusion.py render`` makes the
+tables of that file and writes them into docs/confusion.md. ``confusion.py show CASE`` runs one campaign and shows what
+was hidden and what was found.
 
-``python benchmarks/confusion.py --only singles --effects delay backlash --repeats 3`` looks closer at some. Each case
-that went wrong is printed with its name; ``--case NAME`` runs that one and shows what was hidden and what was found.
+Without ``--final`` the seeds are those for development; no threshold may be chosen on the final ones.
+``--section singles --effects delay backlash --seeds 3`` looks closer at some. ``--again`` does campaigns again that
+stand in the file; the last line of a campaign counts.
+
 A cause counts half if what was hidden is only among its rivals.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import os
+import sys
 import time
-from collections import Counter
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from hidden_cases import BASES, SECTIONS, Case, Outcome, cases, hide, judged, run
+from confusion_tables import line, report
+from hidden_cases import MAIN, SECTIONS, Case, Outcome, cases, hide, judged, run
+
+from servolens.lab import WORLDS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Sequence
 
-GOOD_PREDICTION = 1.15
-"""A held-out error up to this many noise floors leaves nothing to explain."""
+RESULTS = Path(__file__).with_name("confusion.jsonl")
+PAGE = Path(__file__).parent.parent / "docs" / "confusion.md"
+BEGIN, END = "<!-- tables begin -->", "<!-- tables end -->"
+"""What stands between these on the page is written by ``render``."""
 
 
-def main() -> None:
-    """Run the cases that are asked for, and print what came of them."""
-    asked = _arguments()
-    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})  # a process for each core is enough
-    if asked.case:
-        for text in asked.case:
-            show(Case.parse(text))
-        return
+def main(arguments: Sequence[str]) -> None:
+    """Do what is asked; without a command, run campaigns."""
+    commands = {"run": study, "render": render, "show": show}
+    command, *rest = arguments if arguments and arguments[0] in commands else ["run", *arguments]
+    # a process for each core is enough
+    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
+    commands[command](rest)
+
+
+def study(arguments: Sequence[str]) -> None:
+    """Diagnose campaigns, and add what came of each to the file at once."""
+    asked = _run_arguments(arguments)
+    kind = "final" if asked.final else "development"
+    wanted = cases(asked.world, asked.section, asked.effects, asked.seeds, asked.first, kind)
+    done = {} if asked.again else read(asked.results)
+    todo = [case for case in wanted if case not in done]
+    print(f"{len(wanted)} campaigns, {len(wanted) - len(todo)} of them done before; {kind} seeds", flush=True)
     begun = time.perf_counter()
-    outcomes = study(cases(asked.only, asked.effects, asked.repeats, BASES[asked.seeds]), asked.processes)
-    text = report(outcomes, asked.seeds, time.perf_counter() - begun)
-    print(text)
-    if asked.out:
-        asked.out.write_text(text + "\n", encoding="utf-8")
-
-
-def study(todo: Sequence[Case], processes: int) -> list[Outcome]:
-    """Diagnose every case, and say at once where one went wrong; in the order of the cases."""
-    found: dict[Case, Outcome] = {}
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(run, case) for case in todo]
-        for done, job in enumerate(as_completed(jobs), start=1):
+    with (
+        asked.results.open("a", encoding="utf-8") as file,
+        ProcessPoolExecutor(asked.processes, mp_context=get_context("spawn")) as pool,
+    ):
+        jobs = [pool.submit(run, case, asked.limit) for case in todo]
+        for count, job in enumerate(as_completed(jobs), start=1):
             outcome = job.result()
-            found[outcome.case] = outcome
-            if not outcome.right:
-                print(f"[{done}/{len(todo)}] {_line(outcome)}", flush=True)
-    return [found[case] for case in todo]
+            file.write(json.dumps(outcome.to_json(), ensure_ascii=False) + "\n")
+            file.flush()
+            if asked.verbose or not outcome.right:
+                print(f"[{count}/{len(todo)}] {line(outcome)}", flush=True)
+    found = read(asked.results)
+    print(f"\n{time.perf_counter() - begun:.0f} s\n\n" + report([found[case] for case in wanted]))
 
 
-def report(outcomes: Sequence[Outcome], seeds: str, seconds: float) -> str:
-    """Return the study as Markdown."""
-    by_section = {name: [o for o in outcomes if o.case.section == name] for name in SECTIONS}
-    parts = [
-        f"# What diagnoses name\n\n{len(outcomes)} campaigns, seeds: {seeds}, {seconds:.0f} s in all;"
-        f" a diagnosis takes {np.median([o.seconds for o in outcomes]) if outcomes else 0:.1f} s (median).",
-        _summary(by_section),
-    ]
-    if by_section["singles"]:
-        parts.append(_singles(by_section["singles"]))
-    if foreign := by_section["foreign"]:
-        rows = [(o.case.hidden[0], o.verdict, ", ".join(o.causes) or "–") for o in foreign]
-        parts.append("## Foreign laws\n\n" + _table(("law", "verdict", "named"), rows))
-    wrong = [o for o in outcomes if not o.right]
-    parts.append(f"## {len(wrong)} cases that went wrong\n\n" + "\n".join(f"* `{o.case}` {_told(o)}" for o in wrong))
-    return "\n\n".join(parts)
+def render(arguments: Sequence[str]) -> None:
+    """Write the tables of the file into the page, or print them."""
+    parser = argparse.ArgumentParser(prog="confusion.py render", description="Make the tables of a file of results.")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="JSON lines (default %(default)s)")
+    parser.add_argument("--out", type=Path, default=PAGE, help="page to write into (default %(default)s); - prints")
+    parser.add_argument("--development", action="store_true", help="of the development seeds, not of the final ones")
+    asked = parser.parse_args(arguments)
+    kind = "development" if asked.development else "final"
+    chosen = [outcome for case, outcome in read(asked.results).items() if case.kind == kind]
+    text = f"{len(chosen)} campaigns, {kind} seeds.\n\n{report(chosen)}"
+    if str(asked.out) == "-":
+        print(text)
+        return
+    page = asked.out.read_text(encoding="utf-8")
+    if BEGIN not in page or END not in page:
+        raise SystemExit(f"{asked.out} has no lines {BEGIN} and {END} to write the tables between")
+    before, _, after = page.partition(BEGIN)
+    asked.out.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after.partition(END)[2]}", encoding="utf-8")
+    print(f"Wrote {asked.out}")
 
 
-def show(case: Case) -> None:
-    """Run one case, and print what was hidden and what was found."""
+def read(path: Path) -> dict[Case, Outcome]:
+    """Return the outcomes of a file; the last line of a case counts, a line cut short by an interruption does not."""
+    found: dict[Case, Outcome] = {}
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            outcome = Outcome.from_json(json.loads(text))
+        except json.JSONDecodeError:
+            continue
+        found[outcome.case] = outcome
+    return found
+
+
+def show(arguments: Sequence[str]) -> None:
+    """Run cases, and print what was hidden and what was found."""
+    parser = argparse.ArgumentParser(prog="confusion.py show", description="Run single campaigns and show them.")
+    parser.add_argument("case", nargs="+", metavar="WORLD:SECTION:NAME:SEED")
+    for text in parser.parse_args(arguments).case:
+        _show(Case.parse(text))
+
+
+def _show(case: Case) -> None:
     from servolens import diagnose
 
     campaign = hide(case)
@@ -88,107 +122,38 @@ def show(case: Case) -> None:
         print(f"  {name} " + ", ".join(f"{key} {value:.4g}" for key, value in values.items()))
     seen = ", ".join(f"{name} {share:.3g}" for name, share in campaign.shares.items())
     print(f"  visibility {campaign.visibility:.3g} ({seen}), floor {campaign.floor:.3g}")
+    print(f"  {campaign.surroundings}")
     for record in (*campaign.records, *campaign.heldout):
         print(f"  {record.name}: {len(record)} samples of {1e3 * record.sample_time:.3g} ms")
-    begun = time.perf_counter()
+    wall, cpu = time.perf_counter(), time.process_time()
     found = diagnose(campaign.records, heldout=campaign.heldout)
-    print(_line(judged(case, campaign, found, time.perf_counter() - begun)))
+    print(line(judged(case, campaign, found, time.perf_counter() - wall, time.process_time() - cpu)))
     for cause in found.causes:
-        print(
-            f"  {cause.effect} " + ", ".join(f"{key} {q.value:.4g} ± {q.stderr}" for key, q in cause.quantities.items())
-        )
+        numbers = (f"{key} {q.value:.4g} ± {q.stderr}" for key, q in cause.quantities.items())
+        print(f"  {cause.effect} " + ", ".join(numbers))
+    for finding in found.findings:
+        print(f"  {finding.code}: {finding.message}")
 
 
-def _summary(by_section: dict[str, list[Outcome]]) -> str:
-    rows = []
-    for name, found in by_section.items():
-        if not found:
-            continue
-        alarms = _share(found, lambda o: bool(o.causes) or o.verdict not in ("healthy", "failed"))
-        numbers = {
-            "healthy": ("", "", f"false alarms {alarms}"),
-            "foreign": ("", "", f"explained by a wrong cause {_share(found, lambda o: o.verdict == 'explained')}"),
-            "small": (
-                _share(found, lambda o: o.first),
-                _share(found, lambda o: o.all_named),
-                f"a wrong name alone {_share(found, lambda o: bool(o.causes) and o.all_named == 0)},"
-                f" said healthy {_share(found, lambda o: o.verdict == 'healthy')}",
-            ),
-        }.get(name, (_share(found, lambda o: o.first), _share(found, lambda o: o.all_named), _more(found)))
-        rows.append((name, len(found), *numbers, _heldout(found), _coverage(found)))
-    heads = ("section", "cases", "hidden named first", "all hidden named", "else", "held out ≤ 1.15 floor", "intervals")
-    return "## Shares\n\n" + _table(heads, rows)
-
-
-def _more(found: Sequence[Outcome]) -> str:
-    extra = _share(found, lambda o: len(o.causes) > len(o.case.hidden))
-    return f"more causes than hidden {extra}, explained {_share(found, lambda o: o.verdict == 'explained')}"
-
-
-def _singles(found: Sequence[Outcome]) -> str:
-    rows = []
-    for name in sorted({o.case.hidden[0] for o in found}):
-        own = [o for o in found if o.case.hidden[0] == name]
-        others = Counter("+".join(o.causes) or o.verdict for o in own if o.causes != (name,))
-        named = ", ".join(f"{what} {count}" for what, count in others.most_common(4)) or "–"
-        parameters = sorted({key for o in own for key in o.errors if key.startswith(f"{name}.")})
-        errors = ", ".join(f"{key.partition('.')[2]} {_median_error(own, key)}" for key in parameters) or "–"
-        alone = _share(own, lambda o: o.causes == (o.case.hidden[0],))
-        rows.append(
-            (name, len(own), _share(own, lambda o: o.first), alone, named, errors, _coverage(own), _heldout(own))
-        )
-    heads = ("hidden", "cases", "first", "alone", "named instead", "median errors", "intervals", "held out")
-    return "## Single effects\n\n" + _table(heads, rows)
-
-
-def _median_error(found: Iterable[Outcome], key: str) -> str:
-    return f"{100 * float(np.median([o.errors[key] for o in found if key in o.errors])):.2g} %"
-
-
-def _coverage(found: Iterable[Outcome]) -> str:
-    """Return how many of the 95 % intervals of parameters of named effects hold the truth."""
-    held = [value for o in found for value in o.held.values()]
-    return f"{100 * sum(held) / len(held):.0f} % of {len(held)}" if held else "–"
-
-
-def _heldout(found: Iterable[Outcome]) -> str:
-    ratios = [o.heldout for o in found if math.isfinite(o.heldout)]
-    return f"{100 * sum(r <= GOOD_PREDICTION for r in ratios) / len(ratios):.0f} %" if ratios else "–"
-
-
-def _share(found: Sequence[Outcome], what: Callable[[Outcome], float]) -> str:
-    return f"{100 * sum(float(what(o)) for o in found) / len(found):.0f} %"
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(str(cell) for cell in line) + " |" for line in lines)
-
-
-def _line(outcome: Outcome) -> str:
-    return f"{outcome.case} {_told(outcome)}, {outcome.seconds:.1f} s"
-
-
-def _told(outcome: Outcome) -> str:
-    pairs = zip(outcome.causes, outcome.rivals, strict=True)
-    causes = ", ".join(cause + (f" (or {', '.join(rivals)})" if rivals else "") for cause, rivals in pairs)
-    tail = f"held out {outcome.heldout:.2f}, visibility {outcome.visibility:.3g}"
-    return f"{outcome.verdict}: {causes or outcome.said or 'no cause'}; {tail}"
-
-
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", choices=BASES, default="development", help="which campaigns (default %(default)s)")
-    parser.add_argument("--only", nargs="+", choices=SECTIONS, default=list(SECTIONS), help="sections; all by default")
-    parser.add_argument("--effects", nargs="+", default=[], help="only cases that hide one of these")
-    parser.add_argument("--repeats", type=int, help="of each case; by default as many as the section has")
-    parser.add_argument("--processes", type=int, default=os.cpu_count(), help="at a time (default %(default)s)")
-    parser.add_argument("--out", type=Path, help="Markdown file to write as well")
-    parser.add_argument(
-        "--case", nargs="+", metavar="SECTION:NAME:SEED", help="run these alone, and show what was found"
+def _run_arguments(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="confusion.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    return parser.parse_args()
+    parser.add_argument("--world", nargs="+", choices=WORLDS, default=list(WORLDS), help="all by default")
+    parser.add_argument(
+        "--section", nargs="+", choices=SECTIONS, default=list(MAIN), help=f"by default {', '.join(MAIN)}"
+    )
+    parser.add_argument("--effects", nargs="+", default=[], help="only campaigns that hide one of these")
+    parser.add_argument("--seeds", type=int, metavar="N", help="of each row; by default as many as the section has")
+    parser.add_argument("--first", type=int, default=0, metavar="K", help="number of the first seed of each row")
+    parser.add_argument("--final", action="store_true", help="the seeds for judging, not those for development")
+    parser.add_argument("--processes", type=int, default=2, help="at a time (default %(default)s)")
+    parser.add_argument("--limit", type=float, default=math.inf, metavar="S", help="seconds for a diagnosis at most")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="JSON lines (default %(default)s)")
+    parser.add_argument("--again", action="store_true", help="do campaigns again that stand in the file")
+    parser.add_argument("--verbose", action="store_true", help="print every campaign, not only what went wrong")
+    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -1,20 +1,34 @@
-"""The cases of the study of diagnoses: what is hidden in each, and what a diagnosis made of it."""
+"""The cases of the study of diagnoses: what is hidden in each, and what a diagnosis made of it.
+
+Of a diagnosis only what users rely on is read: its verdict, and of each cause its effect, confidence, rivals and
+quantities.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+import signal
 import time
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from servolens.lab import FOREIGN, HiddenCampaign, hidden_campaign
-from servolens.lab.laws import LAWS
+import numpy as np
 
-__all__ = ["BASES", "SECTIONS", "Case", "Outcome", "cases", "hide", "judged", "run"]
+from servolens.effects import CATALOGUE
+from servolens.lab import FOREIGN, WORLDS, HiddenCampaign, hidden_campaign
+from servolens.lab.laws import KNOTS, LAWS
 
-BASES = {"development": 1, "final": 2}
-"""Seeds begin with this digit; what is tuned on the first is judged on the second."""
-EFFECTS = tuple(sorted(LAWS))
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+__all__ = ["BASES", "MAIN", "SECTIONS", "Case", "Found", "Outcome", "Section", "cases", "hide", "judged", "run"]
+
+BASES = {"development": 700_000, "final": 900_000}
+"""First seeds: what is tuned on the one kind is judged on the other."""
+EACH_SECTION, EACH_ROW = 10_000, 100
+"""Seeds that a section has, and one row of its table."""
+SINGLES = tuple((name,) for name in sorted(LAWS))
 PARTNERS = {
     "asymmetric_damping": ("return_spring",),
     "asymmetric_friction": ("actuator_lag", "hardening_spring", "delay"),
@@ -30,9 +44,12 @@ PARTNERS = {
     "presliding": ("gain_drift",),
     "stribeck_friction": ("delay", "return_spring", "pendulum_gravity"),
     "velocity_decay_damping": ("delay", "constant_force", "saturation"),
+    "load_friction": ("pendulum_gravity", "delay"),
+    "end_stop": ("coulomb_friction",),
+    "friction_map": ("actuator_lag",),
 }  # fmt: skip
 PAIRS = tuple((one, other) for one, others in PARTNERS.items() for other in others)
-"""Thirty pairs of different kinds."""
+"""Pairs of different kinds."""
 TRIPLES = (
     ("coulomb_friction", "delay", "constant_force"),
     ("coulomb_friction", "cogging", "actuator_lag"),
@@ -45,43 +62,84 @@ TRIPLES = (
 )
 SMALL = (1.5, 2.0, 3.0, 4.0)
 """Visibilities of the small effects, one a repetition in turn."""
-SINGLE = tuple((name,) for name in EFFECTS)
-SECTIONS: dict[str, tuple[int, tuple[tuple[str, ...], ...], dict[str, Any]]] = {
-    "singles": (10, SINGLE, {}),
-    "pairs": (1, PAIRS, {}),
-    "triples": (1, TRIPLES, {}),
-    "healthy": (40, ((),), {}),
-    "foreign": (1, tuple((name,) for name in sorted(FOREIGN)), {}),
-    "small": (2, SINGLE, {}),
-    "low_noise": (1, SINGLE, {"noise": "low"}),
-    "medium_noise": (1, SINGLE, {"noise": "medium"}),
-    "high_noise": (1, SINGLE, {"noise": "high"}),
-    "one_record": (1, SINGLE, {"records": 1, "heldout": 0}),
-    "no_voltage": (1, SINGLE, {"log_voltage": False}),
-    "no_reference": (1, SINGLE, {"log_reference": False}),
-    "smooth": (1, SINGLE, {"smooth": True}),
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the study: how often each row of its table is done, what is hidden, what else is asked of campaigns."""
+
+    seeds: int
+    table: tuple[tuple[str, ...], ...]
+    asked: dict[str, Any] = field(default_factory=dict)
+    only_white: bool = True
+
+
+SECTIONS = {
+    "singles": Section(4, SINGLES, only_white=False),
+    "pairs": Section(2, PAIRS, only_white=False),
+    "triples": Section(4, TRIPLES),
+    "healthy": Section(100, ((),), only_white=False),
+    "foreign": Section(2, tuple((name,) for name in sorted(FOREIGN)), only_white=False),
+    "small": Section(2, SINGLES),
+    "low_noise": Section(1, SINGLES, {"noise": "low"}),
+    "medium_noise": Section(1, SINGLES, {"noise": "medium"}),
+    "high_noise": Section(1, SINGLES, {"noise": "high"}),
+    "one_record": Section(1, SINGLES, {"records": 1, "heldout": 0}),
+    "no_voltage": Section(1, SINGLES, {"log_voltage": False}),
+    "no_reference": Section(1, SINGLES, {"log_reference": False}),
+    "smooth": Section(1, SINGLES, {"smooth": True}),
 }
-"""Of each section: repetitions, what is hidden, and what else is asked of the campaign."""
+MAIN = ("singles", "pairs", "triples", "healthy", "foreign")
+"""Sections that are run unless others are asked for."""
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One campaign of the study; ``str(case)`` is what ``--case`` takes."""
+    """One campaign of the study; ``str(case)`` names it on the command line and in the file of results."""
 
+    world: str
     section: str
     hidden: tuple[str, ...]
     seed: int
 
     def __str__(self) -> str:
-        return f"{self.section}:{'+'.join(self.hidden) or 'nothing'}:{self.seed}"
+        return f"{self.world}:{self.section}:{'+'.join(self.hidden) or 'nothing'}:{self.seed}"
 
     @classmethod
     def parse(cls, text: str) -> Case:
-        """Return the case of its text."""
-        section, name, seed = text.split(":")
-        if section not in SECTIONS:
-            raise SystemExit(f"no section {section!r}; there are {', '.join(SECTIONS)}")
-        return cls(section, () if name == "nothing" else tuple(name.split("+")), int(seed))
+        """Return the case of its name."""
+        parts = text.split(":")
+        if len(parts) != 4 or parts[0] not in WORLDS or parts[1] not in SECTIONS:
+            raise SystemExit(f"{text!r} names no case; an example is white:singles:delay:700900")
+        world, section, name, seed = parts
+        return cls(world, section, () if name == "nothing" else tuple(name.split("+")), int(seed))
+
+    @property
+    def kind(self) -> str:
+        """Whether the seed is one for development or a final one."""
+        return max((base, name) for name, base in BASES.items() if self.seed >= base)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A cause that was named.
+
+    Attributes
+    ----------
+    effect : str
+    confidence : float
+    rivals : tuple of str
+    errors : dict of str to float
+        Relative error of each parameter, where the effect was hidden; of a phase in rad.
+    held : dict of str to bool or None
+        Whether its 95 % interval holds the truth; None where there is no interval.
+    """
+
+    effect: str
+    confidence: float
+    rivals: tuple[str, ...] = ()
+    errors: dict[str, float] = field(default_factory=dict)
+    held: dict[str, bool | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,77 +149,108 @@ class Outcome:
     Attributes
     ----------
     verdict : str
-        ``"failed"`` where there is none; then `said` is the error's sentence.
-    causes : tuple of str
-    rivals : tuple of tuple of str
-        Of each cause.
-    errors : dict of str to float
-        Relative error of each hidden effect's parameters that were found; of a phase in rad.
-    held : dict of str to bool
-        Whether the 95 % interval held the truth; False where there is none.
-    heldout : float
-        Held-out error over the true noise floor; nan if nothing was held out.
-    visibility, seconds : float
+        ``"failed"`` or ``"out of time"`` where there is none; then `said` is the reason.
+    causes : tuple of Found
+    visibility : float
+    seconds, cpu : float
+        Of the diagnosis: on the clock, and of the process.
     """
 
     case: Case
     verdict: str
-    causes: tuple[str, ...] = ()
-    rivals: tuple[tuple[str, ...], ...] = ()
-    errors: dict[str, float] = field(default_factory=dict)
-    held: dict[str, bool] = field(default_factory=dict)
-    heldout: float = math.nan
+    causes: tuple[Found, ...] = ()
     visibility: float = math.nan
     seconds: float = 0.0
+    cpu: float = 0.0
     said: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields, the case as its name."""
+        visibility = None if math.isnan(self.visibility) else self.visibility
+        return {**asdict(self), "case": str(self.case), "visibility": visibility}
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> Outcome:
+        """Return the outcome of its fields."""
+        causes = tuple(Found(**{**cause, "rivals": tuple(cause["rivals"])}) for cause in data["causes"])
+        visibility = math.nan if data["visibility"] is None else data["visibility"]
+        return cls(**{**data, "case": Case.parse(data["case"]), "causes": causes, "visibility": visibility})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The effects that were named."""
+        return tuple(cause.effect for cause in self.causes)
 
     @property
     def first(self) -> float:
         """1 if the first cause was hidden, a half if something hidden is among its rivals, else 0."""
         if not self.causes:
             return 0.0
-        if self.causes[0] in self.case.hidden:
+        if self.causes[0].effect in self.case.hidden:
             return 1.0
-        return 0.5 if set(self.rivals[0]) & set(self.case.hidden) else 0.0
+        return 0.5 if set(self.causes[0].rivals) & set(self.case.hidden) else 0.0
 
     @property
     def all_named(self) -> float:
         """1 if everything hidden is a cause, a half if some of it is a rival only, else 0."""
-        beside = {name for rivals in self.rivals for name in rivals}
-        if set(self.case.hidden) <= set(self.causes):
+        hidden = set(self.case.hidden)
+        if hidden <= set(self.names):
             return 1.0
-        return 0.5 if set(self.case.hidden) <= set(self.causes) | beside else 0.0
+        rivals = {name for cause in self.causes for rival in cause.rivals for name in rival.split(" + ")}
+        return 0.5 if hidden <= set(self.names) | rivals else 0.0
+
+    @property
+    def kin(self) -> tuple[str, ...]:
+        """Effects of the catalogue that have the structure of the foreign law that was hidden."""
+        return FOREIGN[self.case.hidden[0]].same_as if self.case.section == "foreign" else ()
+
+    def is_right(self, cause: Found) -> bool:
+        """Tell whether a cause was hidden, or has the structure of what was."""
+        return cause.effect in self.case.hidden or cause.effect in self.kin
 
     @property
     def right(self) -> bool:
         """Whether the diagnosis is what one may expect of it."""
-        if self.verdict == "failed":
+        if self.verdict in ("failed", "out of time"):
             return False
         match self.case.section:
             case "healthy":
                 return self.verdict == "healthy" and not self.causes
             case "foreign":
-                return self.verdict != "explained"
+                return self.verdict != "explained" or all(self.is_right(cause) for cause in self.causes)
             case "small":
                 return not self.causes or self.all_named > 0
         return self.all_named == 1.0 and len(self.causes) == len(self.case.hidden)
 
 
-def cases(sections: list[str], effects: list[str], repeats: int | None, base: int) -> list[Case]:
-    """Return the cases of some sections, those that hide one of `effects` only, if any are given."""
+def cases(
+    worlds: Sequence[str], sections: Sequence[str], effects: Sequence[str], seeds: int | None, first: int, kind: str
+) -> list[Case]:
+    """Return the cases of some sections in some worlds, those that hide one of `effects` only, if any are given.
+
+    Each row of a section is done with `seeds` seeds, the first of which has the number `first`. The same seeds are
+    used in every world: the axes are the same.
+    """
     chosen = []
-    for number, (section, (usual, table, _)) in enumerate(SECTIONS.items()):
-        for i, hidden in enumerate(table):
-            if section not in sections or (effects and not set(effects) & set(hidden)):
+    for world in worlds:
+        for number, (name, section) in enumerate(SECTIONS.items()):
+            if name not in sections or (section.only_white and world != "white"):
                 continue
-            seeds = range(usual if repeats is None else repeats)
-            chosen += [Case(section, hidden, ((base * 100 + number) * 100 + i) * 1000 + k) for k in seeds]
+            count = section.seeds if seeds is None else seeds
+            room = EACH_SECTION if len(section.table) == 1 else EACH_ROW
+            if first + count > room:
+                raise SystemExit(f"{name} has {room} seeds, asked were {first} to {first + count - 1}")
+            for i, hidden in enumerate(section.table):
+                known = all(part in CATALOGUE or part in FOREIGN for part in hidden)
+                if known and (not effects or set(effects) & set(hidden)):
+                    base = BASES[kind] + number * EACH_SECTION + i * EACH_ROW
+                    chosen += [Case(world, name, hidden, base + k) for k in range(first, first + count)]
     return chosen
 
 
 def hide(case: Case) -> HiddenCampaign:
     """Return the campaign of a case."""
-    asked = dict(SECTIONS[case.section][2])
+    asked = {**SECTIONS[case.section].asked, "world": case.world}
     if case.section == "small":
         asked["visibility"] = SMALL[case.seed % len(SMALL)]
     if case.section == "foreign":
@@ -169,54 +258,97 @@ def hide(case: Case) -> HiddenCampaign:
     return hidden_campaign(case.seed, effects=case.hidden, **asked)
 
 
-def run(case: Case) -> Outcome:
-    """Diagnose a case."""
+def run(case: Case, limit: float = math.inf) -> Outcome:
+    """Diagnose a case, for `limit` seconds at most."""
     from servolens import diagnose
 
-    begun = time.perf_counter()
+    wall, cpu = time.perf_counter(), _cpu()
+
+    def spent() -> dict[str, float]:
+        return {"seconds": round(time.perf_counter() - wall, 3), "cpu": round(_cpu() - cpu, 3)}
+
     try:
         campaign = hide(case)
-        begun = time.perf_counter()
-        found = diagnose(campaign.records, heldout=campaign.heldout)
+        wall, cpu = time.perf_counter(), _cpu()
+        with _Alarm(limit):
+            found = diagnose(campaign.records, heldout=campaign.heldout)
+    except _OutOfTimeError:
+        return Outcome(case, "out of time", said=f"stopped after {limit:g} s", **spent())
     except Exception as failure:  # whatever one case does, the study goes on and says which it was
-        return Outcome(case, "failed", said=f"{type(failure).__name__}: {failure}", seconds=time.perf_counter() - begun)
-    return judged(case, campaign, found, time.perf_counter() - begun)
+        return Outcome(case, "failed", said=f"{type(failure).__name__}: {failure}", **spent())
+    return judged(case, campaign, found, **spent())
 
 
-def judged(case: Case, campaign: HiddenCampaign, found: Any, seconds: float) -> Outcome:
+def judged(case: Case, campaign: HiddenCampaign, found: Any, seconds: float, cpu: float) -> Outcome:
     """Compare a diagnosis with what was hidden."""
-    errors, held = _compared(campaign, found)
-    rms = found.extended.heldout_rms_error if campaign.heldout else None
-    return Outcome(
-        case=case,
-        verdict=found.verdict,
-        causes=tuple(cause.effect for cause in found.causes),
-        rivals=tuple(tuple(cause.rivals) for cause in found.causes),
-        errors=errors,
-        held=held,
-        heldout=math.nan if rms is None else rms / campaign.floor,
-        visibility=campaign.visibility,
-        seconds=seconds,
-    )
+    causes = tuple(_judged_cause(campaign, cause) for cause in found.causes)
+    return Outcome(case, found.verdict, causes, campaign.visibility, seconds, cpu)
 
 
-def _compared(campaign: HiddenCampaign, found: Any) -> tuple[dict[str, float], dict[str, bool]]:
-    """Return relative errors, and whether intervals hold the truth, of the parameters of hidden effects found."""
+def _judged_cause(campaign: HiddenCampaign, cause: Any) -> Found:
     errors: dict[str, float] = {}
-    held: dict[str, bool] = {}
-    for cause in found.causes:
-        true = campaign.truth.effects.get(cause.effect, {})
-        turned = "phase" in true and cause.quantities["amplitude"].value * true["amplitude"] < 0
-        for name, value in true.items():
-            quantity = cause.quantities[name]
-            error, unit = quantity.value - value, abs(value)
-            if turned and name == "amplitude":  # −A sin(x + π) is A sin x
-                error = -quantity.value - value
-            if name == "phase":
-                error = (error + math.pi * turned + math.pi) % (2.0 * math.pi) - math.pi
-                unit = 1.0
-            interval = quantity.interval
-            key = f"{cause.effect}.{name}"
-            errors[key] = abs(error) / unit
-            held[key] = interval is not None and abs(error) <= (interval[1] - interval[0]) / 2.0
-    return errors, held
+    held: dict[str, bool | None] = {}
+    for name, true, quantity, sign in _compared(campaign.truth.effects.get(cause.effect, {}), cause):
+        value, interval = sign * quantity.value, quantity.interval
+        unit = 1.0 if name == "phase" else abs(true) or 1.0
+        errors[name] = abs(value - true) / unit
+        ends = None if interval is None else sorted(sign * end for end in interval)
+        held[name] = None if ends is None else bool(ends[0] <= true <= ends[1])
+    confidence = math.nan if cause.confidence is None else float(cause.confidence)
+    return Found(cause.effect, round(confidence, 6), tuple(str(rival) for rival in cause.rivals), errors, held)
+
+
+def _compared(truth: Any, cause: Any) -> Iterator[tuple[str, float, Any, float]]:
+    """Yield name, true value, quantity found, and the sign to read it with, of each parameter of an effect."""
+    own = dict(truth)
+    if cause.effect == "friction_map" and own:
+        own = _map_at(own, cause.quantities["low"].value, cause.quantities["high"].value)
+    turned = "phase" in own and cause.quantities["amplitude"].value * own["amplitude"] < 0
+    for name, value in own.items():
+        quantity, sign = cause.quantities[name], 1.0
+        if name == "amplitude" and turned:  # −A sin(x + π) is A sin x
+            sign = -1.0
+        if name == "phase":  # the same angle as near as can be to the one found
+            value += math.pi * turned
+            value += 2.0 * math.pi * round((quantity.value - value) / (2.0 * math.pi))
+        yield name, value, quantity, sign
+
+
+def _map_at(truth: dict[str, float], low: float, high: float) -> dict[str, float]:
+    """Return the true levels of a friction map at knots from `low` to `high`."""
+    knots, wanted = np.linspace(truth["low"], truth["high"], KNOTS), np.linspace(low, high, KNOTS)
+    levels = {}
+    for side in ("positive", "negative"):
+        own = np.interp(wanted, knots, [truth[f"{side}_{i}"] for i in range(KNOTS)])
+        levels |= {f"{side}_{i}": float(level) for i, level in enumerate(own)}
+    return levels
+
+
+class _OutOfTimeError(BaseException):
+    """Not an Exception: whoever catches those must not catch this."""
+
+
+class _Alarm:
+    """Stop what is done within after so many seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds if math.isfinite(seconds) else 0.0
+
+    def __enter__(self) -> None:
+        if self._seconds:
+            self._before = signal.signal(signal.SIGALRM, self._stop)
+            signal.setitimer(signal.ITIMER_REAL, self._seconds)
+
+    def __exit__(self, *_: object) -> None:
+        if self._seconds:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, self._before)
+
+    @staticmethod
+    def _stop(*_: object) -> None:
+        raise _OutOfTimeError
+
+
+def _cpu() -> float:
+    """Return the time of this process and of its children on all cores [s]."""
+    return sum(os.times()[:4])

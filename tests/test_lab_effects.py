@@ -29,10 +29,18 @@ TYPICAL = {
     "coulomb_friction": {"level": 0.3},
     "dead_zone": {"width": 0.1},
     "delay": {"time": 0.0024},
+    "end_stop": {"low": -0.01, "high": 0.07},
     "flexible_coupling": {"frequency": 30.0, "damping_ratio": 0.03, "load_ratio": 0.4},
     "force_limit": {"acceleration": 4.0},
+    "friction_map": {
+        **{f"positive_{i}": level for i, level in enumerate((0.3, 0.1, 0.5, 0.2, 0.4))},
+        **{f"negative_{i}": level for i, level in enumerate((0.2, 0.6, 0.1, 0.3, 0.0))},
+        "low": -0.01,
+        "high": 0.09,
+    },
     "gain_drift": {"rate": 0.1},
     "hardening_spring": {"cubic_stiffness": 200.0},
+    "load_friction": {"share": 0.1},
     "pendulum_gravity": {"amplitude": 0.5, "phase": 0.3},
     "periodic_disturbance": {"amplitude": 0.4, "frequency": 17.0, "phase": 0.0},
     "position_friction": {"level": 0.3, "centre": 0.06, "width": 0.005},
@@ -383,6 +391,68 @@ def test_load_swings_on_while_friction_holds_the_motor():
     assert np.abs(late - columns @ found).max() < 1e-9
 
 
+def test_friction_map_is_linear_between_its_knots():
+    p = TYPICAL["friction_map"]
+    record = driven(axis(friction_map=p), pulses((4.0, 200), (-4.0, 300)))
+    knots = np.linspace(p["low"], p["high"], 5)
+    levels = {+1: [p[f"positive_{i}"] for i in range(5)], -1: [p[f"negative_{i}"] for i in range(5)]}
+
+    def rates(t, s, volts):
+        side = 1 if s[1] > 0 or (s[1] == 0 and volts > 0) else -1
+        return [s[1], GAIN * volts - DAMPING * s[1] - side * np.interp(s[0], knots, levels[side])]
+
+    stop = int(np.argmin(record.velocity >= 0))  # up to the reversal: SciPy is not stopped there
+    expected, _ = replay(record.slice(0.0, record.time[stop - 1]), rates, [0.0, 0.0])
+    assert record.position[stop - 1] > 0.1
+    # kinks at the knots cost one step of fourth order each
+    assert np.abs(record.position[:stop] - expected).max() < 1e-9
+    turned = record.slice(record.time[stop], record.time[-1])
+    state = [float(record.position[stop]), float(record.velocity[stop])]
+    expected, _ = replay(turned, rates, state)
+    assert np.abs(turned.position - expected).max() < 1e-9
+    assert turned.position[-1] < 0.02
+
+
+@pytest.mark.parametrize("load", [0.0, 1.5, -1.5], ids=["free", "against", "with"])
+def test_load_friction_takes_a_share_of_what_the_gear_transmits(load):
+    volts, share, weight = 3.0, 0.2, {"constant_force": {"acceleration": load}}
+    record = driven(axis(damping=0.0, load_friction={"share": share}, **weight), np.full(301, volts))
+    push = GAIN * volts - load - share * abs(GAIN * volts + load)
+    np.testing.assert_allclose(record.position, push * record.time**2 / 2, rtol=0, atol=1e-13)
+
+
+def test_load_friction_holds_a_weight_that_the_motor_leaves_alone_only_with_the_whole_share():
+    def end(share):
+        truth = axis(load_friction={"share": share}, return_spring={"stiffness": 20.0})
+        return driven(truth, np.zeros(301), start=0.05).position[-1]
+
+    assert end(0.5) < 0.04  # the spring pulls with 1 and friction holds with a half of it
+    record = driven(axis(load_friction={"share": 0.3}, constant_force={"acceleration": 1.0}), np.full(301, 0.8))
+    # 1.52 against 1, friction up to 0.3 · 2.52: it holds
+    assert np.unique(record.position).size == 1
+
+
+def test_end_stop_is_met_as_the_closed_form_of_a_critically_damped_contact_says():
+    rate, edge = 2000.0, 0.01
+    push = GAIN * 2.0
+    touch = np.sqrt(2 * edge / push)
+    speed, rest = push * touch, push / rate**2  # depth at which the push alone would hold it
+    record = driven(axis(damping=0.0, end_stop={"low": -1.0, "high": edge}), np.full(900, 2.0), sample_time=1e-4)
+    since = record.time - touch
+    pressed = (since > 0) & (since < 1.5 / rate)  # it springs back at 2/rate or somewhat later
+    t = since[pressed]
+    depth = rest + (-rest + (speed - rate * rest) * t) * np.exp(-rate * t)
+    assert pressed.sum() >= 5
+    assert np.abs(record.position[pressed] - edge - depth).max() < 1e-10
+    assert record.position[-1] < edge + 1e-4
+
+
+def test_axis_pressed_against_an_end_stop_comes_to_rest_in_it():
+    record = lab.step_record(axis(end_stop={"low": -0.01, "high": 0.07}), 60, encoder=0.0, duration=2.0)
+    depth = GAIN * 60 * (0.1 - record.position[-1]) / 2000.0**2
+    assert record.position[-1] == pytest.approx(0.07 + depth, abs=1e-10)
+
+
 def contact_rates(t, s, volts, gap=2e-3, load=0.3):
     x, v, y, w = s
     own, force, side = 1 - load, 0.0, np.sign(x - y)
@@ -476,9 +546,16 @@ ZERO = {
     "coulomb_friction": {"level": 0.0},
     "dead_zone": {"width": 0.0},
     "delay": {"time": 0.0},
+    "end_stop": {"low": -1e6, "high": 1e6},
     "force_limit": {"acceleration": 1e12},
+    "friction_map": {
+        **{f"{side}_{i}": 0.0 for side in ("positive", "negative") for i in range(5)},
+        "low": 0,
+        "high": 1,
+    },
     "gain_drift": {"rate": 0.0},
     "hardening_spring": {"cubic_stiffness": 0.0},
+    "load_friction": {"share": 0.0},
     "pendulum_gravity": {"amplitude": 0.0, "phase": 1.0},
     "periodic_disturbance": {"amplitude": 0.0, "frequency": 5.0, "phase": 1.0},
     "position_friction": {"level": 0.0, "centre": 0.05, "width": 0.1},
@@ -546,7 +623,10 @@ def test_parameter_outside_its_range_is_refused(name, key):
         refused(-1.0, "be above 0")
     elif (name, key) in SIGNED:
         axis(**{name: {**TYPICAL[name], key: -1.0}})
-    elif name not in ("speed_servo", "stribeck_friction"):
+    elif key == "share":
+        refused(-0.1, "lie between 0 and 0.999")
+        refused(1.0, "lie between 0 and 0.999")
+    elif name not in ("speed_servo", "stribeck_friction") and key not in ("low", "high"):
         refused(-1.0, "be at least 0")
 
 
@@ -562,13 +642,23 @@ def test_parameter_outside_its_range_is_refused(name, key):
             "with speed_servo the gain is proportional times speed_per_volt, 2, got 1.9",
         ),
         ({"speed_servo": {**TYPICAL["speed_servo"], "integral": -1.0}}, "speed_servo.integral must be at least 0"),
+        ({"end_stop": {"low": 0.1, "high": 0.1}}, r"end_stop\.low must be below high \(0.1\), got 0.1"),
+        ({"friction_map": {**TYPICAL["friction_map"], "high": -0.1}}, r"friction_map\.low must be below high"),
         ({"stribeck_friction": {**TYPICAL["stribeck_friction"], "level": -1.0}}, "level must be at least 0, got -1"),
         (
             {"stribeck_friction": {"level": 0.3, "static_excess": -0.4, "stribeck_speed": 0.01}},
             r"static_excess must be at least -level \(-0.3\), got -0.4",
         ),
     ],
-    ids=["two transmissions", "servo's gain", "servo's integral", "negative level", "negative static friction"],
+    ids=[
+        "two transmissions",
+        "servo's gain",
+        "servo's integral",
+        "end stop",
+        "friction map",
+        "negative level",
+        "negative static friction",
+    ],
 )
 def test_effects_that_do_not_fit_are_refused(effects, sentence):
     with pytest.raises(InputError, match=sentence):

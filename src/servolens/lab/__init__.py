@@ -11,9 +11,11 @@ simulator of servolens, so that agreement of the two means something. Used by th
 
 from servolens.lab.bench import step_record, step_records
 from servolens.lab.campaigns import TABLE_ONE_GAINS, paper_campaign, table_one
+from servolens.lab.disturbances import Jitter, SensorNoise, Shaking, Surroundings
 from servolens.lab.foreign import FOREIGN
 from servolens.lab.hidden import HiddenCampaign, hidden_campaign
 from servolens.lab.truth import LM1, LM2, LM3, NLM1, NLM2, NLM3, Truth
+from servolens.lab.worlds import WORLDS, surroundings
 
 __all__ = [
     "FOREIGN",
@@ -24,11 +26,17 @@ __all__ = [
     "NLM2",
     "NLM3",
     "TABLE_ONE_GAINS",
+    "WORLDS",
     "HiddenCampaign",
+    "Jitter",
+    "SensorNoise",
+    "Shaking",
+    "Surroundings",
     "Truth",
     "hidden_campaign",
     "paper_campaign",
     "step_record",
     "step_records",
+    "surroundings",
     "table_one",
 ]

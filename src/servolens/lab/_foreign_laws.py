@@ -26,8 +26,8 @@ __all__ = [
     "coarse_command",
     "cubic_gain",
     "direction_gain",
+    "elastic_buffer",
     "encoder_ripple",
-    "end_stop",
     "even_gain",
     "growing_friction",
     "hanging_load",
@@ -43,6 +43,7 @@ __all__ = [
     "random_knocks",
     "root_drag",
     "sample_jitter",
+    "second_order_actuator",
     "slew_limit",
     "step_force",
     "supply_ripple",
@@ -142,7 +143,7 @@ def two_slope_spring(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddity
     return Oddity(push=lambda now: stiffness * max(now.position - corner, 0.0))
 
 
-def end_stop(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddity:
+def elastic_buffer(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddity:
     stop, stiffness = float(axis.uniform(0.85, 0.95)) * scene.step, size * scene.rate**2
     return Oddity(push=lambda now: stiffness * max(now.position - stop, 0.0))
 
@@ -206,6 +207,30 @@ def actuator_resonance(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddi
         return felt
 
     return Oddity(command=command)
+
+
+def second_order_actuator(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddity:
+    rate, ratio = scene.rate / size, float(axis.uniform(0.3, 0.9))
+    decay, turn = ratio * rate, rate * math.sqrt(1.0 - ratio * ratio)
+    # time of the last sample, level of the command since then, and how far the actuator was from it, with its slope
+    since, level, off, slope = 0.0, None, 0.0, 0.0
+
+    def ahead(t: float) -> tuple[float, float]:
+        fade, angle = math.exp(-decay * (t - since)), turn * (t - since)
+        sine = (slope + decay * off) / turn
+        return (
+            fade * (off * math.cos(angle) + sine * math.sin(angle)),
+            fade * (slope * math.cos(angle) - (decay * sine + turn * off) * math.sin(angle)),
+        )
+
+    def command(t: float, u: float, x: float) -> float:
+        nonlocal since, level, off, slope
+        before = u if level is None else level
+        off, slope = ahead(t)
+        since, level, off = t, u, off + before - u
+        return u
+
+    return Oddity(command=command, push=lambda now: -scene.gain * ahead(now.time)[0])
 
 
 def step_force(scene: Scene, size: float, axis: Dice, run: Dice) -> Oddity:

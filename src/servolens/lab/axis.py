@@ -1,8 +1,9 @@
 """The equations of a virtual axis: motor and load, what they remember, and which side of each edge they are on.
 
 Everything that is not smooth is an *edge* of a mode: the direction of motion (or rest), the limit of the motor's force,
-the contact at the ends of lost motion. While the mode stays, all is smooth, and :mod:`servolens.lab.motion` may take
-steps of fourth order; where a guard runs through zero, it stops and asks for the mode beyond.
+the contact at the ends of lost motion or of the travel. While the mode stays, all is smooth, and
+:mod:`servolens.lab.motion` may take steps of fourth order; where a guard runs through zero, it stops and asks for the
+mode beyond.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
-from servolens.lab.laws import CONTACT_RATE, FADED, LAWS, LOAD_DRAG, Instant, across
+from servolens.lab.laws import CONTACT_RATE, EXTERNAL, FADED, LAWS, LOAD_DRAG, Instant, across
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,18 +25,23 @@ if TYPE_CHECKING:
 
 __all__ = ["DIRECTION", "Axis", "Body", "Mode"]
 
-DIRECTION, LIMIT, CONTACT = 0, 1, 2
+DIRECTION, LIMIT, CONTACT, STOP = 0, 1, 2, 3
 """Numbers of the guards."""
 GLANCE = 1e-7
 """How far one looks ahead [s] for the side on which an axis breaks away: a push through zero has no side yet."""
 
 
+SETTLED = 1e-3
+"""Speed in an end stop [m/s or rad/s] below which longer steps err by nanometres."""
+
+
 class Mode(NamedTuple):
-    """Direction of motion ±1, 0 at rest; force limit reached ±1 or 0; flank in contact ±1 or 0."""
+    """Direction of motion ±1, 0 at rest; force limit reached ±1 or 0; flank in contact ±1 or 0; end stop ±1 or 0."""
 
     direction: Any
     limit: Any
     contact: Any
+    stop: Any
 
 
 class Body(NamedTuple):
@@ -73,36 +79,43 @@ class Axis:
         Largest product of step and quickest rate.
     oddity : Oddity, optional
         What the axis does beyond the effects of the truth.
+    shaken : bool
+        Whether commands carry what shakes the axis.
     """
 
-    def __init__(self, truth: Truth, m: Any, longest: float, angle: float, oddity: Oddity | None = None) -> None:
+    def __init__(
+        self, truth: Truth, m: Any, longest: float, angle: float, oddity: Oddity | None = None, shaken: bool = False
+    ) -> None:
         own = {name: SimpleNamespace(**values) for name, values in truth.effects.items()}
         self.m, self._gain, self._damping, self._angle = m, truth.gain, truth.damping, angle
-        self._forces, self._frictions = _functions(own, "force"), _functions(own, "friction")
+        self._load_friction = own["load_friction"].share if "load_friction" in own else 0.0
+        transmitted = EXTERNAL if self._load_friction else frozenset()
+        self._external = _functions(own, "force", only=transmitted)
+        self._forces, self._frictions = _functions(own, "force", but=transmitted), _functions(own, "friction")
         if oddity is not None:
             self._forces += [(oddity.force, SimpleNamespace())]
             self._frictions += [(oddity.friction, SimpleNamespace())]
         self._servo, self._limit = own.get("speed_servo"), own.get("force_limit")
-        self._dahl = own["presliding"] if _slips(own) else None
+        self._dahl, self._stop = own["presliding"] if _slips(own) else None, own.get("end_stop")
         self._joint, self._load_share = _joint(own)
         self._drag = LOAD_DRAG if "backlash" in own else 0.0
         self._share = 1.0 - self._load_share
         self.lag = own["sensor_lag"].time_constant if "sensor_lag" in own else 0.0
         self.has_load, self.has_contact = self._joint is not None, "backlash" in own
         moving_in_time = {"actuator_lag", "gain_drift", "periodic_disturbance", "sensor_lag", "speed_servo"}
-        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own) or oddity is not None
+        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own) or oddity is not None or shaken
         paces = [pace(p) for name, p in own.items() if (pace := LAWS[name].pace) is not None]
         quickest = max([abs(truth.damping), *paces]) / self._share
         self._step = min(longest, angle / quickest) if quickest > 0.0 else longest
         self._hastes = [(haste, p) for name, p in own.items() if (haste := LAWS[name].haste) is not None]
-        self.minds_motion = bool(self._hastes) or self._dahl is not None
+        self.minds_motion = bool(self._hastes) or self._dahl is not None or self._stop is not None
 
     def body(self, position: Any) -> Body:
         """Return the axis at rest at `position`, an array for many runs."""
         zero = 0.0 * position
         load = (position, zero) if self.has_load else ()
         servo = (zero,) if self._servo is not None else ()
-        return Body((position, zero, *load, *servo), Mode(zero, zero, zero), (position, zero), position)
+        return Body((position, zero, *load, *servo), Mode(zero, zero, zero, zero), (position, zero), position)
 
     def output(self, state: State) -> tuple[Any, Any]:
         """Return position and velocity of what is measured: the load, where there is one."""
@@ -130,6 +143,10 @@ class Axis:
         for haste, p in self._hastes:
             rate = haste(p, abs(state[0]), speed, acceleration, m)
             step = m.minimum(step, self._angle / m.maximum(rate, 1e-9))
+        if self._stop is not None:
+            moves = m.maximum(speed, acceleration / CONTACT_RATE) > SETTLED
+            pressed = m.where(moves, 0.6, 2.5) * self._angle / CONTACT_RATE
+            step = m.where(body.mode.stop != 0.0, m.minimum(step, pressed), step)
         if self._dahl is not None:
             length = self._dahl.level / self._dahl.stiffness
             bends = abs(state[0] - body.anchor[0]) < FADED * length
@@ -150,10 +167,14 @@ class Axis:
         if self._limit is not None:
             asked, most = self._motor(t, state, u), self._limit.acceleration
             guards.append(m.where(mode.limit == 0.0, most - abs(asked), mode.limit * asked - most))
-        elif self.has_contact:
+        elif self.has_contact or self._stop is not None:
             guards.append(1.0)
         if self.has_contact:
             guards.append(self._contact_guard(state, mode.contact))
+        elif self._stop is not None:
+            guards.append(1.0)
+        if self._stop is not None:
+            guards.append(self._stop_guard(state, mode.stop))
         return tuple(guards)
 
     def enter(self, t: Any, body: Body, u: Signal) -> Body:
@@ -182,6 +203,9 @@ class Axis:
         if self.has_contact:
             side = m.where(mode.contact == 0.0, m.sign(state[0] - state[2]), 0.0)
             mode = mode._replace(contact=m.where(fired == CONTACT, side, mode.contact))
+        if self._stop is not None:
+            side = m.where(mode.stop == 0.0, m.sign(2.0 * state[0] - self._stop.low - self._stop.high), 0.0)
+            mode = mode._replace(stop=m.where(fired == STOP, side, mode.stop))
         body = Body(state, mode, anchor, shown)
         if m.any(turned):
             d = m.where(turned, self._departure(t, state, body, u), d)
@@ -204,23 +228,41 @@ class Axis:
 
     def _push(self, t: Any, state: State, d: Any, body: Body, u: Signal) -> tuple[Any, Any, Any]:
         """Return the motor's acceleration without dry friction, the level of that, and the force in the joint."""
-        m, mode = self.m, body.mode
-        x, velocity = state[0], state[1]
+        mode = body.mode
         push = self._motor(t, state, u)
         if self._limit is not None:
             push = push * (mode.limit == 0.0) + mode.limit * self._limit.acceleration
-        instant = Instant(x, velocity, d * velocity, d, t)
-        for function, p in self._forces:
-            push = push - function(instant, p, m)
-        if self._dahl is not None:
-            push = push - self._bent(x, body.mode.direction, body.anchor)
         level, joint = 0.0, 0.0
+        instant = Instant(state[0], state[1], d * state[1], d, t)
+        if self._load_friction:
+            external = self._sum(self._external, instant)
+            level = self._load_friction * abs(push + self._damping * state[1] + external)
+            push = push - external
+        push = self._without_forces(push, instant, state, body)
+        if u.shaking is not None:
+            push = push + u.shaking.at(t)
         for function, p in self._frictions:
-            level = level + function(instant, p, m)
+            level = level + function(instant, p, self.m)
         if self._joint is None:
             return push, level, joint
         joint = self._joint(state, mode.contact)
         return (push - joint) / self._share, level / self._share, joint
+
+    def _without_forces(self, push: Any, instant: Instant, state: State, body: Body) -> Any:
+        """Return the push without the forces that no gear transmits, or without all where it does not matter."""
+        for function, p in self._forces:
+            push = push - function(instant, p, self.m)
+        if self._dahl is not None:
+            push = push - self._bent(state[0], body.mode.direction, body.anchor)
+        if self._stop is not None:
+            push = push - self._stop_force(state, body.mode.stop)
+        return push
+
+    def _sum(self, functions: list[tuple[Callable[..., Any], SimpleNamespace]], instant: Instant) -> Any:
+        total = 0.0
+        for function, p in functions:
+            total = total + function(instant, p, self.m)
+        return total
 
     def _motor(self, t: Any, state: State, u: Signal) -> Any:
         """Return the acceleration asked of the motor, back-EMF and damping included, before its limit."""
@@ -238,6 +280,20 @@ class Axis:
         travel = self.m.maximum(d * (x - anchor[0]), 0.0)
         return slips + (anchor[1] - slips) * self.m.exp(-self._dahl.stiffness / self._dahl.level * travel)
 
+    def _stop_force(self, state: State, side: Any) -> Any:
+        """Return the force of the end stop that is pressed, 0 where none is; critically damped."""
+        assert self._stop is not None  # noqa: S101 - asked for only where there is one
+        edge = self.m.where(side > 0.0, self._stop.high, self._stop.low)
+        return (CONTACT_RATE * (state[0] - edge) + 2.0 * state[1]) * CONTACT_RATE * (side != 0.0)
+
+    def _stop_guard(self, state: State, side: Any) -> Any:
+        """Return what is positive while a pressed stop presses, or while an axis between the stops touches neither."""
+        m, stop = self.m, self._stop
+        assert stop is not None  # noqa: S101 - asked for only where there is one
+        up, down = self._stop_force(state, 1.0 + 0.0 * side), -self._stop_force(state, -1.0 + 0.0 * side)
+        free = m.minimum(m.maximum(stop.high - state[0], -up), m.maximum(state[0] - stop.low, -down))
+        return m.where(side == 0.0, free, m.where(side > 0.0, up, down))
+
     def _contact_guard(self, state: State, contact: Any) -> Any:
         """Return what is positive while a pressed flank presses, or while a free load stays free of both."""
         m, joint = self.m, self._joint
@@ -251,9 +307,12 @@ class Axis:
         return m.where(contact == 0.0, free, m.where(contact > 0.0, up, down))
 
 
-def _functions(own: dict[str, SimpleNamespace], kind: str) -> list[tuple[Callable[..., Any], SimpleNamespace]]:
-    """Return the functions of the effects of a kind, in the order of the table."""
-    found = [(law.function, own[name]) for name, law in LAWS.items() if law.kind == kind and name in own]
+def _functions(
+    own: dict[str, SimpleNamespace], kind: str, *, only: frozenset[str] | None = None, but: frozenset[str] = frozenset()
+) -> list[tuple[Callable[..., Any], SimpleNamespace]]:
+    """Return the functions of the effects of a kind, in the order of the table; only some, or all but some."""
+    names = [name for name in LAWS if name in own and name not in but and (only is None or name in only)]
+    found = [(LAWS[name].function, own[name]) for name in names if LAWS[name].kind == kind]
     return [(function, p) for function, p in found if function is not None]
 
 

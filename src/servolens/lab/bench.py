@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.errors import InputError
-from servolens.lab.loop import Bench, run_many, run_one
+from servolens.lab.disturbances import Drawn, SensorNoise, Surroundings
+from servolens.lab.loop import Bench, Run, run_many, run_one
 from servolens.record import Controller, Record
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.lab.loop import Run
     from servolens.lab.truth import Truth
     from servolens.record import LengthUnit
 
@@ -40,6 +40,7 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
     start: float = 0.0,
     encoder: float = 1e-5,
     noise: float = 0.0,
+    surroundings: Surroundings | None = None,
     seed: Seed = None,
     derivative_filter: float = 1.0,
     controller: Controller | None = None,
@@ -81,8 +82,11 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
         Resolution of the position sensor [m], 0 for none.
     noise : float
         Standard deviation of the sensor's white noise before quantisation [m].
+    surroundings : Surroundings, optional
+        In place of `noise` and `encoder`: what else disturbs the measurement. Slow noise, a ripple of the mains, a
+        shaken axis, samples that are not taken on time.
     seed : int, SeedSequence or Generator
-        Of the noise; needed when there is noise.
+        Of all that is random; needed where something is.
     derivative_filter : float
         Share of the new difference in the derivative, in (0, 1].
     controller : Controller, optional
@@ -115,11 +119,14 @@ def step_record(  # noqa: PLR0913 - the knobs of a test bench, all but the gains
     >>> record = step_record(NLM1, kp=60, kd=5, noise=1e-5, seed=3)
     >>> len(record), float(record.time[-1]), record.encoder_resolution
     (1501, 1.5, 1e-05)
+    >>> from servolens.lab import Shaking, Surroundings
+    >>> shaken = Surroundings(shaking=Shaking(deviation=0.05, correlation_time=0.1))
+    >>> record = step_record(NLM1, kp=60, surroundings=shaken, seed=3)
     """
     settings = _settings(locals())
     bench = settings.bench()
-    noises = noise * np.random.default_rng(seed).standard_normal(bench.time.size) if noise else None
-    return settings.record(bench, run_one(truth, bench, noises), settings.title)
+    drawn = settings.around.drawn(bench.time, np.random.default_rng(seed))
+    return settings.record(bench, run_one(truth, bench, drawn), settings.title, drawn)
 
 
 def step_records(  # noqa: PLR0913 - as step_record
@@ -138,6 +145,7 @@ def step_records(  # noqa: PLR0913 - as step_record
     start: float = 0.0,
     encoder: float = 1e-5,
     noise: float = 1e-5,
+    surroundings: Surroundings | None = None,
     derivative_filter: float = 1.0,
     controller: Controller | None = None,
     voltage_limit: float | None = None,
@@ -147,7 +155,7 @@ def step_records(  # noqa: PLR0913 - as step_record
     command_unit: str = "V",
     name: str | None = None,
 ) -> tuple[Record, ...]:
-    """Log the same experiment `repeats` times with other noise, all runs simulated at once.
+    """Log the same experiment `repeats` times with other noise, all runs simulated at once if they are on time.
 
     Run i equals, to rounding, ``step_record(..., seed=np.random.default_rng(seed).spawn(repeats)[i])``, and does not
     change when more are asked for.
@@ -159,7 +167,7 @@ def step_records(  # noqa: PLR0913 - as step_record
     seed : int, SeedSequence or Generator
         Of the noise of all runs; each has a stream of its own.
     truth, kp, kd, reference, duration, sample_time, rest, trajectory, feedforward, start, encoder, noise, \
-derivative_filter, controller, voltage_limit, log_reference, log_voltage, length_unit, command_unit, name
+surroundings, derivative_filter, controller, voltage_limit, log_reference, log_voltage, length_unit, command_unit, name
         As in :func:`step_record`.
 
     Returns
@@ -181,13 +189,21 @@ derivative_filter, controller, voltage_limit, log_reference, log_voltage, length
         raise InputError(f"repeats must be at least 1, got {repeats}")
     settings = _settings(locals())
     bench = settings.bench()
-    streams = np.random.default_rng(seed).spawn(repeats)
-    noises = noise * np.stack([stream.standard_normal(bench.time.size) for stream in streams], axis=1)
-    runs = run_many(truth, bench, noises)
+    each = [settings.around.drawn(bench.time, stream) for stream in np.random.default_rng(seed).spawn(repeats)]
+    if settings.around.jitter is None:
+        runs = [Run(*signals) for signals in zip(*run_many(truth, bench, _together(each)), strict=True)]
+    else:  # every run has instants of its own
+        runs = [run_one(truth, bench, drawn) for drawn in each]
     return tuple(
-        settings.record(bench, type(runs)(*signals), f"{settings.title}, run {i}")
-        for i, signals in enumerate(zip(*runs, strict=True), start=1)
+        settings.record(bench, run, f"{settings.title}, run {i}", drawn)
+        for i, (run, drawn) in enumerate(zip(runs, each, strict=True), start=1)
     )
+
+
+def _together(each: Sequence[Drawn]) -> Drawn:
+    """Return what many runs meet, one a column."""
+    shaking = [drawn.shaking for drawn in each if drawn.shaking is not None]
+    return Drawn(np.stack([drawn.noise for drawn in each], axis=1), np.stack(shaking, axis=1) if shaking else None)
 
 
 @final
@@ -206,6 +222,7 @@ class _Settings:
     start: float
     encoder: float
     noise: float
+    surroundings: Surroundings | None
     seed: Seed
     derivative_filter: float
     controller: Controller | None
@@ -224,10 +241,15 @@ class _Settings:
             raise InputError(f"start must be finite, got {self.start!r}")
         if self.voltage_limit is not None:
             _check("voltage_limit", self.voltage_limit, positive=True)
-        if self.noise and self.seed is None:
+        if self.around.is_random and self.seed is None:
             raise InputError("noise needs a seed, so that the record can be made again")
         if not (self.log_reference or self.log_voltage):
             raise InputError("log_reference and log_voltage are both False; a record needs at least one of the two")
+
+    @property
+    def around(self) -> Surroundings:
+        """What disturbs the measurement."""
+        return self.surroundings or Surroundings(noise=SensorNoise(deviation=self.noise), encoder=self.encoder)
 
     @property
     def loop(self) -> Controller:
@@ -255,23 +277,23 @@ class _Settings:
             reference=reference,
             feedforward=feedforward,
             start=float(self.start),
-            encoder=float(self.encoder),
+            encoder=float(self.around.encoder),
             voltage_limit=self.voltage_limit,
         )
 
-    def record(self, bench: Bench, run: Run, name: str) -> Record:
+    def record(self, bench: Bench, run: Run, name: str, drawn: Drawn) -> Record:
         """Return what is logged of a run."""
         for signal in run:
             signal.flags.writeable = False
         return Record(
-            time=bench.time,
+            time=self.around.logged(bench.time, drawn),
             position=run.position,
             reference=bench.reference if self.log_reference else None,
             voltage=run.voltage if self.log_voltage else None,
             velocity=run.velocity if bench.controller.derivative == "velocity" else None,
             feedforward=bench.feedforward,
             controller=bench.controller,
-            encoder_resolution=self.encoder or None,
+            encoder_resolution=self.around.encoder or None,
             voltage_limit=self.voltage_limit,
             name=name,
             source="virtual laboratory",

@@ -1,8 +1,10 @@
-"""From the held command to what the motor feels: limit, dead band, delay, lag and drift, in closed form."""
+"""From the held command to what the motor feels: limit, dead band, delay, lag and drift, in closed form.
+
+Beside the command a signal carries what shakes the axis, for both are given sample by sample.
+"""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, final
@@ -14,17 +16,39 @@ if TYPE_CHECKING:
 
     from servolens.lab.truth import Truth
 
-__all__ = ["Chain", "Segment", "Signal"]
+__all__ = ["Chain", "Segment", "Shake", "Signal"]
+
+SAME_INSTANT = 1e-9
+"""Share of the sample time below which a delayed command arrives at the sample itself."""
+
+
+class Shake(NamedTuple):
+    """A random acceleration during one sample: its value at the sample at `since`, and how it changes."""
+
+    since: float
+    value: Any
+    slope: Any
+
+    def at(self, t: Any) -> Any:
+        """Return the acceleration at `t`."""
+        return self.value + self.slope * (t - self.since)
+
+    def take(self, lanes: Any) -> Shake:
+        """Return that of some of many runs."""
+        return Shake(self.since, self.value[lanes], self.slope[lanes])
 
 
 @final
 class Signal:
     """The effective command after its level has jumped: a lag that is solved exactly, times a drift."""
 
-    __slots__ = ("drift", "initial", "lag", "level", "m", "since")
+    __slots__ = ("drift", "initial", "lag", "level", "m", "shaking", "since")
 
-    def __init__(self, level: Any, initial: Any, since: float, lag: float, drift: float, m: Any) -> None:
+    def __init__(
+        self, level: Any, initial: Any, since: float, lag: float, drift: float, m: Any, shaking: Shake | None = None
+    ) -> None:
         self.level, self.initial, self.since, self.lag, self.drift, self.m = level, initial, since, lag, drift, m
+        self.shaking = shaking
 
     def __call__(self, t: Any) -> Any:
         """Return the command felt at `t`, not before the jump."""
@@ -48,7 +72,8 @@ class Signal:
 
     def take(self, lanes: Any) -> Signal:
         """Return the signal of some of many runs."""
-        return Signal(self.level[lanes], self.initial[lanes], self.since, self.lag, self.drift, self.m)
+        shaking = None if self.shaking is None else self.shaking.take(lanes)
+        return Signal(self.level[lanes], self.initial[lanes], self.since, self.lag, self.drift, self.m, shaking)
 
 
 class Segment(NamedTuple):
@@ -68,35 +93,37 @@ class Chain:
 
     def __init__(self, truth: Truth, m: Any, sample_time: float) -> None:
         own = {name: SimpleNamespace(**values) for name, values in truth.effects.items()}
-        self._m, self._h = m, sample_time
+        self._m = m
         self._held: list[tuple[Callable[..., Any], SimpleNamespace]] = [
             (law.function, own[name])
             for name, law in LAWS.items()
             if law.kind == "command" and name in own and law.function is not None
         ]
-        late = own["delay"].time / sample_time if "delay" in own else 0.0
-        self._late = math.floor(late + 1e-9)
-        self._within = max(late - self._late, 0.0) if late - self._late > 1e-9 else 0.0
+        self._delay, self._least = own["delay"].time if "delay" in own else 0.0, SAME_INSTANT * sample_time
         self._lag = own["actuator_lag"].time_constant if "actuator_lag" in own else 0.0
         self._drift = own["gain_drift"].rate if "gain_drift" in own else 0.0
-        self._past: deque[Any] = deque(maxlen=self._late + 2)
+        self._coming: deque[tuple[float, Any]] = deque()
+        self._level: Any = None
         self._felt: Any = None
 
-    def apply(self, t: float, asked: Any) -> list[Segment]:
-        """Return what is felt from `t` to the next sample, once `asked` has been asked for."""
+    def apply(self, t: float, length: float, asked: Any, shaking: Shake | None = None) -> list[Segment]:
+        """Return what is felt from `t` to the next sample, `length` later, once `asked` has been asked for."""
         for function, p in self._held:
             asked = function(asked, p, self._m)
         if self._felt is None:
-            self._felt = asked
-            self._past.extend([asked] * (self._late + 2))
-        self._past.append(asked)
-        before, after = self._past[0], self._past[1]
-        if not self._within:
-            return [self._segment(t, self._h, after)]
-        first = self._within * self._h
-        return [self._segment(t, first, before), self._segment(t + first, self._h - first, after)]
+            self._felt = self._level = asked
+        self._coming.append((t + self._delay, asked))
+        segments, start, end = [], t, t + length
+        while self._coming and self._coming[0][0] < end - self._least:
+            arrival, level = self._coming.popleft()
+            if arrival > start + self._least:
+                segments.append(self._segment(start, arrival - start, shaking))
+                start = arrival
+            self._level = level
+        segments.append(self._segment(start, length if start == t else end - start, shaking))
+        return segments
 
-    def _segment(self, start: float, length: float, level: Any) -> Segment:
-        signal = Signal(level, self._felt, start, self._lag, self._drift, self._m)
+    def _segment(self, start: float, length: float, shaking: Shake | None) -> Segment:
+        signal = Signal(self._level, self._felt, start, self._lag, self._drift, self._m, shaking)
         self._felt = signal.lagged(start + length)
         return Segment(start, length, signal)

@@ -33,6 +33,8 @@ class Foreign(NamedTuple):
         Size at which the best linear model misses about a thousandth of the step.
     make : callable
         (scene, size, dice of the axis, dice of the run) → Oddity.
+    same_as : tuple of str
+        Effects of the catalogue with the same structure: naming one of them is no mistake.
     """
 
     sentence: str
@@ -40,6 +42,7 @@ class Foreign(NamedTuple):
     high: float
     per_mille: float
     make: Callable[[Scene, float, Dice, Dice], Oddity]
+    same_as: tuple[str, ...] = ()
 
 
 FOREIGN = MappingProxyType(
@@ -78,7 +81,9 @@ FOREIGN = MappingProxyType(
         "two_slope_spring": Foreign(
             "A spring acts beyond a point of the travel.", 1e-4, 0.8, 0.0025, laws.two_slope_spring
         ),
-        "end_stop": Foreign("A hard spring stands at the end of the travel.", 1e-3, 30.0, 0.021, laws.end_stop),
+        "elastic_buffer": Foreign(
+            "A spring without damping stands at the end of the travel.", 1e-3, 30.0, 0.021, laws.elastic_buffer
+        ),
         "root_drag": Foreign("Drag grows with the root of the speed.", 1e-4, 0.3, 0.0053, laws.root_drag),
         "one_sided_dead_zone": Foreign(
             "Small commands of one sign only do nothing.", 1e-4, 0.3, 0.00053, laws.one_sided_dead_zone
@@ -91,7 +96,20 @@ FOREIGN = MappingProxyType(
         "missed_counts": Foreign("The encoder loses counts now and then.", 1e-5, 0.1, 0.0045, laws.missed_counts),
         "sample_jitter": Foreign("Samples are taken a little early or late.", 1e-2, 1.0, 0.25, laws.sample_jitter),
         "actuator_resonance": Foreign(
-            "The actuator rings at a frequency of its own.", 0.01, 0.4, 0.054, laws.actuator_resonance
+            "The actuator rings at a frequency of its own.",
+            0.01,
+            0.4,
+            0.054,
+            laws.actuator_resonance,
+            ("flexible_coupling",),
+        ),
+        "second_order_actuator": Foreign(
+            "The actuator follows its command with two poles, moderately damped.",
+            1e-3,
+            0.4,
+            0.02,
+            laws.second_order_actuator,
+            ("flexible_coupling",),
         ),
         "step_force": Foreign("A constant force sets in during the run.", 1e-5, 0.2, 0.00062, laws.step_force),
         "lost_commands": Foreign("Some commands are lost, the last one is held.", 0.01, 0.8, 0.25, laws.lost_commands),

@@ -8,7 +8,7 @@ the training records, beyond noise and in units of it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, final
 
@@ -16,24 +16,32 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.lab.foreign import FOREIGN
-from servolens.lab.scene import NOISES, draw_scene, log_uniform
-from servolens.lab.search import Search, heard, law, noises, sane_run
+from servolens.lab.loop import run_one
+from servolens.lab.scene import NOISES, draw_scene
+from servolens.lab.search import Search, heard, law, missed, sane_run
 from servolens.lab.sizes import SIZES
+from servolens.lab.truth import Truth
+from servolens.lab.worlds import Usual, checked_world, draw_surroundings
 from servolens.record import Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from servolens.lab.disturbances import Drawn, Surroundings
     from servolens.lab.loop import Bench, Run
     from servolens.lab.scene import Scene
     from servolens.lab.search import Found
-    from servolens.lab.truth import Truth
     from servolens.record import LengthUnit
 
 __all__ = ["HiddenCampaign", "hidden_campaign"]
 
 USUAL = (8.0, 150.0)
-"""Visibility that is drawn from if none is asked for."""
+"""Visibility that is drawn from if none is asked for, in white noise."""
+LEAST_SHAKEN, MOST_OF_STEP = 4.0, 0.015
+"""Least visibility where the axis is shaken, which hides less than its size suggests; and the largest share of the step
+that an effect costs where none is asked for: 150 times the loudest white noise."""
+KEPT_OF_REPEATED = 2
+"""Different training runs at most, where each is repeated and no number is asked for."""
 NEAR = 0.17
 """Distance of the logarithm of visibility at which an axis will do."""
 MOST_AXES = 5
@@ -53,11 +61,16 @@ class HiddenCampaign:
         With every effect of the catalogue that was hidden.
     foreign : str or None
         Name of the law that is not in the catalogue, see :data:`servolens.lab.FOREIGN`.
-    noise, encoder : float
-        Standard deviation of the white noise and resolution of the position sensor [m or rad].
+    world : str
+        Name of the world, see :data:`servolens.lab.WORLDS`.
+    surroundings : Surroundings
+        What disturbed the measurement.
+    floor : float
+        What that alone costs [m or rad]: in the white world the r.m.s. of noise and quantisation, in any other the
+        r.m.s. error of the best model of gain and damping on a healthy axis.
     visibility : float
         R.m.s. error of the best model of gain and damping in the training records, without its part of noise, over
-        `floor`; 0 for a healthy axis.
+        `floor`; 0 for a healthy axis. Measured in white noise of the scene's usual level.
     shares : mapping of str to float
         The visibility of each effect, or foreign law, by itself.
     seed : int
@@ -68,16 +81,22 @@ class HiddenCampaign:
     heldout: tuple[Record, ...]
     truth: Truth
     foreign: str | None
-    noise: float
-    encoder: float
+    world: str
+    surroundings: Surroundings
+    floor: float
     visibility: float
     shares: Mapping[str, float]
     seed: int
 
     @property
-    def floor(self) -> float:
-        """R.m.s. of noise and quantisation [m or rad]."""
-        return math.hypot(self.noise, self.encoder / math.sqrt(12.0))
+    def noise(self) -> float:
+        """Standard deviation of the sensor's random noise [m or rad]."""
+        return self.surroundings.noise.deviation
+
+    @property
+    def encoder(self) -> float:
+        """Resolution of the position sensor [m or rad]."""
+        return self.surroundings.encoder
 
 
 def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by keyword
@@ -93,6 +112,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     log_reference: bool = True,
     length_unit: LengthUnit | None = None,
     smooth: bool = False,
+    world: str = "white",
 ) -> HiddenCampaign:
     """Measure an axis whose truth is hidden; all that is not asked for is drawn from the seed.
 
@@ -105,10 +125,10 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     foreign : str, optional
         Name of a law that is not in the catalogue, to hide as well.
     visibility : float, optional
-        Of each effect by itself, positive; log-uniform in 8 … 150 by default. Where no sensible size of the effect
-        shows it so, the nearest; the campaign says how visible it is.
+        Of each effect by itself, positive; log-uniform in 8 … 150 by default, less in loud worlds. Where no
+        sensible size of the effect shows it so, the nearest; the campaign says how visible it is.
     noise : {"low", "medium", "high"} or float, optional
-        1e-5, 3e-5 or 1e-4 of the step, roughly; or standard deviation [m or rad].
+        1e-5, 3e-5 or 1e-4 of the step, roughly; or standard deviation [m or rad]. A coarse encoder is drawn apart.
     records, heldout : int, optional
         Training records, at least 1 (by default 2 to 4); held-out records (1 or 2).
     log_voltage, log_reference : bool
@@ -118,6 +138,9 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
         ``pendulum_gravity`` is always in rad.
     smooth : bool
         Whether the references are ramps, S-curves and sines instead of steps.
+    world : str
+        What disturbs the measurement, a name of :data:`servolens.lab.WORLDS`. The axis and its runs are the same in
+        every world, the size of an effect follows from the visibility asked for.
 
     Returns
     -------
@@ -136,15 +159,19 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     (['coulomb_friction'], True)
     """
     names = _checked(effects, foreign, visibility, noise, records, heldout, log_voltage or log_reference)
+    checked_world(world)
     unit: LengthUnit | None = "rad" if "pendulum_gravity" in names else length_unit
+    logged = (log_voltage, log_reference)
     best: tuple[float, HiddenCampaign] | None = None
     for attempt in range(MOST_AXES):
         rng = np.random.default_rng([seed, attempt])
-        wanted = [log_uniform(rng, *USUAL) if visibility is None else float(visibility) for _ in names]
+        shares = [float(rng.uniform()) if visibility is None else 0.0 for _ in names]
         scene = draw_scene(rng, records=records, heldout=heldout, noise=noise, length_unit=unit, smooth=smooth)
-        found = Search(scene, (seed, attempt), log_reference).hide(names, wanted)
+        site = _site(scene, world, (seed, attempt), logged, shortened=records is None)
+        wanted = [site.wanted(share) if visibility is None else float(visibility) for share in shares]
+        found = Search(site.scene, site.key, log_reference).hide(names, [one * site.loudness for one in wanted])
         if found is not None and (best is None or found.distance < best[0]):
-            campaign = _measured(scene, (seed, attempt), found, foreign, (log_voltage, log_reference))
+            campaign = site.measured(found, foreign)
             best = best if campaign is None else (found.distance, campaign)
         if best is not None and best[0] <= NEAR:
             break
@@ -153,48 +180,126 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     return best[1]
 
 
-def _measured(
-    scene: Scene, key: tuple[int, int], found: Found, foreign: str | None, logged: tuple[bool, bool]
-) -> HiddenCampaign | None:
-    """Log the training runs and measure those that are held out; None if one of them is of no use."""
-    truth, odd = law(scene, key, found.look.sizes)
-    count, runs = len(scene.training), list(found.look.runs)
-    for i, bench in enumerate(scene.heldout, start=count):
-        run = sane_run(heard(truth, key, i), bench, noises(scene, key, i), odd(i), scene.step)
-        if run is None:
-            return None
-        runs.append(run)
-    pairs = zip((*scene.training, *scene.heldout), runs, strict=True)
-    records = [_record(scene, bench, run, i, *logged) for i, (bench, run) in enumerate(pairs)]
-    return HiddenCampaign(
-        records=tuple(records[:count]),
-        heldout=tuple(records[count:]),
-        truth=truth,
-        foreign=foreign,
-        noise=scene.noise,
-        encoder=scene.encoder,
-        visibility=found.look.visibility if found.shares else 0.0,
-        shares=MappingProxyType(found.shares),
-        seed=key[0],
-    )
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Site:
+    """A scene in a world: what is logged there of (voltage, reference), and what the world alone costs."""
+
+    scene: Scene
+    world: str
+    surroundings: Surroundings
+    key: tuple[int, int]
+    logged: tuple[bool, bool]
+    floor: float
+
+    @property
+    def loudness(self) -> float:
+        """The floor over that of white noise."""
+        return self.floor / self.scene.floor
+
+    def wanted(self, share: float) -> float:
+        """Return the visibility that belongs to a number between 0 and 1."""
+        low, high = USUAL
+        if self.world != "white":
+            low = LEAST_SHAKEN if self.surroundings.shaking else low
+            high = max(min(high, MOST_OF_STEP * self.scene.step / self.floor), 2.0 * low)
+        return float(np.exp(math.log(low) + (math.log(high) - math.log(low)) * share))
+
+    def measured(self, found: Found, foreign: str | None) -> HiddenCampaign | None:
+        """Log the training runs and measure those that are held out; None if one of them is of no use."""
+        truth, odd = law(self.scene, self.key, found.look.sizes)
+        count, logs = len(self.scene.training), []
+        for i, repeat in self.runs():
+            bench, drawn = self.bench(i), self.drawn(i, repeat)
+            number = _number(i, repeat)
+            if self.world == "white" and i < count:
+                run: Run | None = found.look.runs[i]
+            else:
+                run = sane_run(heard(truth, self.key, number), bench, drawn, odd(number), self.scene.step)
+            if run is None:
+                return None
+            logs.append(self.record(bench, run, drawn, (i, repeat)))
+        kept = count * self.surroundings.repeats
+        return HiddenCampaign(
+            records=tuple(logs[:kept]),
+            heldout=tuple(logs[kept:]),
+            truth=truth,
+            foreign=foreign,
+            world=self.world,
+            surroundings=self.surroundings,
+            floor=self.floor,
+            visibility=found.look.visibility / self.loudness if found.shares else 0.0,
+            shares=MappingProxyType({name: share / self.loudness for name, share in found.shares.items()}),
+            seed=self.key[0],
+        )
+
+    def runs(self) -> list[tuple[int, int]]:
+        """Return number and repetition of each run; training runs first, those held out are done once."""
+        training, heldout = len(self.scene.training), len(self.scene.heldout)
+        repeated = [(i, repeat) for i in range(training) for repeat in range(self.surroundings.repeats)]
+        return [*repeated, *((training + i, 0) for i in range(heldout))]
+
+    def bench(self, i: int) -> Bench:
+        """Return the bench of a run, with the world's encoder."""
+        return replace((*self.scene.training, *self.scene.heldout)[i], encoder=self.surroundings.encoder)
+
+    def drawn(self, i: int, repeat: int) -> Drawn:
+        """Return what a run meets."""
+        dice = np.random.default_rng([*self.key, 2, _number(i, repeat)])
+        return self.surroundings.drawn(self.bench(i).time, dice)
+
+    def record(self, bench: Bench, run: Run, drawn: Drawn, which: tuple[int, int]) -> Record:
+        """Return what is logged of a run."""
+        for signal in run:
+            signal.flags.writeable = False
+        loop, (i, repeat) = bench.controller, which
+        log_voltage, log_reference = self.logged
+        again = f", repeat {repeat + 1}" if self.surroundings.repeats > 1 and i < len(self.scene.training) else ""
+        return Record(
+            time=self.surroundings.logged(bench.time, drawn),
+            position=run.position,
+            reference=bench.reference if log_reference else None,
+            voltage=run.voltage if log_voltage else None,
+            controller=loop,
+            encoder_resolution=bench.encoder or None,
+            name=f"run {i + 1}{again}, kp {loop.kp:g}, kd {loop.kd:g}",
+            source="virtual laboratory",
+            length_unit=self.scene.length_unit,
+            command_unit=self.scene.command_unit,
+        )
 
 
-def _record(scene: Scene, bench: Bench, run: Run, i: int, log_voltage: bool, log_reference: bool) -> Record:
-    for signal in run:
-        signal.flags.writeable = False
-    loop = bench.controller
-    return Record(
-        time=bench.time,
-        position=run.position,
-        reference=bench.reference if log_reference else None,
-        voltage=run.voltage if log_voltage else None,
-        controller=loop,
-        encoder_resolution=scene.encoder or None,
-        name=f"run {i + 1}, kp {loop.kp:g}, kd {loop.kd:g}",
-        source="virtual laboratory",
-        length_unit=scene.length_unit,
-        command_unit=scene.command_unit,
+def _site(scene: Scene, world: str, key: tuple[int, int], logged: tuple[bool, bool], *, shortened: bool) -> _Site:
+    """Put a scene into a world, and measure what that alone costs there."""
+    loop = scene.training[0].controller
+    usual = Usual(
+        scene.noise,
+        scene.encoder,
+        scene.step,
+        math.sqrt(scene.gain * loop.kp),
+        scene.damping + scene.gain * loop.kd,
     )
+    around = draw_surroundings(world, np.random.default_rng([*key, 6]), usual)
+    if around.repeats > 1 and shortened:
+        scene = replace(scene, training=scene.training[:KEPT_OF_REPEATED])
+    site = _Site(scene=scene, world=world, surroundings=around, key=key, logged=logged, floor=scene.floor)
+    return site if world == "white" else replace(site, floor=_floor(site))
+
+
+def _floor(site: _Site) -> float:
+    """Return what the best linear model misses on a healthy axis; instants that are stated are nobody's error."""
+    around, scene = site.surroundings, site.scene
+    if around.jitter is not None and around.jitter.stated:
+        site = replace(site, surroundings=replace(around, jitter=None))
+    healthy = Truth(gain=scene.gain, damping=scene.damping)
+    benches = [site.bench(i) for i in range(len(scene.training))]
+    measured = [(bench, run_one(healthy, bench, site.drawn(i, 0))) for i, bench in enumerate(benches)]
+    return missed(scene, measured, site.logged[1])
+
+
+def _number(i: int, repeat: int) -> int:
+    """Return the number that chance knows a run by."""
+    return i + 1000 * repeat
 
 
 def _checked(

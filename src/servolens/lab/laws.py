@@ -18,10 +18,30 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-__all__ = ["ARRAYS", "CONTACT_RATE", "FADED", "FLOATS", "LAWS", "LOAD_DRAG", "Instant", "Law", "Range", "across"]
+__all__ = [
+    "ARRAYS",
+    "CONTACT_RATE",
+    "EXTERNAL",
+    "FADED",
+    "FLOATS",
+    "KNOTS",
+    "LAWS",
+    "LOAD_DRAG",
+    "Instant",
+    "Law",
+    "Range",
+    "across",
+]
 
 CONTACT_RATE = 2000.0
-"""Free–free frequency of two masses pressed together at the end of the lost motion [rad/s]; critically damped."""
+"""Frequency of hard contacts [rad/s], critically damped: free–free, of two masses pressed together at the end of the
+lost motion; of the whole mass in an end stop."""
+EXTERNAL = frozenset(
+    {"return_spring", "hardening_spring", "constant_force", "pendulum_gravity", "cogging", "periodic_disturbance"}
+)
+"""Forces that depend on position and time only: a gear transmits them."""
+KNOTS = 5
+"""Of a friction map."""
 LOAD_DRAG = 2.0
 """Viscous drag of a load behind lost motion, per unit of its own mass [1/s]."""
 FADED = 12.0
@@ -84,6 +104,7 @@ class Range(NamedTuple):
 
 
 ANY, NOT_NEGATIVE, POSITIVE, SHARE = Range(), Range(0.0), Range(0.0, within=True), Range(0.0, 1.0, within=True)
+FRACTION = Range(0.0, 0.999)
 
 
 class Law(NamedTuple):
@@ -173,6 +194,18 @@ def _position_friction(instant: Instant, p: Any, m: Any) -> Any:
     return p.level * m.exp(-away * away)
 
 
+def _friction_map(instant: Instant, p: Any, m: Any) -> Any:
+    place = (KNOTS - 1) * (instant.position - p.low) / (p.high - p.low)
+    levels = []
+    for side in ("positive", "negative"):
+        knots = [getattr(p, f"{side}_{i}") for i in range(KNOTS)]
+        level = knots[0]
+        for i in range(KNOTS - 1):
+            level = level + (knots[i + 1] - knots[i]) * m.minimum(m.maximum(place - i, 0.0), 1.0)
+        levels.append(level)
+    return m.where(instant.direction > 0.0, *levels)
+
+
 def across(length: float, speed: Any, acceleration: Any, m: Any) -> Any:
     """Return the rate at which `length` is crossed, from rest too."""
     return m.maximum(speed / length, (acceleration / length) ** 0.5)
@@ -259,6 +292,15 @@ LAWS = {
         _position_friction,
         haste=lambda p, x, speed, acceleration, m: 0.4 * across(p.width, speed, acceleration, m),
     ),
+    "load_friction": Law("memory", {"share": FRACTION}),
+    "friction_map": Law(
+        "friction",
+        {f"{side}_{i}": NOT_NEGATIVE for side in ("positive", "negative") for i in range(KNOTS)}
+        | {"low": ANY, "high": ANY},
+        _friction_map,
+        haste=lambda p, x, speed, acceleration, m: 0.4 * across((p.high - p.low) / 4.0, speed, acceleration, m),
+    ),
+    "end_stop": Law("memory", {"low": ANY, "high": ANY}),
     "backlash": Law("memory", {"gap": NOT_NEGATIVE, "load_share": SHARE}, pace=lambda p: CONTACT_RATE / 2.5),
     "flexible_coupling": Law(
         "memory",

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.errors import NumericalError
 from servolens.lab.axis import Axis
-from servolens.lab.command import Chain
+from servolens.lab.command import Chain, Shake
 from servolens.lab.laws import ARRAYS, FLOATS
 from servolens.lab.motion import advance_many, advance_one
 from servolens.lab.pd import DigitalPD
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.lab.disturbances import Drawn
     from servolens.lab.oddity import Oddity
     from servolens.record import Controller
 
@@ -60,62 +61,84 @@ class Run(NamedTuple):
     velocity: NDArray[np.float64]
 
 
-def run_one(truth: Truth, bench: Bench, noises: NDArray[np.float64] | None, oddity: Oddity | None = None) -> Run:
-    """Return one run; `noises` of shape (n,). An oddity is what no effect of the truth does."""
-    each = [0.0] * bench.time.size if noises is None else noises.tolist()
+def run_one(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None = None) -> Run:
+    """Return one run; what is drawn has shape (n,). An oddity is what no effect of the truth does."""
+    noises, shaking, instants = drawn
+    plain = None if shaking is None else shaking.tolist()
+    each = _Each(noises.tolist(), plain, (bench.time if instants is None else instants).tolist())
     signals = _close(truth, bench, each, bench.start, FLOATS, advance_one, oddity)
     return Run(*(np.array(signal) for signal in signals))
 
 
-def run_many(truth: Truth, bench: Bench, noises: NDArray[np.float64]) -> Run:
-    """Return all runs; `noises` of shape (n, runs)."""
+def run_many(truth: Truth, bench: Bench, drawn: Drawn) -> Run:
+    """Return all runs; noise and shaking of shape (n, runs), all at the nominal instants."""
+    noises, shaking, _ = drawn
     start = np.full(noises.shape[1], bench.start)
+    each = _Each(noises, shaking, bench.time.tolist())
     with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away is named below
-        signals = _close(truth, bench, noises, start, ARRAYS, advance_many)
+        signals = _close(truth, bench, each, start, ARRAYS, advance_many)
     return Run(*(np.stack(signal, axis=1) for signal in signals))
+
+
+class _Each(NamedTuple):
+    """Noise, shaking and instant of each sample; noise and shaking are floats for one run, arrays for many."""
+
+    noises: Any
+    shaking: Any
+    instants: list[float]
+
+    def lengths(self, h: float) -> list[float]:
+        """Return the time to the next sample, the nominal one where samples are taken on time."""
+        ahead = [*self.instants[1:], self.instants[-1] + h]
+        steps = [b - a for a, b in zip(self.instants, ahead, strict=True)]
+        return [h if abs(step - h) < 1e-9 * h else step for step in steps]
+
+    def shake(self, k: int, t: float, length: float) -> Shake | None:
+        """Return what shakes the axis from sample `k` to the next."""
+        if self.shaking is None:
+            return None
+        now, ahead = self.shaking[k], self.shaking[min(k + 1, len(self.shaking) - 1)]
+        return Shake(t, now, (ahead - now) / length)
 
 
 def _close(
     truth: Truth,
     bench: Bench,
-    noises: Any,
+    each: _Each,
     start: Any,
     m: Any,
     advance: Callable[..., Any],
     oddity: Oddity | None = None,
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Run the loop through its samples; a sample is a float for one run, an array for many."""
-    truth, time, step = _limited(truth, bench), bench.time.tolist(), bench.encoder
-    h = time[1] - time[0]
+    truth, step = _limited(truth, bench), bench.encoder
+    h = float(bench.time[1] - bench.time[0])
     axis, chain, controller = (
-        Axis(truth, m, bench.substep or SUBSTEP, bench.angle or ANGLE, oddity),
+        Axis(truth, m, bench.substep or SUBSTEP, bench.angle or ANGLE, oddity, shaken=each.shaking is not None),
         Chain(truth, m, h),
         DigitalPD(bench.controller, h),
     )
     reference = bench.reference.tolist()
-    added = [0.0] * len(time) if bench.feedforward is None else bench.feedforward.tolist()
+    added = [0.0] * len(reference) if bench.feedforward is None else bench.feedforward.tolist()
     body = axis.body(start)
-    position: list[Any] = []
-    voltage: list[Any] = []
-    velocity: list[Any] = []
-    for k, (t, noise) in enumerate(zip(time, noises, strict=True)):
+    signals: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
+    for k, (t, length, noise) in enumerate(zip(each.instants, each.lengths(h), each.noises, strict=True)):
         place, moving = axis.output(body.state)
         shown = body.shown if oddity is None else oddity.shows(t, body.shown, place, moving)
         seen = shown + noise
         if step:
             seen = m.floor(seen / step + 0.5) * step
         asked = controller.ask(k, reference[k], seen, moving) + added[k]
-        position.append(seen)
-        velocity.append(moving)
-        voltage.append(asked)
+        for signal, value in zip(signals, (seen, asked, moving), strict=True):
+            signal.append(value)
         felt = asked if oddity is None else oddity.turns(t, asked, place)
         try:
-            for since, length, signal in chain.apply(t, felt):
-                body = advance(axis, since, length, body, signal)
+            for since, stretch, command in chain.apply(t, length, felt, each.shake(k, t, length)):
+                body = advance(axis, since, stretch, body, command)
         except (OverflowError, ValueError):  # sin(inf) and exp(1e3) of plain floats
             _check_bounds(np.inf, t)
         _check_bounds(axis.output(body.state)[0], t)
-    return position, voltage, velocity
+    return signals
 
 
 def _check_bounds(position: Any, t: float) -> None:

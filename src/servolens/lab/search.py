@@ -9,24 +9,22 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from servolens.errors import NumericalError
+from servolens.lab.disturbances import SensorNoise, Surroundings
 from servolens.lab.foreign import FOREIGN
 from servolens.lab.linear_view import Seen, linear_error
 from servolens.lab.loop import run_one
-from servolens.lab.sizes import SIZES
+from servolens.lab.sizes import SIZES, dice_number
 from servolens.lab.truth import Truth
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
+    from servolens.lab.disturbances import Drawn
     from servolens.lab.loop import Bench, Run
     from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
 
-    Array = NDArray[np.float64]
-
-__all__ = ["Found", "Look", "Search", "heard", "law", "noises", "sane_run"]
+__all__ = ["Found", "Look", "Search", "heard", "law", "missed", "sane_run"]
 
 CLOSE = 0.12
 """Distance of the logarithm of visibility at which the search for a size ends."""
@@ -100,22 +98,28 @@ class Search:
         return best
 
     def _look(self, sizes: dict[str, float]) -> Look | None:
-        """Measure the training runs, with noise; None if one is of no use."""
+        """Measure the training runs, with white noise; None if one is of no use."""
         scene = self._scene
+        white = Surroundings(noise=SensorNoise(deviation=scene.noise), encoder=scene.encoder)
         truth, odd = law(scene, self._key, sizes)
         runs = []
         for i, bench in enumerate(scene.training):
-            run = sane_run(heard(truth, self._key, i), bench, noises(scene, self._key, i), odd(i), scene.step)
+            drawn = white.drawn(bench.time, np.random.default_rng([*self._key, 2, i]))
+            run = sane_run(heard(truth, self._key, i), bench, drawn, odd(i), scene.step)
             if run is None:
                 return None
             runs.append(run)
-        seen = [
-            Seen(bench.controller, scene.sample_time, run.position, bench.reference if self._closed else run.voltage,
-                 self._closed)
-            for bench, run in zip(scene.training, runs, strict=True)
-        ]  # fmt: skip
-        rms = linear_error(seen, scene.gain, scene.damping)[0]
+        rms = missed(scene, zip(scene.training, runs, strict=True), self._closed)
         return Look(sizes, math.sqrt(max(rms**2 - scene.floor**2, 0.0)) / scene.floor, tuple(runs))
+
+
+def missed(scene: Scene, measured: Iterable[tuple[Bench, Run]], closed: bool) -> float:
+    """Return the r.m.s. error that the best model of gain and damping leaves in some runs."""
+    seen = [
+        Seen(bench.controller, scene.sample_time, run.position, bench.reference if closed else run.voltage, closed)
+        for bench, run in measured
+    ]
+    return linear_error(seen, scene.gain, scene.damping)[0]
 
 
 def _gap(look: Look, target: float) -> float:
@@ -146,7 +150,7 @@ def law(scene: Scene, key: tuple[int, int], sizes: Mapping[str, float]) -> tuple
         if name in FOREIGN:
             odd = name
             continue
-        dice = np.random.default_rng([*key, 1, sorted(SIZES).index(name)])
+        dice = np.random.default_rng([*key, 1, dice_number(name)])
         values[name] = SIZES[name].shape(scene, dice)(size)
     damping = scene.damping - (values["speed_servo"]["proportional"] if "speed_servo" in values else 0.0)
     truth = Truth(gain=scene.gain, damping=damping, effects=values)
@@ -165,16 +169,10 @@ def heard(truth: Truth, key: tuple[int, int], i: int) -> Truth:
     return replace(truth, effects={**truth.effects, "periodic_disturbance": {**own, "phase": phase}})
 
 
-def noises(scene: Scene, key: tuple[int, int], i: int) -> Array:
-    """Return the noise of a run at each sample [m or rad]; held-out runs are counted after the training runs."""
-    bench = (*scene.training, *scene.heldout)[i]
-    return scene.noise * np.random.default_rng([*key, 2, i]).standard_normal(bench.time.size)
-
-
-def sane_run(truth: Truth, bench: Bench, noises: Array, oddity: Oddity | None, step: float) -> Run | None:
+def sane_run(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None, step: float) -> Run | None:
     """Return a run of an axis that moved, rested before each new level if it steps, and did not run away; else None."""
     try:
-        run = run_one(truth, bench, noises, oddity)
+        run = run_one(truth, bench, drawn, oddity)
     except NumericalError:
         return None
     position = run.position

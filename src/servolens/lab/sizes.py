@@ -9,19 +9,21 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from servolens.lab.laws import KNOTS
+from servolens.lab.linear_view import Seen, linear_response
 from servolens.lab.scene import log_uniform
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
-
-    import numpy as np
 
     from servolens.lab.scene import Scene
 
     Values = Mapping[str, float]
     Dice = np.random.Generator
 
-__all__ = ["SIZES", "Sizes"]
+__all__ = ["SIZES", "Sizes", "dice_number"]
 
 
 class Sizes(NamedTuple):
@@ -41,6 +43,11 @@ class Sizes(NamedTuple):
     high: float
     per_mille: float
     shape: Callable[[Scene, Dice], Callable[[float], Values]]
+
+
+def dice_number(name: str) -> int:
+    """Return the number of an effect that its shape is drawn by; it does not change when effects are added."""
+    return sorted(SIZES, key=lambda one: (one in ADDED_LATER, one)).index(name)
 
 
 def _side(dice: Dice) -> float:
@@ -130,6 +137,34 @@ def _flexible_coupling(scene: Scene, dice: Dice) -> Callable[[float], Values]:
     return lambda s: {"frequency": scene.rate / (2.0 * math.pi * s), "damping_ratio": ratio, "load_ratio": share}
 
 
+def _friction_map(scene: Scene, dice: Dice) -> Callable[[float], Values]:
+    shares = dice.uniform(0.3, 1.7, 2 * KNOTS).tolist()
+    names = [f"{side}_{i}" for side in ("positive", "negative") for i in range(KNOTS)]
+    low, high = _reach(scene, reference=True)
+    return lambda s: {
+        **{name: s * scene.push * share for name, share in zip(names, shares, strict=True)},
+        "low": low,
+        "high": high,
+    }
+
+
+def _end_stop(scene: Scene, dice: Dice) -> Callable[[float], Values]:
+    low, high = _reach(scene)
+    if dice.random() < 0.5:
+        return lambda s: {"low": low - scene.step, "high": high - s * scene.step}
+    return lambda s: {"low": low + s * scene.step, "high": high + scene.step}
+
+
+def _reach(scene: Scene, *, reference: bool = False) -> tuple[float, float]:
+    """Return the ends of the travel of the linear axis, or of its references, in the training runs."""
+    ends = []
+    for bench in scene.training:
+        seen = Seen(bench.controller, scene.sample_time, np.array([bench.start]), bench.reference, closed=True)
+        run = bench.reference if reference else linear_response(seen, scene.gain, scene.damping)
+        ends += [float(np.min(run)), float(np.max(run))]
+    return min(ends), max(ends)
+
+
 SIZES = {
     "coulomb_friction": Sizes(1e-4, 0.35, 0.0005, lambda scene, _: lambda s: {"level": s * scene.push}),
     "asymmetric_friction": Sizes(1e-4, 0.25, 0.00043, _asymmetric_friction),
@@ -154,8 +189,13 @@ SIZES = {
     "delay": Sizes(0.05, 20.0, 0.41, lambda scene, _: lambda s: {"time": s * scene.sample_time}),
     "actuator_lag": Sizes(1e-3, 0.3, 0.012, lambda scene, _: lambda s: {"time_constant": s / scene.rate}),
     "speed_servo": Sizes(1e-3, 2.0, 0.034, _speed_servo),
+    "load_friction": Sizes(1e-4, 0.5, 0.004, lambda scene, _: lambda s: {"share": s}),
+    "friction_map": Sizes(1e-4, 0.25, 0.0005, _friction_map),
+    "end_stop": Sizes(1e-4, 0.35, 0.02, _end_stop),
     "backlash": Sizes(1e-5, 0.06, 0.0034, _backlash),
     "flexible_coupling": Sizes(0.01, 0.4, 0.054, _flexible_coupling),
     "sensor_lag": Sizes(1e-3, 0.3, 0.013, lambda scene, _: lambda s: {"time_constant": s / scene.rate}),
 }
 """Each effect of the catalogue."""
+ADDED_LATER = ("end_stop", "friction_map", "load_friction")
+"""Effects that are numbered behind the others, so that older seeds still give the same campaigns."""

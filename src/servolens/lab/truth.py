@@ -86,12 +86,16 @@ def _check_together(gain: float, effects: Mapping[str, Mapping[str, float]]) -> 
             f"truth: stribeck_friction.static_excess must be at least -level ({-stribeck['level']:g}),"
             f" got {stribeck['static_excess']:g}"
         )
+    for name in ("friction_map", "end_stop"):
+        own = effects.get(name)
+        if own and not own["low"] < own["high"]:
+            raise InputError(f"truth: {name}.low must be below high ({own['high']:g}), got {own['low']:g}")
     servo = effects.get("speed_servo")
     if servo:
-        own = servo["proportional"] * servo["speed_per_volt"]
-        if not math.isclose(gain, own, rel_tol=1e-6):
+        product = servo["proportional"] * servo["speed_per_volt"]
+        if not math.isclose(gain, product, rel_tol=1e-6):
             raise InputError(
-                f"truth: with speed_servo the gain is proportional times speed_per_volt, {own:g}, got {gain:g}"
+                f"truth: with speed_servo the gain is proportional times speed_per_volt, {product:g}, got {gain:g}"
             )
 
 
