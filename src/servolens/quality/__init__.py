@@ -144,7 +144,7 @@ def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Fin
 def _beginning(record: Record, sampling: Sampling, fit: LoopFit | None) -> Iterator[Finding]:
     """Yield doubts about the beginning, but for a shift that the control law tells better."""
     for finding in beginning_findings(record, sampling):
-        if finding.code != "reference_shifted" or fit is None or fit.shift is None:
+        if finding.code != "reference_shifted" or fit is None or fit.alternative is None:
             yield finding
 
 
