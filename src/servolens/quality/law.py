@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 import numpy as np
 
 from servolens.control_law import law_columns, samples_a_period
-from servolens.errors import InputError
 from servolens.quality.beginning import initial_motion
 from servolens.quality.limits import BINS, plateaus
 from servolens.record import Controller
@@ -44,7 +43,7 @@ UNITS = {
 MOST = 20
 """Samples up to which a shift is looked for: 20 ms at 1 kHz, more than buses and buffers delay."""
 FILTERS = np.geomspace(0.02, 1.0, 24)
-"""Derivative filters that are tried before the best is refined: neighbours differ by 18 %, less than a minimum is wide."""
+"""Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
 WINDOWS = (1, 2, 3, 4)
 """Derivative windows that are tried."""
 HOLDS = 1e-3
@@ -260,7 +259,7 @@ def _shifts(record: Record, rows: NDArray[np.bool_]) -> Iterator[_Case]:
 
 
 def _settings(record: Record, rows: NDArray[np.bool_], gains: Gains | None) -> Iterator[_Case]:
-    """Yield other settings of the derivative and of the period: one after the other; two only with gains of their own."""
+    """Yield other settings of the derivative and of the period; two at once only with gains of their own."""
     stated = _controller(record)
     if gains is None or gains[1]:
         for change in _changed_settings(record, stated):

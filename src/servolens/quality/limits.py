@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["at_limit", "beyond_limit", "plateaus"]
+__all__ = ["BINS", "at_limit", "beyond_limit", "plateaus"]
 
 BINS = 100
-"""Bins over the voltage's range in which a plateau is looked for: noise of 1 % still stays in one and its neighbours."""
+"""Bins over the voltage's range in which a plateau is looked for: one holds noise of 1 % of it."""
 NEAR = 0.02
 """Share of a stated limit within which a voltage is at it: gain errors of amplifiers and converters are below 2 %."""
 

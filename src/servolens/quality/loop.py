@@ -12,17 +12,15 @@ from servolens.control_law import law_columns
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.law import (
-    BINS,
     HOLDS,
     UNITS,
     find_alternative,
     fit_gains,
-    follows,
     remembered,
     rms,
     tick_phase,
 )
-from servolens.quality.limits import at_limit, beyond_limit
+from servolens.quality.limits import BINS, at_limit, beyond_limit
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -68,8 +66,8 @@ class LoopFit:
         Least and largest voltage of these samples.
     alternative : Alternative or None
         What else than stated the voltage fits; the gains are those that fit with it.
-    verified : bool
-        Whether signs and units of voltage, position and reference agree: the law holds, and the axis follows.
+    holds : bool
+        Whether the law holds with a positive gain, as stated or with the alternative.
     """
 
     kp: float
@@ -80,7 +78,7 @@ class LoopFit:
     clipped: int
     limits: tuple[float, float]
     alternative: Alternative | None
-    verified: bool
+    holds: bool
 
 
 def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
@@ -116,7 +114,6 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     short = np.zeros_like(clipped) if record.voltage_limit else clipped & (np.abs(left) > misfit + HOLDS * scale)
     stated = record.controller
     wrong = 0.0 if stated is None else rms(((kp - stated.kp) * error - (kd - stated.kd) * derivative)[judged])
-    limits = aligned.voltage[short] if short.any() else np.zeros(1)
     return LoopFit(
         kp=kp,
         kd=kd,
@@ -124,9 +121,9 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
         difference=wrong / scale,
         rounding=abs(kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
         clipped=int(np.count_nonzero(short)),
-        limits=(float(limits.min()), float(limits.max())),
+        limits=_sides(aligned.voltage[short]),
         alternative=other,
-        verified=kp > 0 and misfit < MISFIT * scale and follows(aligned),
+        holds=kp > 0 and misfit < MISFIT * scale,
     )
 
 
@@ -242,7 +239,7 @@ def _other_gains(stated: Controller, fit: LoopFit, fits: str) -> Finding:
         return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
     power = _power(derivative)
     if math.isclose(proportional, 1.0, rel_tol=DIFFERENCE) and power in (-6, -3, 3, 6):
-        cure = f"time runs 10^{power} times too {'slowly' if power > 0 else 'fast'}: state its unit, as ms, or that of kd"
+        cure = f"the time stamps are 10^{power} times what the derivative used: state their unit, as ms, or that of kd"
         return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
     return Finding(code="gains_contradict_log", severity="warning", message=f"{message}; correct the stated gains.")
 
@@ -292,6 +289,16 @@ def _reached(record: Record, limit: Alternative) -> NDArray[np.bool_]:
     margin = float(np.ptp(record.voltage)) / BINS
     low, high = limit.value
     return np.asarray((record.voltage < low + margin) | (record.voltage > high - margin))
+
+
+def _sides(clipped: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the voltage at the lower and at the upper limit, by the median; one of them twice if there is no other."""
+    if not clipped.size:
+        return 0.0, 0.0
+    upper = clipped > 0.5 * (clipped.min() + clipped.max())
+    if np.ptp(clipped) <= 0.5 * np.abs(clipped).max():
+        return (level := float(np.median(clipped))), level
+    return float(np.median(clipped[~upper])), float(np.median(clipped[upper]))
 
 
 def _judged(record: Record, clipped: NDArray[np.bool_]) -> NDArray[np.bool_]:
