@@ -16,7 +16,7 @@ import numpy as np
 
 from servolens.control_law import law_columns, samples_a_period
 from servolens.quality.beginning import initial_motion
-from servolens.quality.limits import BINS, plateaus
+from servolens.quality.limits import NEAR, plateaus
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -44,17 +44,14 @@ MOST = 20
 """Samples up to which a shift is looked for: 20 ms at 1 kHz, more than buses and buffers delay."""
 FILTERS = np.geomspace(0.02, 1.0, 24)
 """Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
-WINDOWS = (1, 2, 3, 4)
-"""Derivative windows that are tried."""
 HOLDS = 1e-3
 """Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
-"""Share of the unexplained voltage that an alternative may leave: 99 % of its variance is then explained."""
+"""Share of the voltage, or of what is unexplained of it, that an explanation may leave: 1 % of its variance."""
 AS_WELL, EXACT = 1.2, 1e-6
 """Times the least misfit, and share of the voltage, up to which a simpler alternative explains a log as well."""
-STRETCH, HISTORY = 20_000, 1_000
-"""Samples that are looked at, around the largest misfit, so that time is bounded; of these, those that only fill the
-derivative's memory (the slowest filter, 0.02, forgets all but 2e-9 in them)."""
+STRETCH = 20_000
+"""Samples that are looked at, around the largest misfit, so that time is bounded."""
 
 Gains = tuple[float, float]
 Limits = tuple[float, float]
@@ -134,7 +131,7 @@ class _Law(NamedTuple):
     def fitted(self, rows: NDArray[np.bool_], limits: Limits = UNLIMITED) -> Gains:
         """Return the gains that fit the voltage of `rows` within the limits."""
         voltage = self.target + self.added
-        margin = float(np.ptp(voltage)) / BINS if limits != UNLIMITED else 0.0
+        margin = NEAR * float(np.ptp(voltage)) if limits != UNLIMITED else 0.0
         rows = rows & (voltage > limits[0] + margin) & (voltage < limits[1] - margin)
         return fit_gains(self.error[rows], self.derivative[rows], self.target[rows])
 
@@ -278,7 +275,7 @@ def _changed_settings(record: Record, stated: Controller) -> Iterator[dict[str, 
     """Yield each other discrete setting of the derivative."""
     if record.velocity is not None or stated.derivative == "velocity":
         yield {"derivative": "position" if stated.derivative == "velocity" else "velocity"}
-    yield from ({"derivative_window": window} for window in WINDOWS if window != stated.derivative_window)
+    yield from ({"derivative_window": window} for window in range(1, 5) if window != stated.derivative_window)
     yield {"derivative_on": "measurement" if stated.derivative_on == "error" else "error"}
 
 
@@ -356,9 +353,7 @@ def _stretch(record: Record, used: NDArray[np.bool_]) -> tuple[Record, NDArray[n
         first = min(max(worst - STRETCH // 2, 0), len(record) - STRETCH)
         record = record.slice(float(record.time[first]), float(record.time[first + STRETCH - 1]))
     used = used[first : first + len(record)].copy()
-    if first:
-        used[:HISTORY] = False
-    elif initial_motion(record):
+    if first or initial_motion(record):
         used[: remembered(record)] = False
     return record, used
 

@@ -15,12 +15,10 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["BINS", "at_limit", "beyond_limit", "plateaus"]
+__all__ = ["NEAR", "at_limit", "beyond_limit", "plateaus"]
 
-BINS = 100
-"""Bins over the voltage's range in which a plateau is looked for: one holds noise of 1 % of it."""
 NEAR = 0.02
-"""Share of a stated limit within which a voltage is at it: gain errors of amplifiers and converters are below 2 %."""
+"""Share of a limit, or of the voltage's range, within which a voltage is at it: amplifiers err in gain by less."""
 
 
 def at_limit(record: Record, seen: Sampling) -> NDArray[np.bool_]:
@@ -62,12 +60,12 @@ def plateaus(voltage: NDArray[np.float64], asked: NDArray[np.float64]) -> tuple[
     low, high = -np.inf, np.inf
     for sign in (1.0, -1.0):
         given, wanted = sign * voltage, sign * asked
-        short = (wanted > given + np.ptp(voltage) / BINS) & (given > np.median(given))
+        short = (wanted > given + NEAR * np.ptp(voltage)) & (given > np.median(given))
         if np.count_nonzero(short) < 3:
             continue
-        counts, edges = np.histogram(given[short], bins=BINS)
+        counts, edges = np.histogram(given[short], bins=round(1 / NEAR))
         level = float(edges[np.argmax(counts)])
-        limit = sign * float(np.median(given[wanted > level + np.ptp(voltage) / BINS]))
+        limit = sign * float(np.median(given[wanted > level + NEAR * np.ptp(voltage)]))
         low, high = (low, limit) if sign > 0 else (limit, high)
     return low, high
 

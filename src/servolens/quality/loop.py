@@ -12,6 +12,7 @@ from servolens.control_law import law_columns
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.law import (
+    BETTER,
     HOLDS,
     UNITS,
     find_alternative,
@@ -20,7 +21,7 @@ from servolens.quality.law import (
     rms,
     tick_phase,
 )
-from servolens.quality.limits import BINS, at_limit, beyond_limit
+from servolens.quality.limits import NEAR, at_limit, beyond_limit
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -36,8 +37,6 @@ __all__ = ["LoopFit", "fit_loop", "loop_findings"]
 
 RINGING = 0.02
 """Time after an edge of the reference that is not judged [s]: real drives ring there for 5 to 10 ms."""
-MISFIT = 0.1
-"""Share of the voltage beyond which no gains are said to fit it."""
 DIFFERENCE = 0.01
 """Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much.
 
@@ -123,7 +122,7 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
         clipped=int(np.count_nonzero(short)),
         limits=_sides(aligned.voltage[short]),
         alternative=other,
-        holds=kp > 0 and misfit < MISFIT * scale,
+        holds=kp > 0 and misfit < BETTER * scale,
     )
 
 
@@ -159,8 +158,8 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
 def _clipped(record: Record, fit: LoopFit) -> Finding:
     low, high = fit.limits
     unit, largest = record.command_unit, max(abs(low), abs(high))
-    one_sided = low * high >= 0 or math.isclose(-low, high, rel_tol=2 / BINS)
-    where = f"{low:.4g} {unit}" if math.isclose(low, high, rel_tol=1 / BINS) else f"{low:.4g} and {high:.4g} {unit}"
+    one_sided = low * high >= 0 or math.isclose(-low, high, rel_tol=NEAR)
+    where = f"{low:.4g} {unit}" if math.isclose(low, high, rel_tol=NEAR) else f"{low:.4g} and {high:.4g} {unit}"
     cure = f"state voltage_limit = {largest:.4g} {unit}, or " if one_sided else ""
     message = (
         f"the logged voltage stays at {where} for {fit.clipped} samples while the control law asks for more: it is what"
@@ -213,9 +212,9 @@ def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
         if fit.misfit < 2 * DIFFERENCE:
             message = f"the gains are not stated; the logged voltage fits {fits}."
             yield Finding(code="gains_unknown", severity="note", message=message)
-        if fit.kp < 0 and fit.misfit < MISFIT:
+        if fit.kp < 0 and fit.misfit < BETTER:
             yield _mirrored(fits)
-    elif fit.misfit > MISFIT:
+    elif fit.misfit > BETTER:
         message = (
             f"the logged voltage is not kp e − kd d: even {fits} leave {100 * fit.misfit:.0f} % of it;"
             " check sign, unit and derivative settings, or whether something is added to it."
@@ -286,7 +285,7 @@ def _aligned(record: Record) -> Record:
 def _reached(record: Record, limit: Alternative) -> NDArray[np.bool_]:
     """Mark the samples at the limits that were found."""
     assert record.voltage is not None  # noqa: S101 - fit_loop has refused records without
-    margin = float(np.ptp(record.voltage)) / BINS
+    margin = NEAR * float(np.ptp(record.voltage))
     low, high = limit.value
     return np.asarray((record.voltage < low + margin) | (record.voltage > high - margin))
 

@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["motion_findings"]
 
-MOST_SEGMENTS = 500
-"""A reference with more edges than this is a trajectory, not a series of steps."""
-
 
 def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield doubts about the motion; without motion there is nothing else to doubt."""
@@ -35,13 +32,13 @@ def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 
 
 def _excitation(record: Record, seen: Sampling) -> Finding | None:
-    """Compare travel and noise: white noise alone spans up to 12 of its standard deviations in a million samples."""
+    """Compare travel and noise."""
     unit = record.length_unit
     if seen.travel == 0:
         message = f"the position is {record.position[0]:g} {unit} throughout; check the sensor, or log a step."
         return Finding(code="constant_position", severity="error", message=message)
     travel = f"the position moves by {seen.travel:.3g} {unit}"
-    if seen.travel < 12 * seen.noise + 2.5 * (seen.step or 0.0):
+    if seen.travel < seen.outstanding:
         message = f"{travel}, no more than noise and encoder step make; log a larger step."
         return Finding(code="weak_excitation", severity="error", message=message)
     if record.voltage is not None and not record.voltage.any():
@@ -99,7 +96,7 @@ def _frozen(record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_]
         return
     jump = np.abs(moves[ends])
     later = np.max(np.abs(moves[ends[:, None] + np.arange(1, 4)]), axis=1)
-    torn = np.flatnonzero(jump > 3 * later + 4 * (seen.step or 0.0) + 8 * seen.noise)
+    torn = np.flatnonzero(jump > 3 * later + seen.outstanding)
     if torn.size:
         first = int(starts[torn[0]])
         message = (
@@ -117,9 +114,7 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
     if record.reference is None:
         return
     edges = record.edges()
-    if edges.size > MOST_SEGMENTS:
-        return
-    small = max(6 * seen.noise, 3 * (seen.step or 0.0), 2e-3 * seen.travel)
+    small = max(0.5 * seen.outstanding, 2e-3 * seen.travel)
     bounds = [0, *edges.tolist(), len(record)]
     for first, stop in pairwise(bounds):
         if stop - first < 20:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Sampling", "measure", "sampling_findings", "white_noise"]
+__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "white_noise"]
 
 FEWEST_SAMPLES = 20
 """Five samples for each of the four unknowns of the smallest model."""
@@ -25,8 +25,8 @@ SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
 MEDIAN, CHANGED = 7, 0.25
 """Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
-MOST_DIFFERENCES = 200_000
-"""Differences that are looked at for the sensor's step."""
+SPAN, STEPS = 12.0, 3.0
+"""Standard deviations that white noise spans in a million samples, and steps that an encoder rounds and flickers by."""
 
 
 @final
@@ -63,6 +63,11 @@ class Sampling:
     def level(self) -> float:
         """Standard deviation of what the sensor adds [m or rad]."""
         return max(self.noise, (self.step or 0.0) / math.sqrt(12.0))
+
+    @property
+    def outstanding(self) -> float:
+        """Difference of two positions that the sensor does not make [m or rad]."""
+        return SPAN * self.noise + STEPS * (self.step or 0.0)
 
 
 def measure(record: Record) -> Sampling:
@@ -202,7 +207,7 @@ def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sizes of movements from sample to sample, those within rounding left out."""
     moves = np.abs(np.diff(position))
     moves = moves[moves > 16 * np.spacing(np.max(np.abs(position)))]
-    return np.asarray(moves[:: max(moves.size // MOST_DIFFERENCES, 1)])
+    return np.asarray(moves)
 
 
 def white_noise(position: NDArray[np.float64]) -> float:

@@ -24,8 +24,6 @@ __all__ = ["sense_findings"]
 
 CLOSE = 0.1
 """Relative difference up to which an axis at rest is at a ratio: friction and weight hold it off its target."""
-MOST_SEGMENTS = 500
-"""A reference with more edges than this is a trajectory, not a series of steps."""
 SLOWEST_LOOP = 0.5
 """Sample time from which on time stamps cannot be seconds [s]: logs at 2 kHz and slower, in ms, are all above it."""
 EXPLAINS = 0.5
@@ -66,7 +64,7 @@ def _at_rest(record: Record) -> Iterator[Finding]:
     One target alone does not tell a sign: a weight may have drawn the axis there.
     """
     edges = record.edges()
-    if record.reference is None or edges.size > MOST_SEGMENTS:
+    if record.reference is None or (edges.size > 1 and np.min(np.diff(edges)) < 3):
         return
     ends = np.array([*edges, len(record)]) - 1
     before = np.maximum(ends - np.maximum(np.diff(ends, prepend=-1) // 5, 1), 0)
@@ -100,7 +98,9 @@ def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
     if voltage is None or not np.ptp(voltage) > 0:
         return
     y = record.position
-    w = next((w for w in 4 * 3 ** np.arange(20) if 8 * w >= y.size or np.std(_bend(y, w)) > 20 * seen.level), y.size)
+    w = next(
+        (w for w in (4 * 3**k for k in range(20)) if 8 * w >= y.size or np.std(_bend(y, w)) > 20 * seen.level), y.size
+    )
     if 8 * w >= y.size:
         return
     bend, push = _bend(y, w), _bend(_twice_integrated(voltage), w)
