@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from servolens import lab
 from servolens.cli import group
 from servolens.commands import COMMANDS
+from servolens.errors import NumericalError
 
 LAB = (("kp60", 60, 0), ("kp80", 80, 0), ("kp100", 100, 0), ("kp80kd5", 80, 5))
 SPEC = ("--kp", "100", "--settling-time", "0.5")
@@ -119,6 +120,44 @@ def test_check_says_no_to_a_record_that_stands_still_and_writes_its_json(here):
 def test_check_finds_gains_that_contradict_the_log(bench):
     body = result("check", "check", bench / "kp60.csv", "--kp", "70")
     assert "gains_contradict_log" in {f["code"] for f in body["findings"]}
+
+
+@pytest.fixture(scope="session")
+def mirrored(bench, tmp_path_factory):
+    """A record whose position has the other sign than its reference."""
+    record = lab.step_record(lab.NLM3, 60, noise=1e-5, seed=1, name="mirrored")
+    path = tmp_path_factory.mktemp("mirrored") / "mirrored.csv"
+    write_csv(record.with_({"position": -record.position}), path)
+    return path
+
+
+def test_wrong_sign_makes_check_say_no(mirrored):
+    body = result("check", "check", mirrored, status=1)
+    assert [(f["code"], f["severity"]) for f in body["findings"]] == [("wrong_sign", "error")]
+    assert [r["usable"] for r in body["records"]] == [False]
+
+
+def test_wrong_sign_writes_no_model_unless_forced(mirrored, here):
+    done = run("identify", mirrored, "--out", "model.json", "--json", "result.json")
+    assert done.exit_code == 1
+    assert "no model is written: a sign or a unit in mirrored is wrong" in " ".join(done.output.split())
+    assert not (here / "model.json").exists()
+    body = finite((here / "result.json").read_text(encoding="utf-8"))
+    assert {"model_refused", "wrong_sign"} <= {f["code"] for f in body["findings"] if f["severity"] == "error"}
+    done = run("identify", mirrored, "--model", "constant", "--out", "model.json", "--force")
+    assert done.exit_code == 0, done.output
+    assert (here / "model.json").exists()
+
+
+def test_nothing_identified_from_a_wrong_sign_is_a_no(mirrored, monkeypatch):
+    def fails(*_args, **_settings):
+        raise NumericalError("the fit diverged")
+
+    monkeypatch.setattr("servolens.identification.identify", fails)
+    body = result("identification", "identify", mirrored, status=1)
+    assert body["models"] == {}
+    assert "the fit diverged" in body["reason"]
+    assert refused(run("identify", mirrored, "--force"), 3).endswith("the fit diverged")
 
 
 def test_identify_gives_all_models_with_errors_and_units(bench):

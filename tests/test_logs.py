@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -43,3 +45,18 @@ def test_faults_of_the_log_come_first_and_are_blamed(spoil, code):
 
 def test_sound_logs_are_not_blamed():
     assert log_findings(RUNS) == []
+
+
+@pytest.mark.parametrize("column", ["position", "voltage"])
+def test_wrong_sign_is_blamed_and_does_not_stop(column):
+    record = RUNS[1].with_({column: -getattr(RUNS[1], column)})
+    (finding,) = log_findings([RUNS[0], record])
+    assert (finding.code, finding.severity) == ("wrong_sign", "error")
+    assert is_blamed(finding)
+
+
+def test_setting_that_contradicts_the_log_is_blamed():
+    stated = replace(RUNS[1].controller, derivative_filter=0.3)
+    (finding,) = log_findings([RUNS[0], RUNS[1].with_({"controller": stated})])
+    assert finding.code == "settings_contradict_log"
+    assert is_blamed(finding)

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from servolens import lab
 from servolens.control_law import controller_voltage
-from servolens.quality import assess, check
+from servolens.quality import assess, check, fatal
 from servolens.quality.sampling import quantisation_step
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
@@ -42,6 +43,7 @@ def simulated(
     dead=0.0,
     delay=0,
     force=None,
+    added=None,
 ):
     """The digital PD loop on ÿ = βa(V) − cẏ − force, solved from sample to sample; exactly, if there is no force."""
     rng = np.random.default_rng(seed)
@@ -52,7 +54,7 @@ def simulated(
     y, v, d, before = 0.0, 0.0, 0.0, None
     positions, voltages = [], []
     for k in range(n):
-        seen = y + noise * rng.normal()
+        seen = y + noise * rng.normal() + (0.0 if added is None else added[k])
         if encoder:
             seen = round(seen / encoder) * encoder
         d += share * ((0.0 if before is None else (seen - before) / h) - d)
@@ -167,6 +169,33 @@ def test_quantisation_step_is_seen_through_print_rounding():
     assert quantisation_step(position) == pytest.approx(4.84e-5, rel=0.02)
 
 
+def in_noise(colour, *, sigma=3e-5, **settings):
+    """`simulated` with sensor noise that is correlated from sample to sample by `colour`, before the encoder."""
+    noise = math.sqrt(1 - colour**2) * lfilter([1.0], [1.0, -colour], np.random.default_rng(3).standard_normal(2500))
+    return simulated(added=sigma * noise[1000:], **settings)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9, 0.99])
+@pytest.mark.parametrize("encoder", [0.0, 1e-5, 2e-4])
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {},
+        {"force": lambda y, v: 1.0 * math.tanh(v / 1e-3)},
+        {"force": lambda y, v: (1.0 + math.exp(-abs(v) / 0.01)) * math.tanh(v / 1e-3)},
+        {"force": lambda y, v: 3.0 * math.cos(y)},
+        {"limit": 3.0},
+    ],
+    ids=["none", "friction", "stiction", "gravity", "saturation"],
+)
+def test_noise_of_any_colour_raises_nothing(effect, encoder, colour):
+    for kp, kd in ((60.0, 0.0), (100.0, 3.0)):
+        record = in_noise(colour, kp=kp, kd=kd, encoder=encoder, **effect)
+        assert codes(record) == []
+        assert codes(record.with_({"voltage": None})) == ["voltage_reconstructed"]
+        assert codes(record.with_({"reference": None})) == ["no_reference"]
+
+
 # ---- clock
 
 
@@ -180,6 +209,20 @@ def test_lost_samples_are_counted():
     finding = only(cut(record, np.delete(np.arange(1500), [700, 701, 900])))
     assert (finding.code, finding.severity, finding.record) == ("gaps", "warning", "record")
     assert finding.message.startswith("3 samples are lost in 2 places, the first before 0.702 s;")
+
+
+@pytest.mark.parametrize("first", [2, 5, 700])
+@pytest.mark.parametrize(("before", "after"), [(1e-3, 2e-3), (2e-3, 1e-3), (1e-3, 1.5e-3)])
+def test_bus_that_changes_its_cycle_loses_no_samples(first, before, after):
+    time = np.cumsum(np.where(np.arange(1500) <= first, before, after))
+    position = np.round(0.1 * (1 - np.exp(-8 * time)) / 1e-5) * 1e-5
+    record = Record(time=time, position=position, reference=np.full(1500, 0.1), controller=Controller(kp=60))
+    found = {finding.code: finding.message for finding in check(record)}
+    assert set(found) == {"cycle_changes", "voltage_reconstructed"}
+    assert f"between {1e3 * min(before, after):g} and {1e3 * max(before, after):g} ms" in found["cycle_changes"]
+    assert assess(record).lost_samples == 0
+    torn = cut(record.with_({"voltage": np.zeros(1500)}), np.delete(np.arange(1500), [100, 101, 1200]))
+    assert assess(torn).lost_samples == 3
 
 
 def test_jitter_counts_where_it_moves_the_axis():
@@ -419,7 +462,67 @@ def test_wrong_sign_is_said(seed):
     assert "wrong_sign" in codes(flipped)
     mirrored = record.with_({"voltage": -record.voltage})
     assert "wrong_sign" in codes(mirrored)
-    assert "gains_contradict_log" in codes(mirrored)
+    assert "gains_contradict_log" not in codes(mirrored)  # a sign, and no other gains
+
+
+def test_position_of_the_wrong_sign_is_said():
+    record = staircase(60, 4)
+    mirrored = record.with_({"position": -record.position})
+    for log in (mirrored, mirrored.with_({"controller": None}), mirrored.with_({"voltage": None})):
+        assert [finding.code for finding in fatal(check(log))] == ["wrong_sign"]
+    once = lab.step_record(lab.NLM2, 60, noise=1e-5, seed=1)  # a weight may draw it there
+    (finding,) = [f for f in check(once.with_({"position": -once.position, "voltage": None})) if f.severity != "note"]
+    assert (finding.code, finding.severity) == ("wrong_sign", "warning")
+
+
+@pytest.mark.parametrize("trajectory", [True, False])
+@pytest.mark.parametrize("gain", [0.7, 8.0])
+@pytest.mark.parametrize(
+    "weight",
+    [
+        {"pendulum_gravity": {"amplitude": 60.0, "phase": 0.0}},
+        {"pendulum_gravity": {"amplitude": 40.0, "phase": 1.6}},
+        {"constant_force": {"acceleration": 9.81}},
+        {"constant_force": {"acceleration": -9.81}, "coulomb_friction": {"level": 3.0}},
+        {"return_spring": {"stiffness": 60.0}},
+    ],
+    ids=["pendulum", "arm", "lift", "lowering", "spring"],
+)
+def test_weight_is_no_wrong_sign(weight, gain, trajectory):
+    truth = lab.Truth(gain=gain, damping=6.0, effects=weight)
+    way = {"trajectory": 0.7 + 0.4 * np.sin(2e-3 * np.arange(2000)), "sample_time": 2e-3} if trajectory else {}
+    steps = {} if trajectory else {"reference": (0.5, -0.3, 0.4), "duration": 0.8}
+    for kp, kd in ((15, 0), (60, 3)):
+        record = lab.step_record(truth, kp, kd, length_unit="rad", noise=1e-5, seed=2, **way, **steps)
+        offset = record.with_({"voltage": record.voltage - 0.5, "reference": None, "controller": None})
+        for log in (record, record.with_({"voltage": None}), record.with_({"reference": None}), offset):
+            assert not {"wrong_sign", "units_contradict"} & set(codes(log))
+
+
+@pytest.mark.parametrize("trajectory", [True, False])
+def test_wrong_sign_under_a_weight_is_said_without_a_reference(trajectory):
+    truth = lab.Truth(gain=8.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 20.0, "phase": 0.5}})
+    way = {"trajectory": 0.7 + 0.4 * np.sign(np.sin(8e-3 * np.arange(2000)))} if trajectory else {}
+    steps = {} if trajectory else {"reference": (0.5, -0.3, 0.4), "duration": 0.8}
+    record = lab.step_record(truth, 30, 1, length_unit="rad", noise=1e-5, seed=2, **way, **steps)
+    flipped = record.with_({"voltage": -record.voltage, "reference": None, "controller": None})
+    assert [finding.code for finding in fatal(check(flipped))] == ["wrong_sign"]
+
+
+@pytest.mark.parametrize(("factor", "power"), [(1e3, 3), (1e6, 6)])
+@pytest.mark.parametrize("kd", [0, 4])
+def test_time_that_cannot_be_seconds_is_said(factor, power, kd):
+    record = staircase(60, kd)
+    found = fatal(check(record.with_({"time": factor * record.time})))
+    assert {finding.code for finding in found} == {"units_contradict"}
+    shown = f"10^{power} times what the derivative used" if kd else f"{factor * 1e-3:g} s apart"
+    assert f"the time stamps are {shown}" in found[0].message
+
+
+def test_time_in_thousands_of_seconds_is_told_by_the_derivative():
+    record = staircase(60, 4)
+    (finding,) = fatal(check(record.with_({"time": 1e-3 * record.time})))
+    assert "the time stamps are 10^-3 times what the derivative used" in finding.message
 
 
 def test_growing_oscillation_is_said():
@@ -469,7 +572,8 @@ def test_clipped_log_is_said_and_its_gains_still_verified():
     clipped = record.with_({"voltage": np.clip(record.voltage, -3, 3)})
     finding = only(clipped)
     assert finding.code == "clipped_voltage"
-    assert finding.message.startswith("the logged voltage sits at its limits ")
+    assert finding.message.startswith("the logged voltage stays at 3 V for 153 samples while the control law asks for")
+    assert "state voltage_limit = 3 V, or" in finding.message
     assert assess(clipped).fitted_kp == pytest.approx(60, rel=1e-6)
 
 
@@ -587,6 +691,119 @@ def test_lagging_voltage_is_not_taken_for_a_shift(lag):
     for k in range(1, voltage.size):
         voltage[k] = voltage[k - 1] + share * (record.voltage[k] - voltage[k - 1])
     assert not [code for code in codes(record.with_({"voltage": voltage})) if code.endswith("shifted")]
+
+
+SETTINGS = [
+    ({"derivative_filter": 0.3}, {}, "derivative_filter = 0.3, not 1 "),
+    ({}, {"derivative_filter": 0.3}, "derivative_filter = 1, not 0.3 "),
+    ({"derivative_window": 2}, {}, "derivative_window = 2, not 1 "),
+    ({}, {"derivative_window": 2}, "derivative_window = 1, not 2 "),
+    ({"derivative_on": "error"}, {}, "derivative_on = error, not measurement "),
+    ({"derivative": "velocity"}, {}, "derivative = velocity, not position "),
+    ({"control_period": 0.003}, {}, "control_period = 0.003, not every sample "),
+    ({}, {"control_period": 0.003}, "control_period = every sample, not 0.003 "),
+]
+
+
+@pytest.mark.parametrize(("true", "stated", "said"), SETTINGS, ids=str)
+@pytest.mark.parametrize("rounding", [0.0, 1e-3])
+def test_setting_that_the_log_fits_is_named(true, stated, said, rounding):
+    record = staircase(controller=Controller(kp=60, kd=4, **true))
+    if rounding:
+        record = record.with_({"voltage": np.round(record.voltage / rounding) * rounding})
+    assert not {"settings_contradict_log", "gains_contradict_log"} & set(codes(record))
+    finding = only(record.with_({"controller": Controller(kp=60, kd=4, **stated)}))
+    assert (finding.code, finding.severity) == ("settings_contradict_log", "warning")
+    assert finding.message.startswith(f"the log fits {said}(unexplained voltage ")
+    before, left = (float(x) for x in re.findall(r"([\d.e+-]+) V", finding.message))
+    assert left < 0.1 * before
+    assert left < 1.1 * rounding / math.sqrt(12) + 1e-6
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9, 0.99])
+def test_setting_is_named_whatever_noise_the_sensor_has(colour):
+    record = in_noise(colour, kd=3.0, share=0.3)
+    finding = only(record.with_({"controller": Controller(kp=60, kd=3.0)}))
+    assert finding.message.startswith("the log fits derivative_filter = 0.3, not 1 ")
+
+
+def test_setting_and_gains_that_are_both_wrong_are_both_said():
+    record = staircase(controller=Controller(kp=60, kd=4, derivative_filter=0.3, derivative_window=2))
+    setting, gains = check(record.with_({"controller": Controller(kp=66, kd=4)}))
+    assert setting.message.startswith("the log fits derivative_window = 2, derivative_filter = 0.3, not 1, 1 ")
+    assert gains.message.startswith("the logged voltage fits kp = 60, kd = 4, not kp = 66, kd = 4;")
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize(("constant", "integral"), [(0.3, 0.0), (0.0, 30.0)], ids=["constant", "integral"])
+def test_what_is_added_to_the_law_is_said_with_its_size(constant, integral, known):
+    record = staircase(60, 4)
+    added = constant + integral * np.cumsum(record.reference - record.position) * record.sample_time
+    other = record.with_({"voltage": record.voltage + added, **({} if known else {"controller": None})})
+    found = {finding.code: finding.message for finding in check(other)}
+    what = "an integral action with ki = 30 V/(m s)" if integral else "a constant 0.3 V"
+    assert found.pop("added_to_law").startswith(f"the log fits with {what} added to the control law ")
+    assert list(found) == ([] if known else ["gains_unknown"])
+
+
+def test_noise_in_the_logged_voltage_is_no_other_setting():
+    record = staircase(60, 4)
+    rng = np.random.default_rng(5)
+    for colour in (0.0, 0.9):
+        noise = 0.02 * math.sqrt(1 - colour**2) * lfilter([1.0], [1.0, -colour], rng.standard_normal(len(record)))
+        assert codes(record.with_({"voltage": record.voltage + noise})) == []
+
+
+# ---- limits
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said", "cure"),
+    [
+        (-4.0, 4.0, "-4 and 4 V", "state voltage_limit = 4 V, or log"),
+        (-2.0, 5.0, "-2 and 5 V", "gave; log what the controller asks for."),
+        (-9.0, 3.0, "3 V", "state voltage_limit = 3 V, or log"),
+    ],
+)
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize(
+    "stated", [Controller(kp=60, kd=4), Controller(kp=70, kd=4), None], ids=["right", "wrong", "none"]
+)
+def test_plateau_of_the_voltage_is_a_limit(low, high, said, cure, noise, stated):
+    record = staircase(60, 4)
+    voltage = np.clip(record.voltage, low, high) + noise * np.random.default_rng(1).standard_normal(len(record))
+    found = {f.code: f.message for f in check(record.with_({"voltage": voltage, "controller": stated}))}
+    said_now, wanted = (re.findall(r"-?[\d.]+ (?:and|V)", text) for text in (found["clipped_voltage"], said))
+    for shown, true in zip(said_now, wanted, strict=False):
+        assert float(shown.split()[0]) == pytest.approx(float(true.split()[0]), abs=1e-6 + noise)
+    assert noise or cure in found["clipped_voltage"]
+    gains = {None: "gains_unknown", 70: "gains_contradict_log"}.get(stated and stated.kp)
+    assert set(found) == {"clipped_voltage", *([gains] if gains else [])}
+
+
+def test_plateau_below_the_largest_value_is_a_limit():
+    record = staircase(60, 4)
+    voltage = np.clip(record.voltage, -3.0, 3.0)
+    voltage[[0, 601, 1201]] *= 1.2  # an amplifier overshoots
+    finding = only(record.with_({"voltage": voltage}))
+    assert finding.code == "clipped_voltage"
+    assert "stays at -3 and 3 V" in finding.message
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize(("kp", "kd"), [(60, 0), (100, 1), (100, 4)])
+def test_stated_limit_is_believed(kp, kd, noise):
+    record = staircase(kp, kd, voltage_limit=4.0)
+    given = np.clip(record.voltage, -4.0, 4.0) + noise * np.random.default_rng(2).standard_normal(len(record))
+    assert codes(record.with_({"voltage": given})) == []
+    assert codes(record) == ["voltage_beyond_limit"]
+    wrong = {"voltage": given, "controller": Controller(kp=1.2 * kp, kd=kd)}
+    assert codes(record.with_(wrong)) == ["gains_contradict_log"]
+
+
+def test_coarse_voltage_is_no_limit():
+    record = staircase(60, 4)
+    assert "clipped_voltage" not in codes(record.with_({"voltage": np.round(record.voltage, 1)}))
 
 
 def test_slow_loop_is_judged_at_its_own_ticks():
@@ -750,16 +967,21 @@ def test_first_step_at_once_hides_no_other_unit():
     assert "units_contradict" in codes(record)
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm and m"), (180.0 / math.pi, "degrees"), (0.01, "cm and m")])
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1000.0, "as mm for m"), (180.0 / math.pi, "in degrees where"), (0.01, "as m for cm")]
+)
 def test_position_in_another_unit_than_its_reference_is_said(factor, unit):
     record = simulated(noise=1e-6, kp=150.0)
-    found = [f for f in check(record.with_({"position": factor * record.position})) if f.code == "units_contradict"]
-    assert len(found) == 1
-    assert unit in found[0].message
+    other = record.with_({"position": factor * record.position})
+    for log in (other, other.with_({"voltage": None})):
+        found = [f for f in check(log) if f.code == "units_contradict"]
+        assert [f.severity for f in found] == ["error"]
+        assert unit in found[0].message
+        assert fatal(check(log)) == tuple(found)
 
 
 def test_voltage_in_another_unit_is_not_blamed_on_the_gains():
     record = simulated(noise=1e-6)
     finding = only(record.with_({"voltage": 1e3 * record.voltage}))
-    assert finding.code == "gains_contradict_log"
+    assert (finding.code, finding.severity) == ("units_contradict", "error")
     assert "10^3 times" in finding.message

@@ -13,10 +13,20 @@ from servolens.commands.files import (
     check_outputs,
     load_records,
     priors_from,
+    refusal,
     same_file,
     writing,
 )
-from servolens.commands.options import Documented, Paths, Recordings, finite, json_option, prior, recordings
+from servolens.commands.options import (
+    Documented,
+    Paths,
+    Recordings,
+    finite,
+    force_option,
+    json_option,
+    prior,
+    recordings,
+)
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
 from servolens.results import STANDARD_OUTPUT, write_json
@@ -49,6 +59,7 @@ __all__ = ["diagnose", "next_"]
 )
 @click.option("--out", metavar="FILE", help="Write the extended model.")
 @click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
+@force_option
 @json_option
 def diagnose(
     recordings: Recordings,
@@ -56,12 +67,14 @@ def diagnose(
     priors: tuple[tuple[str, float, float], ...],
     out: str | None,
     report: str | None,
+    force: bool,
     json_file: str | None,
 ) -> int:
     """Find what the simulation gets wrong, and why.
 
     Names the effects that a model of gain and damping lacks, what else they may be, what to do about them, and how much
     better the extended model is on records it has not seen. Without --heldout each record in turn is left out.
+    Exit status 1, and no model, if a sign or a unit in the records is wrong.
     """
     if out == json_file == STANDARD_OUTPUT:
         raise click.UsageError("--out and --json cannot both go to standard output")
@@ -79,17 +92,23 @@ def diagnose(
         _check_apart(records, others)
         with about(*recordings.paths, *heldout):
             result = find(records, heldout=others, priors=known, progress=progress)
-    if out:
-        write_json(out, "model", result.model.to_json(), result.findings)
+    refused = refusal(result.findings, force=force)
+    findings = (*refused, *result.findings)
+    if out and not refused:
+        write_json(out, "model", result.model.to_json(), findings)
     if json_file:
-        write_json(json_file, "diagnosis", result.to_json(), result.findings)
+        write_json(json_file, "diagnosis", result.to_json(), findings)
     if report:
         from servolens.report import write_diagnosis_report
 
         with writing(Path(report)):
             write_diagnosis_report(Path(report), result)
-    show(diagnosis_summary(result), STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file)
-    return 0
+    summary = diagnosis_summary(result)
+    show(
+        replace(summary, findings=(*refused, *summary.findings)),
+        STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file,
+    )
+    return 1 if refused else 0
 
 
 @click.command("next", cls=Documented, epilog="servolens next diagnosis.json")

@@ -26,6 +26,7 @@ __all__ = [
     "load_records",
     "priors_from",
     "quality_findings",
+    "refusal",
     "same_file",
     "together",
     "writing",
@@ -82,6 +83,21 @@ def quality_findings(records: Sequence[Record]) -> tuple[Finding, ...]:
     from servolens.quality import assess
 
     return tuple(finding for record in records for finding in assess(record).findings)
+
+
+def refusal(findings: Sequence[Finding], *, force: bool) -> tuple[Finding, ...]:
+    """Return why no model is written: nothing with `force`, or where no sign and no unit of the records is wrong."""
+    from servolens.findings import Finding
+    from servolens.quality import fatal
+
+    names = list(dict.fromkeys(finding.record for finding in fatal(findings) if finding.record))
+    if force or not names:
+        return ()
+    message = (
+        f"no model is written: a sign or a unit in {', '.join(names[:3])}{' and others' if len(names) > 3 else ''} is"
+        " wrong, and with it every parameter; correct the records, or give --force if they are right."
+    )
+    return (Finding(code="model_refused", severity="error", message=message),)
 
 
 def together(*groups: Sequence[Finding]) -> tuple[Finding, ...]:

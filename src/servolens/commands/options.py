@@ -20,6 +20,7 @@ __all__ = [
     "Recordings",
     "SpecOptions",
     "finite",
+    "force_option",
     "json_option",
     "prior",
     "recordings",
@@ -217,6 +218,10 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
+)
+
+force_option = click.option(
+    "--force", is_flag=True, help="Write the model although a sign or a unit in the records is wrong."
 )
 
 

@@ -14,13 +14,15 @@ from servolens.commands.files import (
     load_records,
     priors_from,
     quality_findings,
+    refusal,
     together,
 )
-from servolens.commands.options import Documented, Recordings, finite, json_option, prior, recordings
+from servolens.commands.options import Documented, Recordings, finite, force_option, json_option, prior, recordings
 from servolens.commands.terminal import progress_bar, show
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
+from servolens.summary import Summary
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +40,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
     """Tell whether records can be trusted.
 
     Looks at sampling, gaps, quantisation, clipped voltage, excitation, and whether the log contradicts its gains.
-    Exit status 1 if a record is unfit for identification.
+    Exit status 1 if a record is unfit for identification, or a sign or a unit in it is wrong.
     """
     from servolens.quality import assess
     from servolens.summaries import check_summary
@@ -80,6 +82,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
     help="Data-sheet knowledge: gain=45,2. May be repeated.",
 )
 @click.option("--out", metavar="FILE", help="Write the model: the chosen one, with 'all' the velocity model.")
+@force_option
 @json_option
 def identify(
     recordings: Recordings,
@@ -88,11 +91,13 @@ def identify(
     piece: float | None,
     priors: tuple[tuple[str, float, float], ...],
     out: str | None,
+    force: bool,
     json_file: str | None,
 ) -> int:
     """Identify the axis from measured steps.
 
     Fits constant damping, damping that varies in time and damping that depends on speed, each with errors and units.
+    Exit status 1, and no model, if a sign or a unit in the records is wrong.
     """
     if out == json_file == STANDARD_OUTPUT:
         raise click.UsageError("--out and --json cannot both go to standard output")
@@ -106,16 +111,32 @@ def identify(
         records = load_records(recordings, {"--out": out, "--json": json_file}, progress)
         quality = quality_findings(records)
         progress("Identifying", 0, 0)
-        with about(*recordings.paths):
-            result = fit(records, model=model, delta=delta, piece=piece, priors=priors_from(priors))  # type: ignore[arg-type] # click.Choice
-    findings = together(quality, result.findings)
-    if out:
+        refused = refusal(quality, force=force)
+        try:
+            with about(*recordings.paths):
+                result = fit(records, model=model, delta=delta, piece=piece, priors=priors_from(priors))  # type: ignore[arg-type] # click.Choice
+        except ServolensError as error:
+            if not refused:
+                raise
+            return _unidentified(f"{error}", (*refused, *quality), json_file)
+    findings = together(refused, quality, result.findings)
+    if out and not refused:
         write_json(out, "model", result.model.to_json(), findings)
     if json_file:
         write_json(json_file, "identification", result.to_json(), findings)
     stream = STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
     show(replace(identification_summary(result), findings=findings), stream)
-    return 0
+    return 1 if refused else 0
+
+
+def _unidentified(reason: str, findings: tuple[Finding, ...], json_file: str | None) -> int:
+    """Tell of records with a wrong sign or unit from which nothing could be identified."""
+    if json_file:
+        write_json(json_file, "identification", {"models": {}, "reason": reason}, findings)
+    show(
+        Summary(title="Identification", sentences=(f"Nothing was identified: {reason}.",), findings=findings), json_file
+    )
+    return 1
 
 
 @click.command(cls=Documented, epilog="servolens predict model.json kp100.csv")

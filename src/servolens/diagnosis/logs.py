@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.identification.segments import applied_voltage
-from servolens.quality import check
+from servolens.quality import check, fatal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +34,8 @@ BLAMED = (
     "voltage_shifted",
     "position_jumps",
     "gains_contradict_log",
+    "settings_contradict_log",
+    "added_to_law",
     "law_contradicts_log",
     "clipped_voltage",
     "dead_voltage",
@@ -47,11 +49,13 @@ BLAMED = (
 
 def is_blamed(finding: Finding) -> bool:
     """Tell whether it warns of something about a log that may look like physics."""
-    return finding.code in BLAMED and finding.severity == "warning"
+    return finding.code in BLAMED and finding.severity != "note"
 
 
 def log_findings(records: Sequence[Record]) -> list[Finding]:
     """Return what is wrong with the logs, what may look like physics first.
+
+    Among them are those that are :func:`~servolens.quality.fatal`: a model can be found, but not be trusted.
 
     Raises
     ------
@@ -61,7 +65,7 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
     found = []
     for record in records:
         for finding in check(record):
-            if finding.severity == "error":
+            if finding.severity == "error" and not fatal([finding]):
                 raise InputError(f"{record.name}: {finding.message}")
             found.append(replace(finding, record=record.name))
     return sorted(found, key=lambda f: (not is_blamed(f), BLAMED.index(f.code) if f.code in BLAMED else len(BLAMED)))

@@ -14,15 +14,19 @@ from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
+from servolens.quality.senses import sense_findings
 from servolens.quality.spikes import spike_findings, without_spikes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from servolens.findings import Finding
     from servolens.record import Record
 
-__all__ = ["RecordQuality", "assess", "check"]
+__all__ = ["RecordQuality", "assess", "check", "fatal"]
+
+FATAL = ("wrong_sign", "units_contradict")
+"""Errors with which a model can be computed, but is worthless: these ask for ``--force``."""
 
 
 @final
@@ -88,12 +92,13 @@ class RecordQuality:
 def assess(record: Record) -> RecordQuality:
     """Measure the record's quality and say what is wrong with it.
 
-    Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``repeated_samples``, ``frozen_position``,
-    ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``, ``weak_excitation``,
-    ``dead_voltage``, ``wrong_sign``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``,
-    ``gains_contradict_log``, ``law_contradicts_log``, ``voltage_shifted``, ``position_shifted``,
-    ``reference_shifted``, ``position_jumps``, ``position_spikes``, ``gains_unknown``, ``no_reference``,
-    ``onset_missed``, ``units_contradict``, ``voltage_reconstructed``.
+    Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
+    ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
+    ``weak_excitation``, ``dead_voltage``, ``wrong_sign``, ``units_contradict``, ``unstable_log``,
+    ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``, ``gains_contradict_log``,
+    ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``, ``voltage_shifted``,
+    ``position_shifted``, ``reference_shifted``, ``position_jumps``, ``position_spikes``, ``gains_unknown``,
+    ``no_reference``, ``onset_missed``, ``voltage_reconstructed``.
 
     Examples
     --------
@@ -104,8 +109,10 @@ def assess(record: Record) -> RecordQuality:
     """
     sampling = measure(record)
     fit, doubts = _loop(record, sampling)
+    told = any(doubt.code in FATAL for doubt in doubts)
     seen = (
         *sampling_findings(record, sampling),
+        *(() if told else sense_findings(record, sampling, law_holds=fit is not None and fit.holds)),
         *motion_findings(record, sampling),
         *jump_findings(record, sampling),
         *spike_findings(record, sampling),
@@ -130,6 +137,24 @@ def check(record: Record) -> tuple[Finding, ...]:
     return assess(record).findings
 
 
+def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings for which no model is to be written: a wrong sign, a wrong unit.
+
+    Other errors make a record unfit: nothing can be identified from it at all.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1)
+    >>> fatal(check(record))
+    ()
+    >>> mirrored = record.with_({"position": -record.position})
+    >>> [finding.code for finding in fatal(check(mirrored))]
+    ['wrong_sign']
+    """
+    return tuple(finding for finding in findings if finding.severity == "error" and finding.code in FATAL)
+
+
 def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Finding, ...]]:
     """Return the fitted control law and doubts about it, but for those that are only of samples that stick out."""
     fit = fit_loop(record, sampling)
@@ -144,7 +169,7 @@ def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Fin
 def _beginning(record: Record, sampling: Sampling, fit: LoopFit | None) -> Iterator[Finding]:
     """Yield doubts about the beginning, but for a shift that the control law tells better."""
     for finding in beginning_findings(record, sampling):
-        if finding.code != "reference_shifted" or fit is None or fit.shift is None:
+        if finding.code != "reference_shifted" or fit is None or fit.alternative is None:
             yield finding
 
 

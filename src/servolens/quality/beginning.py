@@ -25,8 +25,6 @@ MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 FAST = 0.05
 """Share of the top speed from which on a beginning in motion is worth a warning."""
-EARLY = 0.01
-"""Share of the step by which the axis must have gone before its reference changes."""
 
 
 def initial_motion(record: Record) -> float:
@@ -77,12 +75,11 @@ def _early(record: Record, seen: Sampling, edge: int) -> Iterator[Finding]:
     if reference is None or edge < max(BEGINNING):
         return
     resting = y[: edge // 2]
-    step = float(reference[edge] - reference[edge - 1])
-    still = 12.0 * seen.noise + 2.5 * (seen.step or 0.0)
-    gone = (float(y[edge]) - float(np.median(resting))) * np.sign(step)
-    if float(np.ptp(resting)) > still or gone < still + EARLY * abs(step):
+    towards = float(np.sign(reference[edge] - reference[edge - 1]))
+    gone = (float(y[edge]) - float(np.median(resting))) * towards
+    if float(np.ptp(resting)) > seen.outstanding or gone < seen.outstanding:
         return
-    begun = int(np.argmax(np.abs(y[:edge] - np.median(resting)) > still))
+    begun = int(np.argmax(np.abs(y[:edge] - np.median(resting)) > seen.outstanding))
     message = (
         f"the axis goes towards its target from {record.time[begun]:g} s on, before the reference changes at"
         f" {record.time[edge]:g} s; reference and position are shifted against each other in the log."

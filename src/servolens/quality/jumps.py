@@ -23,20 +23,14 @@ __all__ = ["jump_findings"]
 
 SIDE = 4
 """Movements from sample to sample, on either side, that one is held against."""
-STANDS_OUT, STEPS = 12.0, 3.0
-"""Standard deviations of the sensor's error, and encoder steps, by which it must exceed them all."""
 EVEN = 0.5
-"""Share of this excess within which they must agree."""
-LONGER = 0.7
-"""Share of the largest of them by which it must exceed them: a lost sample doubles a movement."""
+"""Share of this excess within which they must agree, and of the largest of them that it must be: a loss doubles it."""
 MOVES = 3.0
 """Standard deviations of the sensor's error by which the axis moves on from sample to sample, before and after."""
 STEP = 0.05
 """Share of its range from which on a change of the reference is a step, after which a slowly logged axis may jump."""
-HOLDS = 0.2
-"""Share of a jump in the derivative's voltage up to which the control law holds."""
-BREAKS = 0.4
-"""The same, within which the law breaks as it does where the controller has seen what the log lacks."""
+HOLDS = 0.3
+"""Share of a jump in the derivative's voltage up to which the law holds, or its break is as large as the jump."""
 
 
 @final
@@ -96,7 +90,7 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 def _jumps(record: Record, seen: Sampling) -> _Jumps:
     """Return movements that exceed four on either side, which are alike, and every change elsewhere."""
     moves = np.diff(record.position)
-    least = STANDS_OUT * seen.level + STEPS * (seen.step or 0.0)
+    least = seen.outstanding
     places = _candidates(record, moves, least)
     one = moves[places]
     offsets = [j for j in range(-SIDE, SIDE + 1) if j]
@@ -105,7 +99,7 @@ def _jumps(record: Record, seen: Sampling) -> _Jumps:
     excess = np.abs(one) - longest
     slowest = np.minimum(beside[:SIDE].mean(axis=0), beside[SIDE:].mean(axis=0))
     usual = beside.mean(axis=0) * np.sign(one)
-    passing = (excess > LONGER * longest) & (slowest > MOVES * seen.level)
+    passing = (excess > EVEN * longest) & (slowest > MOVES * seen.level)
     found = _Jumps(places, one - usual, usual, passing)
     large = (excess > least) & (longest - beside.min(axis=0) < EVEN * excess)
     large[large] = excess[large] > _elsewhere(moves, places[large])
@@ -148,4 +142,4 @@ def _in_law(record: Record, jumps: _Jumps) -> tuple[NDArray[np.bool_], NDArray[n
     after = missed[jumps.places + 1]
     before = np.abs(missed[jumps.places - np.arange(SIDE)[:, None]]).max(axis=0)
     tells = (before < HOLDS * np.abs(jump)) & (not slow)
-    return tells & (np.abs(after - jump) < BREAKS * np.abs(jump)), tells & (np.abs(after) < HOLDS * np.abs(jump))
+    return tells & (np.abs(after - jump) < HOLDS * np.abs(jump)), tells & (np.abs(after) < HOLDS * np.abs(jump))

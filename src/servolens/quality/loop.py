@@ -11,7 +11,17 @@ import numpy as np
 from servolens.control_law import law_columns
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.shifts import find_shift, fit_gains, realigned, remembered, rms
+from servolens.quality.law import (
+    BETTER,
+    HOLDS,
+    UNITS,
+    find_alternative,
+    fit_gains,
+    remembered,
+    rms,
+    tick_phase,
+)
+from servolens.quality.limits import NEAR, at_limit, beyond_limit
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -19,20 +29,19 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.quality.law import Alternative
     from servolens.quality.sampling import Sampling
-    from servolens.quality.shifts import Shift
     from servolens.record import Record
 
 __all__ = ["LoopFit", "fit_loop", "loop_findings"]
 
 RINGING = 0.02
 """Time after an edge of the reference that is not judged [s]: real drives ring there for 5 to 10 ms."""
-MISFIT = 0.1
-"""Share of the voltage beyond which no gains are said to fit it."""
 DIFFERENCE = 0.01
-"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much."""
-SAME = 0.01
-"""Relative difference up to which a factor is a power of ten."""
+"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much.
+
+Also the relative difference up to which a ratio is that of two units.
+"""
 
 
 @final
@@ -51,11 +60,13 @@ class LoopFit:
     rounding : float
         What a position rounded in the log to the step seen there can change, as the same share.
     clipped : int
-        Samples at which the voltage sits at a limit.
+        Samples at which the voltage is at a limit that is not stated, and the law asks for more.
     limits : tuple of float
-        Least and largest logged voltage.
-    shift : Shift or None
-        Of the column that is logged late or early; the gains are those that fit without it.
+        Least and largest voltage of these samples.
+    alternative : Alternative or None
+        What else than stated the voltage fits; the gains are those that fit with it.
+    holds : bool
+        Whether the law holds with a positive gain, as stated or with the alternative.
     """
 
     kp: float
@@ -65,7 +76,8 @@ class LoopFit:
     rounding: float
     clipped: int
     limits: tuple[float, float]
-    shift: Shift | None
+    alternative: Alternative | None
+    holds: bool
 
 
 def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
@@ -76,16 +88,18 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     """
     if record.voltage is None or record.reference is None or not record.voltage.any():
         return None
-    aligned = _aligned(record)
     try:
-        shift = find_shift(aligned, _clipped(aligned, seen))
-        aligned = aligned if shift is None else _aligned(realigned(aligned, shift))
+        aligned = _aligned(record)
+        clipped = at_limit(aligned, seen)
+        other = find_alternative(aligned, clipped, gains_stated=record.controller is not None)
+        if other is not None:
+            aligned = _aligned(other.applied(aligned))
+            clipped = at_limit(aligned, seen) if other.kind != "limit" else _reached(aligned, other)
         error, derivative = law_columns(aligned)
     except InputError:
         return None
     assert aligned.voltage is not None  # noqa: S101 - as record.voltage
     target = aligned.voltage if aligned.feedforward is None else aligned.voltage - aligned.feedforward
-    clipped = _clipped(aligned, seen)
     judged = _judged(aligned, clipped)
     if np.count_nonzero(judged) < 4:
         return None
@@ -95,15 +109,20 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
         return None
     left = target - kp * error + kd * derivative
     enough = np.count_nonzero(kept) >= 0.8 * np.count_nonzero(judged)
+    misfit = rms(left[kept] if enough else left[judged])
+    short = np.zeros_like(clipped) if record.voltage_limit else clipped & (np.abs(left) > misfit + HOLDS * scale)
+    stated = record.controller
+    wrong = 0.0 if stated is None else rms(((kp - stated.kp) * error - (kd - stated.kd) * derivative)[judged])
     return LoopFit(
         kp=kp,
         kd=kd,
-        misfit=rms(left[kept] if enough else left[judged]) / scale,
-        difference=_difference(record.controller, kp, kd, error[judged], derivative[judged]) / scale,
+        misfit=misfit / scale,
+        difference=wrong / scale,
         rounding=abs(kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
-        clipped=int(np.count_nonzero(clipped)),
-        limits=(float(record.voltage.min()), float(record.voltage.max())),
-        shift=shift,
+        clipped=int(np.count_nonzero(short)),
+        limits=_sides(aligned.voltage[short]),
+        alternative=other,
+        holds=kp > 0 and misfit < BETTER * scale,
     )
 
 
@@ -121,55 +140,129 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     if record.voltage is None:
         message = "no voltage is logged; it is reconstructed from kp and kd, which therefore cannot be verified."
         yield Finding(code="voltage_reconstructed", severity="note", message=message)
-    if fit is not None:
-        yield from _limits(record, fit)
-        yield from _law(record, fit)
-
-
-def _limits(record: Record, fit: LoopFit) -> Iterator[Finding]:
-    unit = record.command_unit
-    if fit.clipped:
-        low, high = fit.limits
+    beyond = beyond_limit(record)
+    if beyond:
         message = (
-            f"the logged voltage sits at its limits {low:.4g} and {high:.4g} {unit} for {fit.clipped} samples while the"
-            " axis moves; log what the controller asks for, or state voltage_limit."
+            f"the controller asks for more than the limit of {record.voltage_limit:g} {record.command_unit}"
+            f" in {beyond} samples."
         )
-        yield Finding(code="clipped_voltage", severity="warning", message=message)
-    limit = record.voltage_limit
-    if limit is not None and record.voltage is not None:
-        beyond = int(np.count_nonzero(np.abs(record.voltage) > 1.001 * limit))
-        if beyond:
-            message = f"the controller asks for more than the limit of {limit:g} {unit} in {beyond} samples."
-            yield Finding(code="voltage_beyond_limit", severity="note", message=message)
+        yield Finding(code="voltage_beyond_limit", severity="note", message=message)
+    if fit is not None:
+        if fit.clipped >= 3:
+            yield _clipped(record, fit)
+        if fit.alternative is not None and fit.alternative.kind != "limit":
+            yield _alternative(record, fit, fit.alternative)
+        yield from _gains(record, fit)
 
 
-def _law(record: Record, fit: LoopFit) -> Iterator[Finding]:
-    stated = record.controller
-    fits = f"kp = {fit.kp:.4g}, kd = {0.0 if abs(fit.kd) < 1e-9 * abs(fit.kp) else fit.kd:.4g}"
-    if fit.shift is not None:
-        yield _shifted(fit.shift, fits)
+def _clipped(record: Record, fit: LoopFit) -> Finding:
+    low, high = fit.limits
+    unit, largest = record.command_unit, max(abs(low), abs(high))
+    one_sided = low * high >= 0 or math.isclose(-low, high, rel_tol=NEAR)
+    where = f"{low:.4g} {unit}" if math.isclose(low, high, rel_tol=NEAR) else f"{low:.4g} and {high:.4g} {unit}"
+    cure = f"state voltage_limit = {largest:.4g} {unit}, or " if one_sided else ""
+    message = (
+        f"the logged voltage stays at {where} for {fit.clipped} samples while the control law asks for more: it is what"
+        f" the amplifier gave; {cure}log what the controller asks for."
+    )
+    return Finding(code="clipped_voltage", severity="warning", message=message)
+
+
+def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
+    """Return the finding of what the voltage fits instead of what is stated."""
+    unit = record.command_unit
+    gains = "these settings" if record.controller is None else "the stated setting"
+    left = f"unexplained voltage {other.before:.2g} {unit} r.m.s. with {gains}, {other.left:.2g} {unit} with this one"
+    match other.kind:
+        case "shift":
+            return _shifted(other, _named(fit))
+        case "sign":
+            message = f"the control law holds only with the other sign of the position ({left}); change the sign of it."
+            return Finding(code="wrong_sign", severity="error", message=message)
+        case "unit":
+            message = (
+                f"the control law holds only if the position is {UNITS[other.value]} ({left}); state the unit of each"
+                " column."
+            )
+            return Finding(code="units_contradict", severity="error", message=message)
+        case "added":
+            constant, integral = other.value
+            what = f"a constant {constant:.3g} {unit}"
+            if integral:
+                what = f"an integral action with ki = {integral:.3g} {unit}/({record.length_unit} s)"
+            message = f"the log fits with {what} added to the control law ({left}); log what is added as feedforward."
+            return Finding(code="added_to_law", severity="warning", message=message)
+    stated = record.controller or Controller(kp=1.0)
+    fits = ", ".join(f"{name} = {_shown(value)}" for name, value in other.value)
+    was = ", ".join(_shown(getattr(stated, name)) for name, _ in other.value)
+    message = f"the log fits {fits}, not {was} ({left}); correct what is stated."
+    return Finding(code="settings_contradict_log", severity="warning", message=message)
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "every sample"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
+    """Yield that the voltage fits no gains, or other gains than stated."""
+    stated, fits = record.controller, _named(fit)
     if stated is None:
-        if fit.misfit < 0.02:
+        if fit.misfit < 2 * DIFFERENCE:
             message = f"the gains are not stated; the logged voltage fits {fits}."
             yield Finding(code="gains_unknown", severity="note", message=message)
-    elif fit.misfit > MISFIT:
+        if fit.kp < 0 and fit.misfit < BETTER:
+            yield _mirrored(fits)
+    elif fit.misfit > BETTER:
         message = (
             f"the logged voltage is not kp e − kd d: even {fits} leave {100 * fit.misfit:.0f} % of it;"
             " check sign, unit and derivative settings, or whether something is added to it."
         )
         yield Finding(code="law_contradicts_log", severity="warning", message=message)
     elif fit.difference > max(DIFFERENCE, 0.5 * fit.misfit, 2 * fit.rounding):
-        power = round(math.log10(abs(fit.kp / stated.kp))) if fit.kp * stated.kp > 0 else 0
-        cure = "correct the stated gains"
-        if power and abs(fit.kp / stated.kp / 10.0**power - 1.0) < SAME:
-            cure = f"the voltage is 10^{power} times that of the law: state its unit, as mV, or that of the gains"
-        message = f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}; {cure}."
-        yield Finding(code="gains_contradict_log", severity="warning", message=message)
+        yield _other_gains(stated, fit, fits)
 
 
-def _shifted(shift: Shift, fits: str) -> Finding:
-    count = f"{abs(shift.samples)} sample{'s' if abs(shift.samples) > 1 else ''}"
-    late = shift.samples > 0
+def _other_gains(stated: Controller, fit: LoopFit, fits: str) -> Finding:
+    """Return the finding of other gains than stated, by a sign or a unit where that explains them."""
+    proportional, derivative = (
+        math.nan if own == 0 else found / own for found, own in ((fit.kp, stated.kp), (fit.kd, stated.kd))
+    )
+    message = f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}"
+    if math.isclose(proportional, -1.0, rel_tol=DIFFERENCE):
+        return _mirrored(fits)
+    power = _power(proportional)
+    if power:
+        cure = f"the voltage is 10^{power} times that of the law: state its unit, as mV, or that of the gains"
+        return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
+    power = _power(derivative)
+    if math.isclose(proportional, 1.0, rel_tol=DIFFERENCE) and power in (-6, -3, 3, 6):
+        cure = f"the time stamps are 10^{power} times what the derivative used: state their unit, as ms, or that of kd"
+        return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
+    return Finding(code="gains_contradict_log", severity="warning", message=f"{message}; correct the stated gains.")
+
+
+def _power(ratio: float) -> int:
+    """Return the power of ten that a ratio is, other than 0; 0 if it is none."""
+    if not ratio > 0:
+        return 0
+    power = round(math.log10(ratio))
+    return power if math.isclose(ratio / 10.0**power, 1.0, rel_tol=DIFFERENCE) else 0
+
+
+def _mirrored(fits: str) -> Finding:
+    message = f"the logged voltage fits {fits}: it has the other sign than the control law; change the sign of it."
+    return Finding(code="wrong_sign", severity="error", message=message)
+
+
+def _named(fit: LoopFit) -> str:
+    return f"kp = {fit.kp:.4g}, kd = {0.0 if abs(fit.kd) < 1e-9 * abs(fit.kp) else fit.kd:.4g}"
+
+
+def _shifted(shift: Alternative, fits: str) -> Finding:
+    count = f"{abs(shift.value)} sample{'s' if abs(shift.value) > 1 else ''}"
+    late = shift.value > 0
     if shift.column == "voltage":
         message = f"the voltage is logged {count} {'after' if late else 'before'} its position; shift the column."
     else:
@@ -185,31 +278,26 @@ def _aligned(record: Record) -> Record:
     """Return the record with some controller, and from a tick of a slow loop on: there its voltage changes."""
     if record.controller is None:
         return replace(record, controller=Controller(kp=1.0))
-    period = record.controller.control_period
-    ratio = 1 if period is None else round(period / record.sample_time)
-    if ratio <= 1 or record.voltage is None or len(record) < 4 * ratio:
-        return record
-    changes = np.flatnonzero(np.diff(record.voltage)) + 1
-    phase = int(np.argmax(np.bincount(changes % ratio, minlength=ratio)))
-    return record.slice(float(record.time[phase]), float(record.time[-1]))
+    first = tick_phase(record)
+    return record.slice(float(record.time[first]), float(record.time[-1])) if first else record
 
 
-def _clipped(record: Record, seen: Sampling) -> NDArray[np.bool_]:
-    """Mark runs of three and more samples at the least or largest voltage in which the position moves visibly."""
+def _reached(record: Record, limit: Alternative) -> NDArray[np.bool_]:
+    """Mark the samples at the limits that were found."""
     assert record.voltage is not None  # noqa: S101 - fit_loop has refused records without
-    marked = np.zeros(len(record), dtype=bool)
-    voltage, y = record.voltage, record.position
-    near = 1e-9 * float(np.ptp(voltage))
-    period = None if record.controller is None else record.controller.control_period
-    held = 1 if period is None else max(round(period / record.sample_time), 1)
-    visible = 5 * seen.level + 2 * (seen.step or 0.0)
-    for at in (voltage >= voltage.max() - near, voltage <= voltage.min() + near):
-        bounds = np.flatnonzero(np.diff(np.concatenate(([False], at, [False])).astype(np.int8)))
-        starts, ends = bounds[::2], bounds[1::2] - 1
-        flat = (ends - starts + 1 >= 3 * held) & (np.abs(y[ends] - y[starts]) > visible)
-        for first, last in zip(starts[flat].tolist(), ends[flat].tolist(), strict=True):
-            marked[first : last + 1] = True
-    return marked
+    margin = NEAR * float(np.ptp(record.voltage))
+    low, high = limit.value
+    return np.asarray((record.voltage < low + margin) | (record.voltage > high - margin))
+
+
+def _sides(clipped: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the voltage at the lower and at the upper limit, by the median; one of them twice if there is no other."""
+    if not clipped.size:
+        return 0.0, 0.0
+    upper = clipped > 0.5 * (clipped.min() + clipped.max())
+    if np.ptp(clipped) <= 0.5 * np.abs(clipped).max():
+        return (level := float(np.median(clipped))), level
+    return float(np.median(clipped[~upper])), float(np.median(clipped[upper]))
 
 
 def _judged(record: Record, clipped: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -242,11 +330,3 @@ def _robust_fit(
             break
         kp, kd = fit_gains(error[kept], derivative[kept], target[kept])
     return kp, kd, kept
-
-
-def _difference(
-    stated: Controller | None, kp: float, kd: float, error: NDArray[np.float64], derivative: NDArray[np.float64]
-) -> float:
-    if stated is None:
-        return 0.0
-    return rms((kp - stated.kp) * error - (kd - stated.kd) * derivative)

@@ -1,4 +1,4 @@
-"""What the axis does in a record: whether it moves enough, freezes, runs against its voltage, or runs away."""
+"""What the axis does in a record: whether it moves enough, freezes, or runs away."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage
-from servolens.errors import InputError
 from servolens.findings import Finding
 
 if TYPE_CHECKING:
@@ -21,19 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["motion_findings"]
 
-CLOSE = 0.1
-UNITS = (
-    (1e3, "one is in thousandths of the other's unit, as mm and m"),
-    (1e-3, "one is in thousandths of the other's unit, as mm and m"),
-    (100.0, "one is in hundredths of the other's unit, as cm and m"),
-    (0.01, "one is in hundredths of the other's unit, as cm and m"),
-    (180.0 / np.pi, "one is in degrees, the other in radians"),
-    (np.pi / 180.0, "one is in degrees, the other in radians"),
-)
-"""Ratios of position and reference that units explain, within a tenth."""
-MOST_SEGMENTS = 500
-"""A reference with more edges than this is a trajectory, not a series of steps."""
-
 
 def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield doubts about the motion; without motion there is nothing else to doubt."""
@@ -42,20 +27,18 @@ def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
         yield excitation
     if excitation is not None and excitation.severity == "error":
         return
-    yield from _units(record)
     yield from _freezing(record, seen)
-    yield from _against(record, seen)
     yield from _growing(record, seen)
 
 
 def _excitation(record: Record, seen: Sampling) -> Finding | None:
-    """Compare travel and noise: white noise alone spans up to 12 of its standard deviations in a million samples."""
+    """Compare travel and noise."""
     unit = record.length_unit
     if seen.travel == 0:
         message = f"the position is {record.position[0]:g} {unit} throughout; check the sensor, or log a step."
         return Finding(code="constant_position", severity="error", message=message)
     travel = f"the position moves by {seen.travel:.3g} {unit}"
-    if seen.travel < 12 * seen.noise + 2.5 * (seen.step or 0.0):
+    if seen.travel < seen.outstanding:
         message = f"{travel}, no more than noise and encoder step make; log a larger step."
         return Finding(code="weak_excitation", severity="error", message=message)
     if record.voltage is not None and not record.voltage.any():
@@ -66,28 +49,6 @@ def _excitation(record: Record, seen: Sampling) -> Finding | None:
         message = f"{travel}, {seen.travel / largest:.0f} times noise or encoder step; 50 times and more tell the gain."
         return Finding(code="weak_excitation", severity="warning", message=message)
     return None
-
-
-def _units(record: Record) -> Iterator[Finding]:
-    """Yield a position that comes to rest at its targets times what one unit is of another."""
-    edges = record.edges()
-    if record.reference is None or edges.size > MOST_SEGMENTS:
-        return
-    ends = np.array([*edges, len(record)]) - 1
-    before = np.maximum(ends - np.maximum(np.diff(ends, prepend=-1) // 5, 1), 0)
-    target, reached = record.reference[ends], record.position[ends]
-    if not target.any():
-        return
-    weight = target / float(np.max(np.abs(target)))
-    if abs(float(weight @ (reached - record.position[before]))) > CLOSE * abs(float(weight @ reached)):
-        return  # still on its way
-    ratio = float(weight @ reached) / float(weight @ target)
-    for factor, what in UNITS:
-        if abs(ratio / factor - 1.0) < CLOSE:
-            message = (
-                f"the position comes to rest at {ratio:.4g} times its reference: {what}; state the unit of each column."
-            )
-            yield Finding(code="units_contradict", severity="warning", message=message)
 
 
 def _freezing(record: Record, seen: Sampling) -> Iterator[Finding]:
@@ -135,7 +96,7 @@ def _frozen(record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_]
         return
     jump = np.abs(moves[ends])
     later = np.max(np.abs(moves[ends[:, None] + np.arange(1, 4)]), axis=1)
-    torn = np.flatnonzero(jump > 3 * later + 4 * (seen.step or 0.0) + 8 * seen.noise)
+    torn = np.flatnonzero(jump > 3 * later + seen.outstanding)
     if torn.size:
         first = int(starts[torn[0]])
         message = (
@@ -143,58 +104,6 @@ def _frozen(record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_]
             f" jumps by {jump[torn[0]]:.3g} {record.length_unit} ({torn.size} such places); check the sensor's link."
         )
         yield Finding(code="frozen_position", severity="warning", message=message)
-
-
-def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
-    """Yield an axis that accelerates against its voltage.
-
-    Second differences of the position over w samples are β times the voltage's, integrated twice, minus damping and a
-    constant; w grows until they stand out of the sensor's error. β must be negative and explain half of what the other
-    two leave.
-    """
-    voltage = _applied(record)
-    if voltage is None or not np.ptp(voltage) > 0:
-        return
-    y = record.position
-    integral = np.cumsum(np.cumsum(voltage - voltage.mean()))
-    w = 4
-    while 8 * w < y.size:
-        bend = y[2 * w :] - 2 * y[w:-w] + y[: -2 * w]
-        if np.std(bend) > 20 * seen.level:
-            break
-        w *= 3
-    else:
-        return
-    push = integral[2 * w :] - 2 * integral[w:-w] + integral[: -2 * w]
-    rows = slice(None, None, max(w // 2, bend.size // 100_000, 1))
-    share, sign = _partial(bend[rows], push[rows], (y[2 * w :] - y[: -2 * w])[rows])
-    if sign < 0 and share > 0.5:
-        message = "the axis accelerates against its voltage; check the signs of voltage, position and kp in the log."
-        yield Finding(code="wrong_sign", severity="warning", message=message)
-
-
-def _applied(record: Record) -> NDArray[np.float64] | None:
-    if record.voltage is not None:
-        return record.voltage
-    try:
-        return controller_voltage(record)
-    except InputError:
-        return None
-
-
-def _partial(
-    target: NDArray[np.float64], column: NDArray[np.float64], other: NDArray[np.float64]
-) -> tuple[float, float]:
-    """Return the share of `target` that `column` explains beyond `other` and a constant, and its sign."""
-    other = other - other.mean()
-    size = float(other @ other)
-    left = []
-    for signal in (target, column):
-        centred = signal - signal.mean()
-        left.append(centred - (float(centred @ other) / size) * other if size > 0 else centred)
-    product = float(left[0] @ left[1])
-    scale = float(left[0] @ left[0]) * float(left[1] @ left[1])
-    return (product**2 / scale if scale > 0 else 0.0), float(np.sign(product))
 
 
 def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
@@ -205,9 +114,7 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
     if record.reference is None:
         return
     edges = record.edges()
-    if edges.size > MOST_SEGMENTS:
-        return
-    small = max(6 * seen.noise, 3 * (seen.step or 0.0), 2e-3 * seen.travel)
+    small = max(0.5 * seen.outstanding, 2e-3 * seen.travel)
     bounds = [0, *edges.tolist(), len(record)]
     for first, stop in pairwise(bounds):
         if stop - first < 20:

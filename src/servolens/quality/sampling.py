@@ -17,13 +17,16 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["Sampling", "measure", "sampling_findings", "white_noise"]
+__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "white_noise"]
 
 FEWEST_SAMPLES = 20
 """Five samples for each of the four unknowns of the smallest model."""
 SPEED_SPAN = 10
-MOST_DIFFERENCES = 200_000
-"""Differences that are looked at for the sensor's step."""
+"""Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
+MEDIAN, CHANGED = 7, 0.25
+"""Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
+SPAN, STEPS = 12.0, 3.0
+"""Standard deviations that white noise spans in a million samples, and steps that an encoder rounds and flickers by."""
 
 
 @final
@@ -37,6 +40,8 @@ class Sampling:
         Interval, its deviation, the position's noise, its range, its largest speed.
     lost, gaps, first_gap : int
         Samples lost, places where they are, the sample after the first of these.
+    cycles : tuple of float
+        Shortest and longest cycle of the log: the same but where it changes [s].
     step : float or None
         Seen quantisation step.
     level : float
@@ -48,6 +53,7 @@ class Sampling:
     lost: int
     gaps: int
     first_gap: int
+    cycles: tuple[float, float]
     noise: float
     step: float | None
     travel: float
@@ -58,24 +64,30 @@ class Sampling:
         """Standard deviation of what the sensor adds [m or rad]."""
         return max(self.noise, (self.step or 0.0) / math.sqrt(12.0))
 
+    @property
+    def outstanding(self) -> float:
+        """Difference of two positions that the sensor does not make [m or rad]."""
+        return SPAN * self.noise + STEPS * (self.step or 0.0)
+
 
 def measure(record: Record) -> Sampling:
     """Measure clock and sensor.
 
     The noise is that of third differences (a cubic motion leaves none), by their median, so that edges do not count;
-    a gap is an interval longer than one and a half sample times.
+    a gap is an interval longer than one and a half times the cycle at that time.
     """
     intervals = np.diff(record.time)
     h = record.sample_time
-    long = intervals > 1.5 * h
-    gaps = np.flatnonzero(long)
-    kept = intervals[~long] if gaps.size else intervals
+    cycles = _cycles(intervals, h)
+    long = intervals > 1.5 * cycles
+    gaps, kept = np.flatnonzero(long), ~long
     y = record.position
     span = min(SPEED_SPAN, y.size - 1)
     return Sampling(
         sample_time=h,
-        jitter=float(np.std(kept)) if kept.size else 0.0,
-        lost=int(np.sum(np.rint(intervals[gaps] / h) - 1)),
+        jitter=float(np.std((intervals - cycles)[kept])) if kept.any() else 0.0,
+        lost=int(np.sum(np.rint(intervals[gaps] / cycles[gaps]) - 1)),
+        cycles=(float(cycles.min()), float(cycles.max())),
         gaps=gaps.size,
         first_gap=int(gaps[0]) + 1 if gaps.size else 0,
         noise=white_noise(y),
@@ -83,6 +95,21 @@ def measure(record: Record) -> Sampling:
         travel=float(np.ptp(y)),
         top_speed=float(np.max(np.abs(y[span:] - y[:-span]) / (record.time[span:] - record.time[:-span]))),
     )
+
+
+def _cycles(intervals: NDArray[np.float64], sample_time: float) -> NDArray[np.float64]:
+    """Return the cycle of the log at each interval: a running median where it differs, else `sample_time` [s].
+
+    A bus that changes its cycle keeps the new one; lost samples make single long intervals, which a median (Hampel's
+    filter) passes over.
+    """
+    usual = np.full(intervals.size, sample_time)
+    if np.all(np.abs(intervals - sample_time) <= CHANGED * sample_time):
+        return usual
+    from scipy.ndimage import median_filter
+
+    local = median_filter(intervals, size=MEDIAN, mode="nearest")
+    return np.where(np.abs(local - sample_time) > CHANGED * sample_time, local, usual)
 
 
 def quantisation_step(position: NDArray[np.float64]) -> float | None:
@@ -124,6 +151,13 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
             f"{seen.lost} samples are lost in {places}, the first before {where:g} s; log without gaps, or cut there."
         )
         yield Finding(code="gaps", severity="warning", message=message)
+    short, long = seen.cycles
+    if long - short > CHANGED * short:
+        message = (
+            f"the log's cycle changes between {1e3 * short:.4g} and {1e3 * long:.4g} ms; no samples are lost there, but"
+            " the control law is computed with one cycle: log with one."
+        )
+        yield Finding(code="cycle_changes", severity="note", message=message)
     moved = seen.top_speed * seen.jitter
     felt = seen.jitter > 0.01 * seen.sample_time and moved > max(2 * seen.level, 1e-4 * seen.travel)
     if felt or seen.jitter > 0.2 * seen.sample_time:
@@ -173,7 +207,7 @@ def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the sizes of movements from sample to sample, those within rounding left out."""
     moves = np.abs(np.diff(position))
     moves = moves[moves > 16 * np.spacing(np.max(np.abs(position)))]
-    return np.asarray(moves[:: max(moves.size // MOST_DIFFERENCES, 1)])
+    return np.asarray(moves)
 
 
 def white_noise(position: NDArray[np.float64]) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.findings import Finding
-from servolens.quality.sampling import measure
+from servolens.quality.sampling import CHANGED, SPAN, STEPS, measure
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["spike_findings", "spikes", "without_spikes"]
 
-STANDS_OUT, STEPS, LEAST = 12.0, 3.0, 1e-4
-"""Standard deviations, encoder steps and share of the travel by which a sample must lie off the cubic beside it."""
+LEAST = 1e-4
+"""Share of the travel by which a sample must lie off the cubic beside it, however little noise there is."""
 BENDS = 4.0
 """Times what bends the motion of its four neighbours by which it must do so: a knock bends them too.
 
@@ -29,8 +29,6 @@ plain slip.
 """
 FURTHER = (-4, -3, 3, 4)
 """Samples that stick out much less: a spike does nothing to them, a vibration is there as well."""
-EVEN = 0.5
-"""Share of the sample time within which the neighbours' times agree."""
 
 
 def spike_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
@@ -63,7 +61,7 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     beside = np.pad(np.abs(off), 4)
     further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
     step = max(seen.step or 0.0, record.encoder_resolution or 0.0)
-    least = STANDS_OUT * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
+    least = SPAN * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
     usual = np.maximum(np.abs(after - before), BENDS * np.maximum(np.abs(bend), further))
     places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
     return places + 2, off[places]
@@ -83,6 +81,6 @@ def _evenly_logged(time: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell of each sample but the outer two whether the intervals beside it are alike."""
     intervals = np.diff(time)
     usual = float(np.median(intervals))
-    alike = np.abs(intervals - usual) < EVEN * usual
+    alike = np.abs(intervals - usual) < CHANGED * usual
     good: NDArray[np.bool_] = alike[:-3] & alike[1:-2] & alike[2:-1] & alike[3:]
     return good

@@ -41,8 +41,8 @@ def _verdict(count: int, unfit: Sequence[str]) -> str:
             count, f"All {count} records can be used."
         )
     if count == 1:
-        return "The record is unfit for identification; the errors below say why."
-    return f"{len(unfit)} of {count} records are unfit for identification: {listed(unfit)}."
+        return "The record is unfit for identification as it is; the errors below say why."
+    return f"{len(unfit)} of {count} records are unfit for identification as they are: {listed(unfit)}."
 
 
 def _counted(doubts: int) -> list[str]:

@@ -1,0 +1,153 @@
+"""Whether signs and units of the columns can be as they are: a wrong one makes every result worthless."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.control_law import controller_voltage
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.quality.law import UNITS, follows, rms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from servolens.quality.sampling import Sampling
+    from servolens.record import Record
+
+__all__ = ["sense_findings"]
+
+CLOSE = 0.1
+"""Relative difference up to which an axis at rest is at a ratio: friction and weight hold it off its target."""
+SLOWEST_LOOP = 0.5
+"""Sample time from which on time stamps cannot be seconds [s]: logs at 2 kHz and slower, in ms, are all above it."""
+EXPLAINS = 0.5
+"""Share of the acceleration that the voltage must explain, beyond what else may, to tell the sign."""
+TELLS = 1e-3
+"""Share of the voltage that must differ from what a force that depends on the position could be, to tell them apart."""
+
+
+def sense_findings(record: Record, seen: Sampling, *, law_holds: bool) -> Iterator[Finding]:
+    """Yield wrong signs and units; those that the control law proves right are not doubted.
+
+    Parameters
+    ----------
+    record : Record
+        What was logged.
+    seen : Sampling
+        Its clock and sensor.
+    law_holds : bool
+        Whether the logged voltage fits the control law with a positive gain: then position and reference have one sign
+        and unit, and if the axis follows its reference too, the voltage has the right sign.
+    """
+    if record.sample_time >= SLOWEST_LOOP:
+        message = (
+            f"the time stamps are {record.sample_time:g} s apart, and the record lasts {record.duration / 3600:.2g} h:"
+            " no loop of an axis is that slow; state the unit of time, as ms or us."
+        )
+        yield Finding(code="units_contradict", severity="error", message=message)
+    strange = () if law_holds else tuple(_at_rest(record))
+    yield from strange
+    known = (law_holds or record.voltage is None) and follows(record)
+    if not strange and not known and seen.travel > 0.0:
+        yield from _against(record, seen)
+
+
+def _at_rest(record: Record) -> Iterator[Finding]:
+    """Yield an axis that comes to rest at its targets times -1, or what one unit is of another.
+
+    One target alone does not tell a sign: a weight may have drawn the axis there.
+    """
+    edges = record.edges()
+    if record.reference is None or (edges.size > 1 and np.min(np.diff(edges)) < 3):
+        return
+    ends = np.array([*edges, len(record)]) - 1
+    before = np.maximum(ends - np.maximum(np.diff(ends, prepend=-1) // 5, 1), 0)
+    target, reached = record.reference[ends], record.position[ends]
+    if not target.any():
+        return
+    weight = target / float(np.max(np.abs(target)))
+    if abs(float(weight @ (reached - record.position[before]))) > CLOSE * abs(float(weight @ reached)):
+        return  # still on its way
+    ratio = float(weight @ reached) / float(weight @ target)
+    where = f"the position comes to rest at {ratio:.4g} times its reference"
+    if math.isclose(ratio, -1.0, rel_tol=CLOSE) and rms(reached - ratio * target) < CLOSE * rms(reached):
+        sure = np.unique(target).size > 1
+        message = f"{where}; change the sign of one of the two{'' if sure else ', unless a weight has drawn it there'}."
+        yield Finding(code="wrong_sign", severity="error" if sure else "warning", message=message)
+    for known, what in UNITS.items():
+        if math.isclose(ratio, known, rel_tol=CLOSE):
+            message = f"{where}: it is {what}; state the unit of each column."
+            yield Finding(code="units_contradict", severity="error", message=message)
+
+
+def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
+    """Yield an axis that accelerates against its voltage.
+
+    Second differences of the position over w samples are β times the voltage's, integrated twice, minus damping, a
+    constant, and a force that depends on the position, as a weight's; w grows until they stand out of the sensor's
+    error. β must be negative and explain half of what the others leave, with and without that force. A voltage that is
+    such a force itself, as of a proportional loop, does not tell: then it is a warning.
+    """
+    voltage = _applied(record)
+    if voltage is None or not np.ptp(voltage) > 0:
+        return
+    y = record.position
+    w = next(
+        (w for w in (4 * 3**k for k in range(20)) if 8 * w >= y.size or np.std(_bend(y, w)) > 20 * seen.level), y.size
+    )
+    if 8 * w >= y.size:
+        return
+    bend, push = _bend(y, w), _bend(_twice_integrated(voltage), w)
+    rows = slice(None, None, max(w // 2, bend.size // 100_000, 1))
+    angle = y if record.length_unit == "rad" else y / float(np.ptp(y))
+    forces = [_bend(_twice_integrated(force), w)[rows] for force in (np.sin(angle), np.cos(angle))]
+    damping = (y[2 * w :] - y[: -2 * w])[rows]
+    alone, _ = _partial(bend[rows], push[rows], [damping])
+    beside, tells = _partial(bend[rows], push[rows], [damping, *forces])
+    if alone < -EXPLAINS and (beside < -EXPLAINS or tells < TELLS):
+        sure = tells >= TELLS
+        message = (
+            "the axis accelerates against its voltage; check the signs of voltage, position and kp in the log"
+            f"{'' if sure else ', unless a weight or a spring drives it'}."
+        )
+        yield Finding(code="wrong_sign", severity="error" if sure else "warning", message=message)
+
+
+def _bend(signal: NDArray[np.float64], w: int) -> NDArray[np.float64]:
+    """Return the second differences over `w` samples."""
+    return signal[2 * w :] - 2 * signal[w:-w] + signal[: -2 * w]
+
+
+def _twice_integrated(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.cumsum(np.cumsum(signal - signal.mean()))
+
+
+def _applied(record: Record) -> NDArray[np.float64] | None:
+    if record.voltage is not None:
+        return record.voltage
+    try:
+        return controller_voltage(record)
+    except InputError:
+        return None
+
+
+def _partial(
+    target: NDArray[np.float64], column: NDArray[np.float64], others: list[NDArray[np.float64]]
+) -> tuple[float, float]:
+    """Return the share of `target` that `column` explains beyond `others` and a constant, with its sign, and its own.
+
+    The second is the share of `column` that the others do not explain.
+    """
+    known = np.stack([np.ones_like(target), *(other / (np.abs(other).max() or 1.0) for other in others)], axis=1)
+    both = np.stack((target, column), axis=1)
+    left = both - known @ np.linalg.lstsq(known, both, rcond=None)[0]
+    squares, own = np.sum(left**2, axis=0), float(np.sum((column - column.mean()) ** 2))
+    product = float(left[:, 0] @ left[:, 1])
+    scale = float(squares[0] * squares[1])
+    return (math.copysign(product**2 / scale, product) if scale > 0 else 0.0), float(squares[1]) / own if own else 0.0
