@@ -149,6 +149,16 @@ def test_wrong_sign_writes_no_model_unless_forced(mirrored, here):
     assert (here / "model.json").exists()
 
 
+def test_diagnosis_of_a_wrong_sign_writes_no_model_unless_forced(here):
+    record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1, duration=0.6)
+    write_csv(record.with_({"voltage": -record.voltage}), here / "r.csv")
+    body = result("diagnosis", "diagnose", "r.csv", "--out", "model.json", status=1)
+    assert {"model_refused", "wrong_sign"} <= {f["code"] for f in body["findings"]}
+    assert not (here / "model.json").exists()
+    assert run("diagnose", "r.csv", "--out", "model.json", "--force").exit_code == 0
+    assert (here / "model.json").exists()
+
+
 def test_nothing_identified_from_a_wrong_sign_is_a_no(mirrored, monkeypatch):
     def fails(*_args, **_settings):
         raise NumericalError("the fit diverged")

@@ -50,7 +50,7 @@ BETTER = 0.1
 """Share of the voltage, or of what is unexplained of it, that an explanation may leave: 1 % of its variance."""
 AS_WELL, EXACT = 1.2, 1e-6
 """Times the least misfit, and share of the voltage, up to which a simpler alternative explains a log as well."""
-STRETCH = 20_000
+STRETCH = 10_000
 """Samples that are looked at, around the largest misfit, so that time is bounded."""
 
 Gains = tuple[float, float]

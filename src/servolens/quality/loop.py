@@ -240,7 +240,10 @@ def _other_gains(stated: Controller, fit: LoopFit, fits: str) -> Finding:
     if math.isclose(proportional, 1.0, rel_tol=DIFFERENCE) and power in (-6, -3, 3, 6):
         cure = f"the time stamps are 10^{power} times what the derivative used: state their unit, as ms, or that of kd"
         return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
-    return Finding(code="gains_contradict_log", severity="warning", message=f"{message}; correct the stated gains.")
+    cure = "correct the stated gains"
+    if fit.misfit > DIFFERENCE:
+        cure += f", or the settings of the derivative: {100 * fit.misfit:.2g} % of the voltage is left"
+    return Finding(code="gains_contradict_log", severity="warning", message=f"{message}; {cure}.")
 
 
 def _power(ratio: float) -> int:
