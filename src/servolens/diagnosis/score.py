@@ -12,6 +12,8 @@ from servolens.identification.phases import own_phases
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from servolens.diagnosis.trials import Hypothesis, Trials
@@ -80,6 +82,24 @@ class ScoreTest:
         except (InputError, NumericalError):
             return 0.0
         return self.explained(columns)
+
+    def pushed(self, forces: Sequence[NDArray[np.float64]], size: float) -> NDArray[np.float64]:
+        """Return what `forces`, one array a record, would do to the residual, to first order, shape (n,).
+
+        Parameters
+        ----------
+        forces : sequence of ndarray
+            On the grid that is simulated, of size about 1.
+        size : float
+            Voltage by which a force of 1 is stood for.
+        """
+        parts, first = [], 0
+        for i, (run, start, force) in enumerate(zip(self.runs, self.hypothesis.starts, forces, strict=True)):
+            plant = self.hypothesis.plant_of(i)
+            missed = run.missed(plant, start, substeps_for(plant, run.sample_time), push=size * force)
+            parts.append(run.whiten(missed) - self.residual[first : first + run.samples])
+            first += run.samples
+        return np.concatenate(parts)
 
     def explained(self, columns: NDArray[np.float64]) -> float:
         """Return how much of the squared residual the `columns`, shape (n, k), explain beside the hypothesis."""

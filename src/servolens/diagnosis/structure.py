@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from servolens.diagnosis.trials import FALSE_ALARM
+from servolens.errors import ServolensError
+from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +27,12 @@ MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 TOLERATED = 0.1
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
+SMALL = 1e-3
+"""Share of the largest voltage with which the axis is pushed to see what a force would do."""
+SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
+"""Knots of a force over velocity or voltage, in units of the largest: dense where friction and dead zones act."""
+PLACES = np.linspace(0.0, 1.0, 7)
+"""Knots of a force over the travel and over time."""
 LAGS = 2
 """Ratio of one lag of an instrument to the one before."""
 
@@ -67,26 +76,83 @@ class Remainder:
 def depends_on_inputs(test: ScoreTest) -> bool:
     """Tell whether the residual of a hypothesis depends on the inputs.
 
-    The whitened residual is regressed on instruments: differences of the reference and of the way that it has gone,
-    over lags from one sample to the whole record, whitened likewise and at right angles to what the hypothesis itself
-    explains. The explained sum of squares is χ², beyond what the tolerated size of a structure adds to it. Measured
-    position and voltage are no instruments, for feedback carries the noise into them; only without a reference the
-    voltage of past samples takes its place (Ljung 1999, section 16.6; Söderström and Stoica 1989, chapter 11).
+    The whitened residual is regressed on instruments, at right angles to what the hypothesis itself explains: what
+    forces over velocity, position, voltage, and time would do to it, each along the simulation of the loop from the
+    reference, which knows nothing of the noise; and changes of the reference itself over lags from a few samples to
+    half a record. The explained sum of squares is χ², beyond what a structure of the tolerated size adds to it.
+    Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
+    16.6, and model error modelling; Söderström and Stoica 1989, chapter 11).
     """
+    return any(statistic > limit for statistic, limit in statistics(test))
+
+
+def statistics(test: ScoreTest) -> list[tuple[float, float]]:
+    """Return what forces and what the reference explain of the residual's squares, each with its limit."""
     from scipy.stats import ncx2
 
-    columns = _instruments(test)
-    if columns.shape[1] == 0:
-        return False
+    found = []
+    for columns in (forced(test), _instruments(test)):
+        basis = _basis(test, columns)
+        if basis.shape[1]:
+            along = basis.T @ test.left
+            limit = float(ncx2.isf(0.5 * FALSE_ALARM, basis.shape[1], TOLERATED**2 * test.left.size))
+            found.append((float(along @ along), limit))
+    return found
+
+
+def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of the columns, at right angles to what the hypothesis explains itself."""
     free = test.free_of_own(columns)
     sizes = np.linalg.norm(free, axis=0)
-    free = free[:, sizes > 1e-6 * np.linalg.norm(columns, axis=0)]
-    free = free / np.linalg.norm(free, axis=0)
-    left, singular, _ = np.linalg.svd(free, full_matrices=False)
-    basis = left[:, singular > 1e-6 * singular[0]]
-    along = basis.T @ test.left
-    limit = float(ncx2.isf(FALSE_ALARM, basis.shape[1], TOLERATED**2 * test.left.size))
-    return float(along @ along) > limit
+    free = free[:, sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
+    if free.shape[1] == 0:
+        return free
+    left, singular, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=False)
+    return np.asarray(left[:, singular > 1e-4 * singular[0]])
+
+
+def forced(test: ScoreTest) -> NDArray[np.float64]:
+    """Return what each force of a general kind would do to the whitened residual, shape (n, k)."""
+    laws = _laws(test)
+    size = SMALL * max(float(np.abs(run.signals.voltage).max()) for run in test.runs)
+    count = laws[0].shape[0]
+    return np.column_stack([test.pushed([law[k] for law in laws], size) for k in range(count)])
+
+
+def _laws(test: ScoreTest) -> list[NDArray[np.float64]]:
+    """Return, for each record, forces of all kinds along the simulation that knows no noise, shape (k, n)."""
+    found = [_noise_free(test, i) for i in range(len(test.runs))]
+    fastest = max(float(np.abs(v).max()) for _, v, _ in found)
+    low, high = min(float(y.min()) for y, _, _ in found), max(float(y.max()) for y, _, _ in found)
+    most = max(float(np.abs(u).max()) for _, _, u in found)
+    laws = []
+    for y, v, u in found:
+        rows = [*_hats(v / max(fastest, 1e-300), SPEEDS), *_hats((y - low) / max(high - low, 1e-300), PLACES)]
+        rows += [*_hats(u / max(most, 1e-300), SPEEDS), *_hats(np.linspace(0.0, 1.0, y.size), PLACES)]
+        rows += [np.diff(v, prepend=v[0]), np.diff(u, prepend=u[0]), v * (y - low), np.sign(v) * (y - low)]
+        laws.append(np.array([row / max(float(np.abs(row).max()), 1e-300) for row in rows]))
+    return laws
+
+
+def _noise_free(test: ScoreTest, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return position, velocity and voltage that know nothing of the noise, on the grid that is simulated."""
+    signals, record = test.runs[i].signals, test.runs[i].signals.record
+    run = None
+    if record.reference is not None and record.controller is not None:
+        with suppress(ServolensError):
+            run = simulate(test.hypothesis.plant_of(i), record)
+    if run is None:
+        from servolens.identification.smoothing import smooth
+
+        value, slope = smooth(signals.time, signals.position, min(41, signals.time.size))
+        return value, slope, np.concatenate([signals.voltage[:1], signals.voltage[:-1]])
+    at = [np.interp(signals.time, record.time, signal) for signal in (run.position, run.velocity, run.voltage)]
+    return at[0], at[1], at[2]
+
+
+def _hats(values: NDArray[np.float64], knots: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the piecewise linear functions that are 1 at one of the `knots` and 0 at the others."""
+    return [np.interp(values, knots, row) for row in np.eye(knots.size)]
 
 
 def _instruments(test: ScoreTest) -> NDArray[np.float64]:

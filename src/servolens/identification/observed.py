@@ -125,14 +125,21 @@ class ObservedRun:
         if unpowered and self._before is None:
             self._before = 0.0
 
-    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """Return predicted minus measured position [m or rad], shape (n,)."""
+    def missed(
+        self,
+        plant: Plant,
+        start: NDArray[np.float64],
+        substeps: int,
+        *,
+        push: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Return predicted minus measured position [m or rad], shape (n,); with a voltage `push` added, if any."""
         signals, record = self.signals, self.signals.record
         is_usual = record.inertia is None and record.enabled is None
         run = simulate_observed(
             plant if is_usual else plant_in(plant, record),
             signals.time,
-            signals.voltage,
+            signals.voltage if push is None else signals.voltage + push,
             signals.position,
             gains=self._gains,
             start=(float(start[0]), float(start[1])),

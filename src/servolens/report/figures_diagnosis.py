@@ -219,32 +219,27 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     for candidate in sorted(diagnosis.candidates, key=lambda candidate: candidate.error):
         best.setdefault(candidate.effects[-1], candidate)
     shown = [*best.items()][:MOST_CANDIDATES]
-    rows = [(capital(spoken(name)), c.error, chosen == {name}, _spread(c)) for name, c in shown]
-    if len(chosen) > 1:
-        together = float(np.hypot(diagnosis.remainder, diagnosis.noise_floor))
-        rows.insert(0, ("The causes together", together, True, (together, together)))
+    rows = [(capital(spoken(name)), c.error, chosen == {name}) for name, c in shown]
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
-    names, errors, answers, spreads = zip(*rows, strict=True)
+    names, errors, answers = zip(*rows, strict=True)
     factor, length = scale([max(errors)], diagnosis.plant.length_unit)
     figure = new_figure(0.25 * len(rows) + 1.0)
     plot_candidates(
         names,
         factor * np.array(errors),
         answers,
-        spread=factor * np.array(spreads),
         floor=factor * max(diagnosis.noise_floor, 1e-300),
         xlabel=f"R.m.s. error left [{length}], logarithmic",
         ax=figure.add_subplot(),
     )
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
-    caption += " Bars reach from the record with the least to that with the most."
     caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
     if chosen and not rows[0][2]:
         caption += " It explains most for its number of parameters; others may leave less."
     rest = len(best) - MOST_CANDIDATES
     if rest > 0:
         caption += f" {rest} more effects leave more."
-    caption += " Not held out. Mostly driven by the logged voltage: errors are larger than where a loop corrects them."
+    caption += " Not held out. Driven by the logged voltage, each beside its own noise."
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
@@ -276,12 +271,6 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     if len(diagnosis.gains) > len(gains):
         caption += f" {len(diagnosis.gains) - len(gains)} more are in the table only."
     return Drawing(svg=svg(figure, key), caption=caption)
-
-
-def _spread(candidate: Candidate) -> tuple[float, float]:
-    """Return the least and the most that is left in a record."""
-    found = [error for error in candidate.by_run if np.isfinite(error) and error > 0] or [candidate.error]
-    return min(found), max(found)
 
 
 def _positive(values: Sequence[float]) -> NDArray[np.float64]:

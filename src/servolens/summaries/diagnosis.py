@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
-from servolens.effects import CATALOGUE
+from servolens.effects import catalogue
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
 from servolens.summaries.names import cause_phrase, spoken
@@ -151,15 +151,12 @@ def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
 
 def why_enough(diagnosis: Diagnosis) -> list[str]:
     """Say of a healthy axis what was done, and why nothing more was needed."""
-    rest = f"{length(diagnosis.remainder, diagnosis.plant.length_unit)} (r.m.s.)" if diagnosis.remainder else "nothing"
     told = [
-        "Gain and damping were fitted, and what their simulation leaves was averaged over neighbouring samples. Noise"
-        f" averages out, an effect that is missing does not: beside the noise {rest} is left."
+        "Gain and damping were fitted, and what their simulation leaves was tested against the reference: it does not"
+        " depend on it, so what is left is noise."
     ]
-    if not diagnosis.candidates:
-        told.append(
-            f"So none of the {len(CATALOGUE)} effects of the catalogue was added: it could only have fitted noise."
-        )
+    if diagnosis.candidates:
+        told.append(f"None of the {len(catalogue())} effects of the catalogue makes these records more likely.")
     reach = reach_sentence(diagnosis.where)
     return [*told, reach] if reach else told
 
@@ -222,23 +219,22 @@ def _verdict(diagnosis: Diagnosis) -> str:
 def _healthy(diagnosis: Diagnosis) -> str:
     several = len(diagnosis.records) > 1
     noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
-    if any(finding.code == "small_remainder" for finding in diagnosis.findings):
-        error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
+    these, they = ("these records", "they") if several else ("this record", "it")
+    if any(finding.code == "shaken_axis" for finding in diagnosis.findings):
         return (
-            f"gain and damping leave {error} (r.m.s.){_data(diagnosis)}, more than the noise of {noise} but little:"
-            " nothing in the catalogue explains it."
+            f"gain and damping explain how {these} depend{'' if several else 's'} on the reference; something shakes"
+            f" the axis beside that, and the sensor's noise is {noise} (r.m.s.)."
         )
-    these, their, they = ("these records", "their", "they") if several else ("this record", "its", "it")
     return (
-        f"gain and damping explain {these} down to {their} noise, {noise} (r.m.s.): nothing else is wrong that {they}"
+        f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
         " could show."
     )
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:
     contradiction = [finding for finding in diagnosis.findings if finding.code == "records_contradict"]
-    if contradiction and not diagnosis.candidates:
-        return f"{unit(contradiction[0].message.rstrip('.'))} No effect was tried."
+    if contradiction:
+        return f"{unit(contradiction[0].message.rstrip('.'))}."
     where = where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
@@ -261,18 +257,15 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     """Say what remains, where something does."""
     if diagnosis.verdict not in ("partly_explained", "unexplained"):
         return []
-    floor, unit_ = diagnosis.noise_floor, diagnosis.plant.length_unit
     if any(finding.code == "heldout_contradicts" for finding in diagnosis.findings):
         return ["Records that were held out are much farther off than those that were fitted: see the warnings below."]
-    if diagnosis.remainder == 0.0:
-        return ["Driven by their voltage the records leave nothing but noise, but that is not borne out otherwise."]
-    share = f", {number(diagnosis.remainder / floor, 2)} times the noise" if floor else ""
-    rest = f"The training records, driven by their voltage, leave {length(diagnosis.remainder, unit_)} (r.m.s.){share}"
-    if diagnosis.remainder < floor:
-        rest += ", little but smooth"
+    rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
+    size = f"{length(rest.rms, unit_)} (r.m.s.) beyond the noise, {percent(100 * rest.of_travel)} of the travel"
+    worth = "enough to matter" if rest.material else "immaterial for most uses"
+    told = f"The simulation still misses {size}: {worth}."
     if diagnosis.verdict == "partly_explained":
-        return [f"{rest}: something else is wrong too, and the causes below may stand for it in part."]
-    return [f"{rest}. Look at where the error arises, and at the warnings if there are any, before tuning."]
+        return [f"{told} Something else is wrong too, and the causes below may stand for it in part."]
+    return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
 
 
 def _error(diagnosis: Diagnosis, *, after: bool) -> float:

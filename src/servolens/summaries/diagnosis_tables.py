@@ -92,7 +92,7 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
         title="Best single effects beside gain and damping",
         columns=("Effect", f"Leaves [{length}]", "Times the noise"),
         rows=tuple(rows),
-        note="R.m.s. of what is left of the training records, driven by their voltage; not held out.",
+        note="R.m.s. of what is left of the training records, driven by their voltage beside the noise that suits each effect; not held out.",
     )
 
 
