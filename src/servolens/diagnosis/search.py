@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["EFFORT", "Effort", "Search", "search"]
 
+PROMISING = 0.5
+"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted."""
 INDISTINCT = 10.0
@@ -102,7 +104,6 @@ class Search:
 def search(
     trials: Trials,
     base: Hypothesis,
-    enough: Callable[[Hypothesis], bool],
     effort: Effort,
     tell: Callable[[str, float], None] = lambda _, __: None,
 ) -> Search:
@@ -114,8 +115,6 @@ def search(
         The records.
     base : Hypothesis
         Gain and damping alone.
-    enough : callable
-        Tells whether what a hypothesis leaves does not depend on the inputs.
     effort : Effort
         How far to go.
     tell : callable
@@ -123,7 +122,7 @@ def search(
     """
     explorer = _Explorer(trials, effort, tell)
     path, beam, early = [base], [base], False
-    while len(path[-1].causes) < effort.causes and not (len(path) > 1 and enough(path[-1])):
+    while len(path[-1].causes) < effort.causes:
         if trials.work > effort.work:
             early = True
             break
@@ -134,7 +133,7 @@ def search(
         best = explorer.reduced(better[0])
         path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
         beam = _families([best, *better[1:]])[: effort.beam]
-    chosen = explorer.settled(path[-1], enough)
+    chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=_worse)}.values(), key=_total)
     return Search(tuple(path), tuple(judged), tuple(sorted(explorer.singles, key=_total)), early)
@@ -172,6 +171,8 @@ class _Explorer:
         self._seen |= {frozenset((*hypothesis.causes, name)) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
+        if hypothesis.noise.rate == 0.0:  # then the score test is nearly the likelihood ratio
+            scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
         chosen = scored[: self.effort.fitted]
         chosen += [starts for starts in scored[len(chosen) :] if issubclass(effect_class(starts[0].effect), Drive)]
         share, count = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1), 0
@@ -211,16 +212,13 @@ class _Explorer:
             hypothesis = simpler[0]
         return hypothesis
 
-    def settled(self, hypothesis: Hypothesis, enough: Callable[[Hypothesis], bool]) -> Hypothesis:
+    def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
         forms = self._judged([*_specialised(hypothesis.plant), *_united(hypothesis.plant)], hypothesis)
         others = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        for other in sorted([*forms, *others], key=_total):
-            if other.total < hypothesis.total and (enough(other) or not enough(hypothesis)):
-                return other
-        return hypothesis
+        return min([hypothesis, *forms, *others], key=_total)
 
     def _judged(self, plants: Sequence[Plant], like: Hypothesis) -> list[Hypothesis]:
         found = [h for h in in_parallel(lambda plant: self.trials.judged(plant, like, FULL), plants) if h]

@@ -25,7 +25,7 @@ __all__ = ["MATERIAL", "Remainder", "depends_on_inputs", "unexplained_accelerati
 
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
-TOLERATED = 0.1
+TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""

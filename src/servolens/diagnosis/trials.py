@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Start", "Trials", "loop_rate", "price"]
+__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Start", "Trials", "begins_with_its_step", "loop_rate"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
@@ -53,17 +53,6 @@ FALSE_ALARM = 1e-3
 """Familywise error rate: probability that any effect of the catalogue enters a model that lacks none."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it."""
-
-
-def price(cls: type[Effect], candidates: int) -> float:
-    """Return by how much −2 log-likelihood must fall for an effect to enter, `candidates` of which were tried.
-
-    The quantile of χ² with as many degrees of freedom as the effect has parameters (Wilks 1938), at the familywise
-    error rate shared evenly among the candidates (Bonferroni).
-    """
-    from scipy.stats import chi2
-
-    return float(chi2.isf(FALSE_ALARM / max(candidates, 1), max(len(cls.parameters()) - len(fixed(cls)), 1)))
 
 
 def fixed(cls: type[Effect]) -> tuple[str, ...]:
@@ -219,6 +208,19 @@ class Trials:
             start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
         return least
 
+    def price(self, cls: type[Effect]) -> float:
+        """Return by how much −2 log-likelihood must fall for an effect to enter.
+
+        The quantile of χ² with as many degrees of freedom as the effect has parameters (Wilks 1938), at the familywise
+        error rate shared evenly among the candidates (Bonferroni); for an effect of many parameters the Bayesian
+        information criterion asks for more (Schwarz 1978).
+        """
+        from scipy.stats import chi2
+
+        free = max(len(cls.parameters()) - len(fixed(cls)), 1)
+        entry = float(chi2.isf(FALSE_ALARM / max(self.candidates, 1), free))
+        return max(entry, free * float(np.log(sum(s.measured.size for s in self.signals))))
+
     def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun]:
         """Return the records as prediction-error problems."""
         return [
@@ -335,7 +337,7 @@ class Trials:
         noise, misfit = min(found, key=lambda pair: pair[1])
         misfit += problem.prior_cost(point.values)
         plant = plants[0]
-        paid = sum(price(type(e), self.candidates) for e in plant.effects)
+        paid = sum(self.price(type(e)) for e in plant.effects)
         extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(sum(r.samples for r in problem.runs)))
         return Hypothesis(
             plant, noise, tuple(point.starts), misfit, misfit + paid + extra, unpowered, problem.local_values(point)

@@ -106,7 +106,7 @@ def _diagnosed(
     def tell(what: str, share: float) -> None:
         progress(what, round(90 * share), 100)
 
-    found = search(case.trials, case.base, case.is_enough, EFFORT[effort], tell)
+    found = search(case.trials, case.base, EFFORT[effort], tell)
     progress("measuring the gain", 90, 100)
     path, doubts = _confirmed(found, case)
     gains = case.gains(path)
