@@ -1,37 +1,24 @@
-"""How often the 95 % intervals of ``fit_effects`` hold the truth, for each effect (``make coverage``).
+"""How often the 95 % intervals of ``fit_effects`` hold the truth, for each effect, in every world (``make coverage``).
 
 A cart (β 1.9 m/s²/V, c 6 1/s) with one effect of moderate size visits three levels for 0.8 s each, once at Kp 40 and
-once at Kp 100 with Kd 5, at 1 kHz with noise and encoder of 10 µm. Both records are fitted together from values half as
-large again as the true ones and from those the effect proposes itself. A parameter without an interval counts as
-missed, and so does a fit that fails.
+once at Kp 100 with Kd 5, at 1 kHz; the usual noise and encoder are 10 µm. Both records are fitted together from values
+half as large again as the true ones and from those the effect proposes itself. A share of n repetitions is itself
+uncertain by 22/√n percent (one standard deviation).
 
-A share of n repetitions is itself uncertain by 22/√n percent (one standard deviation). A parameter is marked if its
-share would be so far from 95 % in one of a hundred such studies only: with 100 repetitions at 88 % and below.
-Among all these parameters chance alone marks about one.
-
-``python benchmarks/fit_coverage.py --repeats 400 backlash cogging`` looks closer at some.
+``python benchmarks/fit_coverage.py --repeats 400 --world white -- backlash cogging`` looks closer at some.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import TYPE_CHECKING
 
-import numpy as np
-from scipy.stats import binomtest
+from coverage_study import Batch, Job, Step, campaign, carried_out
+from judging import judged_parameters
 
-from servolens import Plant
-from servolens.errors import InputError, NumericalError
-from servolens.identification.effects_fit import fit_effects
-from servolens.lab import Truth, step_records
-
-if TYPE_CHECKING:
-    from servolens.model import Quantity
+from servolens import Plant, fit_effects
+from servolens.effects import CATALOGUE
+from servolens.errors import ServolensError
+from servolens.lab import Truth
 
 GAIN, DAMPING = 1.9, 6.0
 TRUTHS: dict[str, dict[str, float]] = {
@@ -44,10 +31,18 @@ TRUTHS: dict[str, dict[str, float]] = {
     "coulomb_friction": {"level": 0.3},
     "dead_zone": {"width": 0.2},
     "delay": {"time": 0.003},
+    "end_stop": {"low": -0.045, "high": 0.096},
     "flexible_coupling": {"frequency": 15.0, "damping_ratio": 0.03, "load_ratio": 0.4},
     "force_limit": {"acceleration": 6.0},
+    "friction_map": {
+        **{f"positive_{i}": level for i, level in enumerate((0.3, 0.2, 0.4, 0.3, 0.2))},
+        **{f"negative_{i}": level for i, level in enumerate((0.2, 0.4, 0.3, 0.2, 0.3))},
+        "low": -0.05,
+        "high": 0.12,
+    },
     "gain_drift": {"rate": 0.02},
     "hardening_spring": {"cubic_stiffness": 500.0},
+    "load_friction": {"share": 0.05},
     "pendulum_gravity": {"amplitude": 1.0, "phase": 0.5},
     "periodic_disturbance": {"amplitude": 0.2, "frequency": 3.0, "phase": 0.5},
     "position_friction": {"level": 0.5, "centre": 0.05, "width": 0.02},
@@ -63,131 +58,43 @@ TRUTHS: dict[str, dict[str, float]] = {
 """SI; the last is the paper's."""
 GAINS = {"speed_servo": 4.0}
 """Where the effect sets the gain."""
-RUNS = ((40.0, 0.0, (0.1, 0.0, 0.1)), (100.0, 5.0, (0.1, 0.0, -0.05)))
-"""Kp, Kd, and the levels that are visited [m]."""
-EACH, NOISE, ENCODER, SEED = 0.8, 1e-5, 1e-5, 20261122
-REPEATS, AT_ONCE = 40, 10
-CHANCE = 0.01
-"""Probability of a share, were the truth 95 %, below which a parameter is marked."""
+RUNS = (Step(40.0, 0.0, (0.1, 0.0, 0.1), 0.8), Step(100.0, 5.0, (0.1, 0.0, -0.05), 0.8))
+REPEATS = 40
+STARTS_OFF = {"end_stop": 0.9, "friction_map": 1.0}
+"""The guess over the truth, where it is not 1.5: a stop must lie within the travel, a map's ends are stated."""
+STATED = {("friction_map", "low"), ("friction_map", "high")}
+"""Parameters that a fit holds."""
 
 
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """What some repetitions of one effect gave.
-
-    Attributes
-    ----------
-    errors : dict of str to list of float
-        Of each parameter, relative; of a phase in rad.
-    held : dict of str to list of bool
-        Whether the interval held the truth; False where there is none.
-    bare : dict of str to int
-        How many had no interval.
-    failed : list of str
-        What fits that failed said.
-    seconds : float
-        Time in fits.
-    """
-
-    errors: dict[str, list[float]]
-    held: dict[str, list[bool]]
-    bare: dict[str, int]
-    failed: list[str]
-    seconds: float
-
-
-def main() -> None:
-    """Print a table: effect, parameter, share of intervals that hold the truth, median relative error."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("effects", nargs="*", metavar="effect", help="effects to look at; all by default")
-    parser.add_argument("--repeats", type=int, default=REPEATS, help="of each effect (default %(default)s)")
-    asked = parser.parse_args()
-    chosen = [name for name in asked.effects or TRUTHS if _known(name)]
-    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})  # a process for each core is enough
-    print(
-        f"{'effect':<24}{'parameter':<20}{'interval':>9}{'median':>10}{'none':>6}{'failed':>8}{'s a fit':>9}",
-        flush=True,
+def study(job: Job) -> Batch:
+    """Fit the repetitions of a batch."""
+    truth = Truth(gain=GAINS.get(job.what, GAIN), damping=DAMPING, effects={job.what: TRUTHS[job.what]})
+    guess = Plant.effect_from(
+        job.what, {key: STARTS_OFF.get(job.what, 1.5) * value for key, value in TRUTHS[job.what].items()}
     )
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        jobs = {
-            name: [pool.submit(study, name, first, asked.repeats) for first in range(0, asked.repeats, AT_ONCE)]
-            for name in chosen
-        }
-        marked = [line for name, parts in jobs.items() for line in _shown(name, [part.result() for part in parts])]
-    print(f"not 95 %: {', '.join(marked) or 'none'}")
-
-
-def study(name: str, first: int, repeats: int) -> Batch:
-    """Fit the repetitions from `first` on, a batch of them."""
-    values = TRUTHS[name]
-    truth = _truth(name)
-    plant = Plant(gain=truth.gain, damping=truth.damping, effects=(Plant.effect_from(name, values),))
-    guess = Plant.effect_from(name, {key: 1.5 * value for key, value in values.items()})
-    true = {key: value for key, value in zip(plant.parameters, plant.values, strict=True) if key not in plant.derived}
-    count = min(AT_ONCE, repeats - first)
-    seeds = np.random.SeedSequence([SEED, first]).spawn(len(RUNS))
-    runs = [
-        step_records(
-            truth, kp, kd, repeats=count, seed=seed, reference=levels, duration=EACH, noise=NOISE, encoder=ENCODER
-        )
-        for (kp, kd, levels), seed in zip(RUNS, seeds, strict=True)
-    ]
-    found = Batch({key: [] for key in true}, {key: [] for key in true}, dict.fromkeys(true, 0), [], 0.0)
-    begun = time.perf_counter()
-    for records in zip(*runs, strict=True):
+    batch, seconds = Batch(job), 0.0
+    for seed in job.seeds:
+        records = campaign(truth, RUNS, job.world, seed)
+        begun = time.process_time()
         try:
-            quantities = fit_effects(records, [guess]).quantities
-        except (InputError, NumericalError) as failure:
-            found.failed.append(str(failure))
+            found = fit_effects(records, [guess])
+        except ServolensError as failure:
+            batch.failed.append(str(failure))
             continue
-        for key, value in true.items():
-            _judge(found, key, value, quantities[key])
-    return Batch(found.errors, found.held, found.bare, found.failed, time.perf_counter() - begun)
-
-
-def _judge(found: Batch, key: str, true: float, quantity: Quantity) -> None:
-    error, unit = quantity.value - true, abs(true)
-    if key.endswith(".phase"):
-        error, unit = (error + np.pi) % (2 * np.pi) - np.pi, 1.0
-    found.errors[key].append(abs(error) / unit)
-    interval = quantity.interval
-    found.bare[key] += interval is None
-    found.held[key].append(interval is not None and abs(error) <= (interval[1] - interval[0]) / 2)
-
-
-def _known(name: str) -> bool:
-    """Tell whether the laboratory has the effect; say so if not."""
-    if name not in TRUTHS:
-        raise SystemExit(f"no truth is stated for {name}; known are {', '.join(TRUTHS)}")
-    try:
-        _truth(name)
-    except InputError as failure:
-        print(f"{name} is left out: {failure}")
-        return False
-    return True
-
-
-def _truth(name: str) -> Truth:
-    return Truth(gain=GAINS.get(name, GAIN), damping=DAMPING, effects={name: TRUTHS[name]})
-
-
-def _shown(name: str, batches: list[Batch]) -> list[str]:
-    """Print the lines of one effect, and return the parameters to be marked."""
-    failed = [sentence for batch in batches for sentence in batch.failed]
-    seconds, marked = sum(batch.seconds for batch in batches), []
-    for key in batches[0].held:
-        held, errors = ([x for batch in batches for x in getattr(batch, what)[key]] for what in ("held", "errors"))
-        bare, total = sum(batch.bare[key] for batch in batches), len(held) + len(failed)
-        share = 100.0 * sum(held) / total
-        median = f"{np.median(errors):>10.1e}" if errors else f"{'–':>10}"
-        outside = binomtest(sum(held), total, 0.95).pvalue < CHANCE
-        tail = f"{bare:>6}{len(failed):>8}{seconds / total:>9.2f}{'  <' if outside else ''}"
-        print(f"{name:<24}{key.rpartition('.')[2]:<20}{share:>7.1f} %{median}{tail}", flush=True)
-        marked += [f"{name}: {key.rpartition('.')[2]} {share:.0f} %"] if outside else []
-    if failed:
-        print(f"  {name}, first failure: {failed[0]}")
-    return marked
+        finally:
+            seconds += time.process_time() - begun
+        own = {name: found.quantities[f"{job.what}.{name}"] for name in TRUTHS[job.what]}
+        errors, held = judged_parameters(job.what, TRUTHS[job.what], own)
+        for name, value in (("damping", DAMPING), ("gain", truth.gain)):
+            if (name, job.what) != ("gain", "speed_servo"):  # which follows from the servo's own parameters
+                error, inside = judged_parameters("", {name: value}, found.quantities)
+                errors, held = {**error, **errors}, {**inside, **held}
+        for name in held:
+            if (job.what, name) not in STATED:
+                batch.add(name, errors[name], held[name])
+        batch.note(found.findings)
+    return Batch(job, batch.held, batch.errors, batch.findings, batch.failed, round(seconds, 3))
 
 
 if __name__ == "__main__":
-    main()
+    carried_out("effects", [name for name in TRUTHS if name in CATALOGUE], study, REPEATS, str(__doc__))

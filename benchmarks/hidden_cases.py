@@ -13,14 +13,14 @@ import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+from judging import judged_parameters
 
 from servolens.effects import CATALOGUE
 from servolens.lab import FOREIGN, WORLDS, HiddenCampaign, hidden_campaign
-from servolens.lab.laws import KNOTS, LAWS
+from servolens.lab.laws import LAWS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
 __all__ = ["BASES", "MAIN", "SECTIONS", "Case", "Found", "Outcome", "Section", "cases", "hide", "judged", "run"]
 
@@ -286,42 +286,10 @@ def judged(case: Case, campaign: HiddenCampaign, found: Any, seconds: float, cpu
 
 
 def _judged_cause(campaign: HiddenCampaign, cause: Any) -> Found:
-    errors: dict[str, float] = {}
-    held: dict[str, bool | None] = {}
-    for name, true, quantity, sign in _compared(campaign.truth.effects.get(cause.effect, {}), cause):
-        value, interval = sign * quantity.value, quantity.interval
-        unit = 1.0 if name == "phase" else abs(true) or 1.0
-        errors[name] = abs(value - true) / unit
-        ends = None if interval is None else sorted(sign * end for end in interval)
-        held[name] = None if ends is None else bool(ends[0] <= true <= ends[1])
+    truth = campaign.truth.effects.get(cause.effect, {})
+    errors, held = judged_parameters(cause.effect, truth, cause.quantities)
     confidence = math.nan if cause.confidence is None else float(cause.confidence)
     return Found(cause.effect, round(confidence, 6), tuple(str(rival) for rival in cause.rivals), errors, held)
-
-
-def _compared(truth: Any, cause: Any) -> Iterator[tuple[str, float, Any, float]]:
-    """Yield name, true value, quantity found, and the sign to read it with, of each parameter of an effect."""
-    own = dict(truth)
-    if cause.effect == "friction_map" and own:
-        own = _map_at(own, cause.quantities["low"].value, cause.quantities["high"].value)
-    turned = "phase" in own and cause.quantities["amplitude"].value * own["amplitude"] < 0
-    for name, value in own.items():
-        quantity, sign = cause.quantities[name], 1.0
-        if name == "amplitude" and turned:  # −A sin(x + π) is A sin x
-            sign = -1.0
-        if name == "phase":  # the same angle as near as can be to the one found
-            value += math.pi * turned
-            value += 2.0 * math.pi * round((quantity.value - value) / (2.0 * math.pi))
-        yield name, value, quantity, sign
-
-
-def _map_at(truth: dict[str, float], low: float, high: float) -> dict[str, float]:
-    """Return the true levels of a friction map at knots from `low` to `high`."""
-    knots, wanted = np.linspace(truth["low"], truth["high"], KNOTS), np.linspace(low, high, KNOTS)
-    levels = {}
-    for side in ("positive", "negative"):
-        own = np.interp(wanted, knots, [truth[f"{side}_{i}"] for i in range(KNOTS)])
-        levels |= {f"{side}_{i}": float(level) for i, level in enumerate(own)}
-    return levels
 
 
 class _OutOfTimeError(BaseException):
