@@ -12,10 +12,10 @@ from servolens.diagnosis.logs import beyond
 from servolens.diagnosis.score import ScoreTest
 from servolens.diagnosis.structure import depends_on_inputs
 from servolens.diagnosis.threads import in_parallel
-from servolens.diagnosis.trials import SOME, Hypothesis, Trials
+from servolens.diagnosis.trials import Trials
 from servolens.errors import InputError, NumericalError
+from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
-from servolens.identification.observed import Signals
 from servolens.identification.ripple import mains_ripple
 from servolens.identification.segments import noise_level
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.identification.integral import Prior
+    from servolens.identification.observed import Signals
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -62,19 +63,20 @@ class Case:
     ) -> None:
         self.records, self.heldout = records, heldout
         self.trials = Trials(records, priors, candidates)
+        self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
-        self.ripple = mains_ripple(self.trials.signals, self._missed(self.base))
+        self.ripple = mains_ripple(self.likelihood.signals, self._missed(self.base))
         if self.ripple:
-            self.trials.signals = tuple(
+            self.likelihood.signals = tuple(
                 replace(signals, position=signals.position - ripple)
-                for signals, ripple in zip(self.trials.signals, self.ripple.waves, strict=True)
+                for signals, ripple in zip(self.likelihood.signals, self.ripple.waves, strict=True)
             )
             self.base = self.trials.base()
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
 
     def _missed(self, hypothesis: Hypothesis) -> list[np.ndarray]:
-        test = ScoreTest(self.trials, hypothesis)
+        test = ScoreTest(self.likelihood, hypothesis)
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return np.split(test.left, ends)
 
@@ -82,7 +84,7 @@ class Case:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""
         known = self._dependent.get(id(hypothesis))
         if known is None:
-            known = hypothesis, depends_on_inputs(ScoreTest(self.trials, hypothesis))
+            known = hypothesis, depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
             self._dependent[id(hypothesis)] = known
         return not known[1]
 
@@ -108,8 +110,8 @@ class Case:
         Nothing is fitted there but initial states, and phases that each record has of its own.
         """
         if self.heldout:
-            return self.trials.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
-        return self.trials.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+            return self.likelihood.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
+        return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
 
     @property
     def cuts(self) -> list[int]:
@@ -134,7 +136,7 @@ class Case:
             record = self.records[i]
             others = (*others, record.slice(float(record.time[0]), float(record.time[cut - 1])))
         try:
-            found = self.trials.on(others).tried(
+            found = self.likelihood.on(others).tried(
                 hypothesis.plant, hypothesis.noise, SOME, unpowered=hypothesis.unpowered
             )
         except (InputError, NumericalError):
@@ -151,14 +153,16 @@ class Case:
         settled axis shows at the end of its steps, but no less than third differences do.
         """
         if self.is_enough(chosen):
-            alpha, _ = observer_gains(chosen.noise.rate, float(np.median(np.diff(self.trials.signals[0].time[:64]))))
+            alpha, _ = observer_gains(
+                chosen.noise.rate, float(np.median(np.diff(self.likelihood.signals[0].time[:64])))
+            )
             return max(chosen.noise.spread * float(np.sqrt(1.0 - alpha)), 1e-300)
         resting = [spread for record in self.records for step in record.steps() if (spread := _resting(step)) > 0.0]
-        return max(self.trials.floor, float(np.median(resting)) if resting else 0.0)
+        return max(self.likelihood.floor, float(np.median(resting)) if resting else 0.0)
 
     def signals(self) -> tuple[Signals, ...]:
         """Return the training records as they are simulated."""
-        return self.trials.signals
+        return self.likelihood.signals
 
 
 def _resting(step: Record) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.logs import apart, beyond
-from servolens.diagnosis.trials import SOME, begins_with_its_step
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
+from servolens.identification.likelihood import SOME, begins_with_its_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.diagnosis.structure import Remainder
-    from servolens.diagnosis.trials import Hypothesis
+    from servolens.identification.likelihood import Hypothesis
 
 __all__ = ["said"]
 
@@ -61,7 +61,7 @@ def said(
 def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     """Describe the noise model in a sentence."""
     noise, unit = chosen.noise, case.records[0].length_unit
-    sample = float(np.median(np.diff(case.trials.signals[0].time[:64])))
+    sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
     parts = [f"noise {gains.noise:.2g} {unit} (r.m.s.)"]
     memory = noise.memory()
     if noise.rate == 0.0 and memory > 2.0:
@@ -114,7 +114,7 @@ def _contradiction(case: Case, chosen: Hypothesis) -> Finding | None:
     plants = []
     for record in case.records:
         try:
-            found = case.trials.on([record]).tried(chosen.plant, chosen.noise, SOME, unpowered=chosen.unpowered)
+            found = case.likelihood.on([record]).tried(chosen.plant, chosen.noise, SOME, unpowered=chosen.unpowered)
         except (InputError, NumericalError):
             return None
         if found is None or found.noise.spread > 0.5 * chosen.noise.spread:

@@ -10,8 +10,8 @@ from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import Model
 
 if TYPE_CHECKING:
-    from servolens.diagnosis.trials import Hypothesis, Trials
     from servolens.findings import Finding
+    from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.plant import Plant
 
 __all__ = ["Fitted", "fitted"]
@@ -32,26 +32,26 @@ class Fitted:
         return self.model.plant
 
 
-def fitted(trials: Trials, hypothesis: Hypothesis) -> Fitted:
+def fitted(likelihood: Likelihood, hypothesis: Hypothesis) -> Fitted:
     """Return `hypothesis` at its optimum beside its own noise, with error bars.
 
     Parameters
     ----------
-    trials : Trials
-        The records.
+    likelihood : Likelihood
+        Of the records.
     hypothesis : Hypothesis
         Where to begin.
     """
-    runs = trials.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+    runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
     plant = hypothesis.plant
-    refined = minimise_error(plant, runs, trials.options(plant), noise=1.0, valleys=plant.has_contacts)
+    refined = minimise_error(plant, runs, likelihood.options(plant), noise=1.0, valleys=plant.has_contacts)
     names = dict.fromkeys(refined.undetermined, "the data do not determine it")
     names |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
-    names |= dict.fromkeys(trials.options(plant).held, "it is held")
+    names |= dict.fromkeys(likelihood.options(plant).held, "it is held")
     model = Model(
         plant=refined.plant,
         covariance=refined.covariance,
-        identified_from=tuple(record.name for record in trials.records),
+        identified_from=tuple(record.name for record in likelihood.records),
         reasons=names,
     )
     return Fitted(model, refined, doubts(refined))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.result import Cause
-from servolens.effects import catalogue, Actuator
+from servolens.effects import Actuator, catalogue
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.fitted import Fitted
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
-    from servolens.diagnosis.trials import Hypothesis
+    from servolens.identification.likelihood import Hypothesis
     from servolens.model import Quantity
 
 __all__ = ["causes_of", "rival_plants"]

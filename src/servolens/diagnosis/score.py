@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.diagnosis.trials import Hypothesis, Trials
+    from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.plant import Plant
 
 __all__ = ["ScoreTest"]
@@ -31,17 +31,17 @@ class ScoreTest:
 
     Parameters
     ----------
-    trials : Trials
-        The records.
+    likelihood : Likelihood
+        Of the records.
     hypothesis : Hypothesis
         The null, at its optimum.
     """
 
-    def __init__(self, trials: Trials, hypothesis: Hypothesis) -> None:
+    def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
         self.hypothesis = hypothesis
-        self.runs = trials.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+        self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
-        problem = Problem(hypothesis.plant, self.runs, trials.options(hypothesis.plant), 1.0)
+        problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
         point = problem.start()
         point.values = np.array(
             [
@@ -51,7 +51,7 @@ class ScoreTest:
         )
         point.starts = [start.copy() for start in hypothesis.starts]
         blocks = problem.differences(point)
-        trials.work += problem.simulated
+        likelihood.work += problem.simulated
         self.residual = np.concatenate([r[: run.samples] for run, (r, _, _) in zip(self.runs, blocks, strict=True)])
         width = sum(initial.shape[1] for _, _, initial in blocks)
         own = np.zeros((self.residual.size, problem.free.size + width))

@@ -13,14 +13,15 @@ import numpy as np
 
 from servolens.diagnosis.score import ScoreTest
 from servolens.diagnosis.threads import in_parallel
-from servolens.diagnosis.trials import FEW, FULL, SOME
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
+from servolens.identification.likelihood import FEW, FULL, SOME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from servolens.diagnosis.trials import Hypothesis, Start, Trials
+    from servolens.diagnosis.trials import Start, Trials
+    from servolens.identification.likelihood import Hypothesis
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
@@ -28,6 +29,8 @@ __all__ = ["EFFORT", "Effort", "Search", "search"]
 
 PROMISING = 0.5
 """Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
+FAR_BEHIND = 0.05
+"""Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted."""
 INDISTINCT = 10.0
@@ -123,7 +126,7 @@ def search(
     explorer = _Explorer(trials, effort, tell)
     path, beam, early = [base], [base], False
     while len(path[-1].causes) < effort.causes:
-        if trials.work > effort.work:
+        if trials.likelihood.work > effort.work:
             early = True
             break
         found = explorer.extended(beam, len(path[-1].causes))
@@ -145,6 +148,7 @@ class _Explorer:
 
     def __init__(self, trials: Trials, effort: Effort, tell: Callable[[str, float], None]) -> None:
         self.trials, self.effort, self.tell = trials, effort, tell
+        self.likelihood = trials.likelihood
         self.judged: list[Hypothesis] = []
         self.singles: list[Hypothesis] = []
         self._seen: set[frozenset[str]] = set()
@@ -153,26 +157,29 @@ class _Explorer:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         found: list[Hypothesis] = []
         for place, hypothesis in enumerate(beam):
+            if place > 0 and beam[0].noise.rate == 0.0:
+                break  # what leaves no more than sensor noise is no impostor
             found += self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
         found.sort(key=_total)
         if number == 0:
             self.singles += found
         jobs = _distinct(found)[: self.effort.judged]
-        judged = [h for h in in_parallel(lambda h: self.trials.judged(h.plant, h), jobs) if h]
+        judged = [h for h in in_parallel(lambda h: self.likelihood.judged(h.plant, h), jobs) if h]
         self.judged += judged
         return sorted(judged, key=_total)
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
         trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
-        test = ScoreTest(trials, hypothesis)
+        test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
         names = [n for n in catalogue() if frozenset((*hypothesis.causes, n)) not in self._seen]
         self._seen |= {frozenset((*hypothesis.causes, name)) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
-        if hypothesis.noise.rate == 0.0:  # then the score test is nearly the likelihood ratio
-            scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
+        scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
+        if scored:
+            scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]
         chosen += [starts for starts in scored[len(chosen) :] if issubclass(effect_class(starts[0].effect), Drive)]
         share, count = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1), 0
@@ -195,13 +202,15 @@ class _Explorer:
     def _begun(self, starts: Sequence[Start], noise: NoiseModel, *, unpowered: bool) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        led = [self.trials.tried(s.plant, noise, FEW, unpowered=unpowered) for s in starts[:several]]
+        led = [self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered) for s in starts[:several]]
         return min((h for h in led if h), key=_total, default=None)
 
     def _simulated(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """Return where `hypothesis` leads as a simulation, without an observer that hides what is slow."""
         iterations = SOME * len(hypothesis.plant.effects[-1].parameters())
-        return self.trials.tried(hypothesis.plant, self.trials.white, iterations, unpowered=hypothesis.unpowered)
+        return self.likelihood.tried(
+            hypothesis.plant, self.likelihood.white, iterations, unpowered=hypothesis.unpowered
+        )
 
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` without the effects that do not pay for themselves."""
@@ -221,7 +230,7 @@ class _Explorer:
         return min([hypothesis, *forms, *others], key=_total)
 
     def _judged(self, plants: Sequence[Plant], like: Hypothesis) -> list[Hypothesis]:
-        found = [h for h in in_parallel(lambda plant: self.trials.judged(plant, like, FULL), plants) if h]
+        found = [h for h in in_parallel(lambda plant: self.likelihood.judged(plant, like, FULL), plants) if h]
         self.judged += found
         return sorted(found, key=_total)
 
@@ -230,7 +239,9 @@ def _families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the best of each family: hypotheses whose last effects generalise each other are one."""
     kept: dict[frozenset[str], Hypothesis] = {}
     for hypothesis in found:
-        family = frozenset(name for effect in hypothesis.plant.effects for name in (effect.generalises or (effect.name,)))
+        family = frozenset(
+            name for effect in hypothesis.plant.effects for name in (effect.generalises or (effect.name,))
+        )
         if not any(family & known and len(known) == len(family) for known in kept):
             kept[family] = hypothesis
     return list(kept.values())

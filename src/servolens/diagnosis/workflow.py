@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,8 +30,8 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
-    from servolens.diagnosis.trials import Hypothesis
     from servolens.identification.integral import Prior
+    from servolens.identification.likelihood import Hypothesis
     from servolens.record import Record
 
 __all__ = ["diagnose"]
@@ -114,7 +113,7 @@ def _diagnosed(
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
-    fits = [fitted(case.trials, h) for h in (path[0], path[-1])][: len(path)]
+    fits = [fitted(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
     remainder = _remainder(case, path[-1], gains)
     model = fits[-1].model
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
@@ -183,7 +182,7 @@ def _remainder(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     error, noise = gains.train(-1), gains.noise
     travel = max(float(np.ptp(record.position)) for record in case.records)
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
-    missed = unexplained_acceleration(case.records, gains.trained[-1], case.trials.rate, noise)
+    missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
     return Remainder(
         rms=rms,

@@ -21,8 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["NoiseModel", "Whitener", "burg", "observer_gains"]
 
+SHORT_RUN = 2
+"""Samples that an encoder shows the same, on average, up to which noise smears its rounding to noise of its own."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,6 +46,8 @@ class NoiseModel:
         Of the noise's variance that is rounding, 0 to 1: within a run of equal readings it does not average out.
     spread : float
         Standard deviation of the noise [m or rad].
+    floor : float
+        Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
     """
 
     rate: float
@@ -51,6 +56,7 @@ class NoiseModel:
     rounding: float
     share: float
     spread: float
+    floor: float
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
@@ -64,6 +70,7 @@ class NoiseModel:
             rounding=rounding,
             share=min(step / total, 1.0),
             spread=float(np.sqrt(total)),
+            floor=float(np.sqrt(total)),
         )
 
     @property
@@ -104,10 +111,15 @@ class Whitener:
 
     def __init__(self, position: NDArray[np.float64], noise: NoiseModel) -> None:
         self.noise, self.samples, self._first = noise, position.size, np.empty(0, dtype=np.intp)
-        if noise.share > 0.0:
-            self._first = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1])
-            self._counts = np.diff(self._first, append=position.size)
+        first = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1])
+        if noise.share > 0.0 and position.size > SHORT_RUN * first.size:  # else its own noise smears the rounding
+            self._first, self._counts = first, np.diff(first, append=position.size)
             self._kept = 1.0 / np.sqrt(1.0 + self._counts * noise.share)
+        begun = min(noise.order, position.size)
+        self._begin = np.zeros((begun, begun))
+        for k in range(begun):  # the first samples have no past as long as the filter
+            self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k]
+        self._filter = noise.filters[-1] / noise.innovation
 
     def evened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), with equal weight for each run of equal readings.
@@ -123,14 +135,15 @@ class Whitener:
 
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), whitened."""
-        from scipy.signal import lfilter
-
-        noise = self.noise
         evened = self.evened(rows)
-        white = np.asarray(lfilter(noise.filters[-1], [1.0], evened, axis=0)) / noise.innovation
-        for k in range(min(noise.order, rows.shape[0])):  # the first samples have no past as long as the filter
-            past = evened[k::-1] if k else evened[:1]
-            white[k] = (noise.filters[k] @ past) / noise.scales[k]
+        if rows.ndim == 1:
+            white = np.convolve(evened, self._filter)[: rows.size]
+        else:
+            from scipy.signal import lfilter
+
+            white = np.asarray(lfilter(self._filter, [1.0], evened, axis=0))
+        begun = self._begin.shape[0]
+        white[:begun] = self._begin @ evened[:begun]
         return white
 
     @property
@@ -142,7 +155,9 @@ class Whitener:
         return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0))
 
 
-def burg(signals: Sequence[NDArray[np.float64]], most: int) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
+def burg(
+    signals: Sequence[NDArray[np.float64]], most: int
+) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
     """Return the prediction-error filters of order 0 … p of an autoregressive process, and what each leaves.
 
     Burg's method over all `signals` together; p by the Bayesian information criterion.

@@ -26,6 +26,8 @@ FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
 WIDE = 3.0
 """Standard errors of what the first samples show that the initial state may be away: it is a prior, not a measurement."""
+COARSE = 1e-4
+"""Share of the noise by which a simulated sample may be wrong."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -145,6 +147,7 @@ class ObservedRun:
             start=(float(start[0]), float(start[1])),
             before=self._before,
             substeps=substeps,
+            coarse=COARSE * self.noise.floor / self.sample_time,
         )
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]

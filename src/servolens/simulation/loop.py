@@ -37,7 +37,7 @@ PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 fast lag splits each sample; most pieces, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
-NO_OBSERVER = (0.0,)
+NO_OBSERVER = (0.0, 0.0)
 """What the rule is told where no measurement corrects the axis."""
 
 
@@ -239,7 +239,15 @@ def simulate_voltage(
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
-    return _run(plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(before), *NO_OBSERVER], start, substeps or substeps_for(plant, step))
+    return _run(
+        plant,
+        grid,
+        held,
+        held,
+        [*OPEN_LOOP, ANY_NUMBER, *_known(before), *NO_OBSERVER],
+        start,
+        substeps or substeps_for(plant, step),
+    )
 
 
 def simulate_observed(
@@ -252,6 +260,7 @@ def simulate_observed(
     start: tuple[float, float],
     before: float | None = None,
     substeps: int,
+    coarse: float = 0.0,
 ) -> Simulation:
     """Predict each sample of `position` from those before it: an observer under a `voltage` that is held.
 
@@ -266,6 +275,8 @@ def simulate_observed(
         As measured [m or rad].
     gains : tuple of float
         Of position [1] and velocity [1/s]; a load and a filtered sensor are moved along.
+    coarse : float
+        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
 
     Returns
     -------
@@ -273,7 +284,8 @@ def simulate_observed(
         With the predictions as `measured`.
     """
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
-    settings = [*OPEN_LOOP, granted, *_known(before), *(NO_OBSERVER if gains == (0.0, 0.0) else (1.0, *_moved(plant, gains)))]
+    is_corrected = float(gains != (0.0, 0.0))
+    settings = [*OPEN_LOOP, granted, *_known(before), is_corrected, coarse, *_moved(plant, gains)]
     return _run(plant, time, voltage, position, settings, start, substeps)
 
 
@@ -283,7 +295,9 @@ def _moved(plant: Plant, gains: tuple[float, float]) -> list[float]:
 
     kinds = [(cls, state.name) for cls in plant.structure for state in cls.states]
     own = [
-        gains[("position", "velocity").index(name)] if issubclass(cls, Transmission) else gains[0] * issubclass(cls, Sensor)
+        gains[("position", "velocity").index(name)]
+        if issubclass(cls, Transmission)
+        else gains[0] * issubclass(cls, Sensor)
         for cls, name in kinds
     ]
     placed = [0.0] * len(own)
@@ -318,7 +332,9 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    result = _run(plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(None), *NO_OBSERVER], start, count, gains=(kp, kd))
+    result = _run(
+        plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(None), *NO_OBSERVER], start, count, gains=(kp, kd)
+    )
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured

@@ -191,9 +191,9 @@ def breaking_loose(e: Any, p: Any, out: Any, forward: float, backward: float) ->
 
 
 @njit(**OPTIONS)
-def is_rough(series: Any, v: float, h: float) -> bool:
-    """Whether `h` is so long that the last term of the series matters."""
-    last: bool = abs(series[2]) * h * h * h > SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+def is_rough(series: Any, v: float, h: float, coarse: float) -> bool:
+    """Whether `h` is so long that the last term of the series matters: more than a share, and a speed of `coarse`."""
+    last: bool = abs(series[2]) * h * h * h > SMOOTH * (abs(series[0]) * h + 2.0 * abs(v)) + coarse
     return last
 
 
@@ -233,7 +233,7 @@ def remember(x: Any, p: Any, kept: Any, begin: Any, end: Any, z: int, nz: int) -
 
 
 @njit(**OPTIONS)
-def advance(x: Any, p: Any, room: Any, h: float) -> int:
+def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
     """Carry the axis in `x` over `h` seconds under the held input; return in how many pieces."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     z, left = STATES + ns, h
@@ -251,7 +251,7 @@ def advance(x: Any, p: Any, room: Any, h: float) -> int:
         for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, z, nz, part)
             taylor(x, p, series)
-            if is_rough(series, x[V], part) and part > SHORTEST * h:
+            if is_rough(series, x[V], part, coarse) and part > SHORTEST * h:
                 part *= 0.5
                 shorten(begin, end, nz, 0.5)
                 continue
@@ -326,11 +326,11 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop
 @njit(**OPTIONS)
 def correct(x: Any, loop: Any, ns: int, nz: int, innovation: float) -> None:
     """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
-    x[Y] += loop[14] * innovation
+    x[Y] += loop[15] * innovation
     if x[V] != 0.0:
-        x[V] += loop[15] * innovation
+        x[V] += loop[16] * innovation
     for i in range(ns + nz):
-        x[STATES + i] += loop[16 + i] * innovation
+        x[STATES + i] += loop[17 + i] * innovation
 
 
 @njit(**OPTIONS)
@@ -342,7 +342,16 @@ def sent(results: Any, n: int, k: int, before: float) -> float:
 
 @njit(**OPTIONS)
 def hold(
-    x: Any, p: Any, room: Any, begin: float, span: float, first: float, old: float, new: float, substeps: int
+    x: Any,
+    p: Any,
+    room: Any,
+    begin: float,
+    span: float,
+    first: float,
+    old: float,
+    new: float,
+    substeps: int,
+    coarse: float,
 ) -> int:
     """Carry the axis over one sample of `span` seconds; the input is `old` for its `first` seconds, then `new`.
 
@@ -356,7 +365,7 @@ def hold(
         h = length / steps
         for i in range(steps):
             x[T] = begin + i * h
-            pieces += advance(x, p, room, h)
+            pieces += advance(x, p, room, h, coarse)
         if first == 0.0:
             return pieces
         begin, length, first = begin + first, span - first, 0.0
@@ -379,7 +388,8 @@ def run(
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
-    pieces, whether it is known what was applied before, what was, whether to correct, then the gains with which an
+    pieces, whether it is known what was applied before, what was, whether to correct, the speed that a step
+    may be wrong by, then the gains with which an
     observer corrects position, velocity and states by the innovation: `reference` then holds the measured position, and
     `measured` its prediction from the samples before). Minus one is returned where more pieces than granted
     would be needed; zero grants any number. Without a closed loop the input is `held`; with one, `held` is added to
@@ -421,7 +431,7 @@ def run(
         span = time[k + 1] - time[k]
         new = sent(results, n, k - late, before)
         old = sent(results, n, k - late - 1, before) if due > 0.0 else new
-        pieces += hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps)
+        pieces += hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps, loop[14])
         if pieces > granted > 0.0:
             return -1
     return n

@@ -1,0 +1,347 @@
+"""The likelihood of records: a plant and the noise beside it, fitted in turn until they agree."""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.effects import Actuator, Delay, Sensor, Transmission
+from servolens.errors import InputError, NumericalError
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
+from servolens.identification.error_problem import COARSE, FINE, Problem
+from servolens.identification.noise import NoiseModel
+from servolens.identification.observed import ObservedRun, Signals
+from servolens.identification.phases import own_phases, synchronised
+from servolens.identification.segments import applied_voltage, noise_level
+from servolens.quality.beginning import initial_motion
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.effects import Effect
+    from servolens.identification.error_problem import Point
+    from servolens.identification.options import FitOptions
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "begins_with_its_step", "fixed", "loop_rate"]
+
+RATES = (0.0, 0.5, 2.0, 8.0)
+"""Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
+FEW, SOME, FULL = 4, 10, 30
+"""Iterations to see where a start leads, to compare effects, and to end at the optimum."""
+MOST_SUBSTEPS = 12
+"""In a millisecond; plants that need more are left out: what is so fast cannot be told from what is rigid."""
+MOST_SAMPLES = 16_000
+"""Of all records together; longer ones are simulated every few samples only."""
+MOST_ROUNDS, NO_BETTER = 6, 0.5
+"""Times that plant and noise are fitted in turn; fall of −2 log-likelihood below which they agree."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A plant fitted to the training records beside its own noise model.
+
+    Attributes
+    ----------
+    plant : Plant
+        The best of its structure.
+    noise : NoiseModel
+        That makes what the plant leaves likeliest.
+    starts : tuple of ndarray
+        Initial state of each record.
+    misfit : float
+        −2 log-likelihood, priors included.
+    total : float
+        The same plus the price of its effects; the least is the best.
+    unpowered : bool
+        Whether nothing was applied before records that begin with their step.
+    local : mapping of str to ndarray
+        Parameters that each record has of its own.
+    """
+
+    plant: Plant
+    noise: NoiseModel
+    starts: tuple[NDArray[np.float64], ...]
+    misfit: float
+    total: float
+    unpowered: bool
+    local: Mapping[str, NDArray[np.float64]]
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Names of the effects, in the order in which they were found."""
+        return tuple(effect.name for effect in self.plant.effects)
+
+    def plant_of(self, group: int) -> Plant:
+        """Return the plant of one record, with the parameters of its own."""
+        if not self.local:
+            return self.plant
+        values = dict(zip(self.plant.parameters, self.plant.values, strict=True))
+        return self.plant.with_values(
+            [float(self.local[n][group]) if n in self.local else v for n, v in values.items()]
+        )
+
+
+@final
+class Likelihood:
+    """Records as prediction-error problems, and what any plant makes of them beside its own noise.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Runs of the same axis, each with its voltage or with what it is computed from.
+    plant : Plant
+        About like the axis: it tells how fast the loops are.
+    options : FitOptions
+        What is held, what each record has of its own, and priors, as far as a plant has such parameters.
+    price : callable, optional
+        Of a plant: what its effects add to −2 log-likelihood.
+    is_admissible : callable, optional
+        Tells whether a plant may be the answer.
+    """
+
+    def __init__(
+        self,
+        records: Sequence[Record],
+        plant: Plant,
+        options: FitOptions,
+        *,
+        price: Callable[[Plant], float] = lambda _: 0.0,
+        is_admissible: Callable[[Plant], bool] = lambda _: True,
+    ) -> None:
+        self.records, self._options = tuple(records), options
+        self._price, self._is_admissible = price, is_admissible
+        self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
+        self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
+        self.signals = tuple(Signals.of(record, self.floor, self.every) for record in records)
+        self.samples = sum(signals.measured.size for signals in self.signals)
+        self.rate = loop_rate(plant, records)
+        self.white = NoiseModel.white(self.floor, max(record.encoder_resolution or 0.0 for record in records))
+        longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
+        self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
+        self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        self.work = 0
+
+    def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun]:
+        """Return the records as prediction-error problems."""
+        return [
+            ObservedRun(signals, i, noise, unpowered=unpowered and begins_with_its_step(signals.record))
+            for i, signals in enumerate(self.signals)
+        ]
+
+    def options(self, plant: Plant) -> FitOptions:
+        """Return how `plant` is fitted: options on its own parameters, and phases of each record's own."""
+        names, asked = plant.parameters, self._options
+        held = [f"{effect.name}.{name}" for effect in plant.effects for name in fixed(type(effect))]
+        local = own_phases(plant) if len(self.records) > 1 else ()
+        return replace(
+            asked,
+            held=tuple(dict.fromkeys([*(name for name in asked.held if name in names), *held])),
+            local=tuple(dict.fromkeys([*(name for name in asked.local if name in names), *local])),
+            priors={name: prior for name, prior in asked.priors.items() if name in names},
+        )
+
+    def judged(self, plant: Plant, like: Hypothesis | None = None, iterations: int = FULL) -> Hypothesis | None:
+        """Return `plant` fitted beside the noise that makes it likeliest; None where it cannot be simulated.
+
+        Parameters
+        ----------
+        plant : Plant
+            Start and structure.
+        like : Hypothesis, optional
+            Whose noise model and initial states to begin with.
+        iterations : int
+            Of each descent at most.
+        """
+        choices = (False, True) if self.may_be_unpowered and _remembers(plant) else (False,)
+        found = [h for h in (self._judged(plant, like, iterations, unpowered=u) for u in choices) if h]
+        return min(found, key=lambda h: h.total, default=None)
+
+    def _judged(self, plant: Plant, like: Hypothesis | None, iterations: int, *, unpowered: bool) -> Hypothesis | None:
+        noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
+        best: Hypothesis | None = None
+        waiting = [noise]
+        for _ in range(MOST_ROUNDS):
+            if not waiting:
+                break
+            noise = waiting.pop()
+            try:
+                problem, point = self.led(plant, noise, iterations, unpowered=unpowered)
+            except (InputError, NumericalError):
+                continue
+            found = self._profiled(problem, point, unpowered=unpowered)
+            if found is None or (best is not None and found.total >= best.total - NO_BETTER):
+                continue
+            best, plant = found, found.plant
+            waiting = [found.noise] if found.noise.rate == 0.0 else [self.white, found.noise]
+        return best if best is not None and self._is_admissible(best.plant) else None
+
+    def tried(self, plant: Plant, noise: NoiseModel, iterations: int, *, unpowered: bool = False) -> Hypothesis | None:
+        """Return where a few iterations beside `noise` lead, judged by its own noise; None where that fails."""
+        try:
+            problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True)
+        except (InputError, NumericalError):
+            return None
+        return self._profiled(problem, point, unpowered=unpowered)
+
+    def led(
+        self, plant: Plant, noise: NoiseModel, iterations: int, *, unpowered: bool = False, coarse: bool = False
+    ) -> tuple[Problem, Point]:
+        """Return where a descent from `plant` beside this noise leads.
+
+        Raises
+        ------
+        NumericalError
+            If `plant` cannot be simulated, or only with very small steps.
+        """
+        problem = Problem(plant, self.runs(noise, unpowered=unpowered), self.options(plant), 1.0)
+        problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
+        start = problem.start()
+        if problem.too_stiff(start) or not np.isfinite(start.cost):
+            raise NumericalError("the plant to start from cannot be simulated on these records")
+        problem.weigh_priors(start)
+        if plant.has_contacts:
+            way = ((COARSE, iterations),) if coarse else ((COARSE, iterations), (FINE, iterations))
+            point, _ = by_way_of(problem, start, way, NEGLIGIBLE_ON_THE_WAY)
+        else:
+            point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
+        self.work += problem.simulated
+        return problem, point
+
+    def _first_noise(self, plant: Plant, *, unpowered: bool) -> NoiseModel:
+        """Return the noise model of a plant that was not fitted yet."""
+        best, least = self.white, np.inf
+        starts = [s.initial.mean for s in self.signals]
+        for noise, misfit in self._noises([plant] * len(self.signals), starts, unpowered=unpowered):
+            if misfit < least:
+                best, least = noise, misfit
+        return best
+
+    def _profiled(self, problem: Problem, point: Point, *, unpowered: bool) -> Hypothesis | None:
+        """Return the plant at `point` beside the likeliest of the noise models."""
+        plants = [problem.plant_at(point.values, i) for i in range(len(self.signals))]
+        found = self._noises(plants, point.starts, unpowered=unpowered)
+        if not found:
+            return None
+        noise, misfit = min(found, key=lambda pair: pair[1])
+        misfit += problem.prior_cost(point.values)
+        plant = plants[0]
+        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(sum(r.samples for r in problem.runs)))
+        return Hypothesis(
+            plant,
+            noise,
+            tuple(point.starts),
+            misfit,
+            misfit + self._price(plant) + extra,
+            unpowered,
+            problem.local_values(point),
+        )
+
+    def _noises(
+        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], *, unpowered: bool
+    ) -> list[tuple[NoiseModel, float]]:
+        """Return a noise model for each rate of the observer, with −2 log-likelihood beside it."""
+        found = []
+        for rate in RATES:
+            first = replace(self.white, rate=rate * self.rate)
+            runs = self.runs(first, unpowered=unpowered)
+            begun = starts if rate == 0.0 else [run.start for run in runs]
+            try:
+                missed = [
+                    run.missed(plant, start, substeps_for(plant, run.sample_time))
+                    for run, plant, start in zip(runs, plants, begun, strict=True)
+                ]
+            except (InputError, NumericalError):
+                continue
+            noise = first.estimated(missed, [run.whiten for run in runs])
+            if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
+                continue
+            misfit = 0.0
+            for run, error, start in zip(self.runs(noise, unpowered=unpowered), missed, begun, strict=True):
+                white, initial = run.whiten(error), run.signals.initial
+                misfit += run.whiten.log_determinant + float(white @ white)
+                misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2))
+            parameters = noise.order + (rate > 0.0)
+            found.append((noise, misfit + parameters * float(np.log(sum(run.samples for run in runs)))))
+        return found
+
+    def on(self, records: Sequence[Record]) -> Likelihood:
+        """Return the likelihood of other `records` of the same axis, with what is known of it."""
+        other = copy(self)
+        other.records = tuple(records)
+        other.signals = tuple(Signals.of(record, self.floor, self.every) for record in records)
+        other.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        return other
+
+    def misfit(self, hypothesis: Hypothesis, plants: Sequence[Plant], cuts: Sequence[int] | None = None) -> float:
+        """Return −2 log-likelihood of the records, each by its own of the `plants`, but for samples before its cut.
+
+        Initial states and phases of each record's own are fitted; nothing else is.
+        """
+        total = 0.0
+        first = cuts or [0] * len(self.signals)
+        for run, plant, cut in zip(
+            self.runs(hypothesis.noise, unpowered=hypothesis.unpowered), plants, first, strict=True
+        ):
+            begin = cut // self.every
+
+            def missed(plant: Plant, run: ObservedRun = run, begin: int = begin) -> float:
+                return self._least(run, plant, begin)
+
+            total += missed(synchronised(plant, missed)) + run.whiten.log_determinant
+        return total
+
+    def _least(self, run: ObservedRun, plant: Plant, begin: int) -> float:
+        """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
+        substeps, start = substeps_for(plant, run.sample_time), run.start
+        least = np.inf
+        for _ in range(3):
+            try:
+                found = run.residual(plant, start, substeps)
+            except (InputError, NumericalError):
+                return least
+            size = float(found[begin:] @ found[begin:])
+            if not size < least:
+                break
+            least = size
+            moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
+            slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
+            start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
+        return least
+
+    def is_too_stiff(self, plant: Plant) -> bool:
+        """Tell whether `plant` would not be fitted, so that its simulation, which may take long, is for nothing."""
+        return any(substeps_for(plant, float(np.max(np.diff(s.time)))) > self.most_substeps for s in self.signals)
+
+
+def fixed(cls: type[Effect]) -> tuple[str, ...]:
+    """Return the parameters of an effect that a fit holds at what its start gives them."""
+    return tuple(getattr(cls, "fixed", ()))
+
+
+def _remembers(plant: Plant) -> bool:
+    """Tell whether the voltage before a record still shows in it."""
+    late = (Delay, Transmission, Sensor)
+    return any(isinstance(e, late) or (isinstance(e, Actuator) and e.states) for e in plant.effects)
+
+
+def begins_with_its_step(record: Record) -> bool:
+    """Tell whether `record` begins at full voltage, and does not say what was applied before."""
+    if record.voltage_before is not None or initial_motion(record) != 0.0:
+        return False
+    voltage = np.abs(applied_voltage(record))
+    return bool(voltage[0] > 0.1 * voltage.max())
+
+
+def loop_rate(plant: Plant, records: Sequence[Record]) -> float:
+    """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
+    rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
+    return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))
