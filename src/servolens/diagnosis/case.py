@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, final
 
@@ -81,8 +82,25 @@ class Case:
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
 
+    def simulating(self) -> Case:
+        """Return the case by simulations in closed loop, for models that are known not to be the axis.
+
+        Raises
+        ------
+        NumericalError
+            If gain and damping alone cannot be simulated in closed loop.
+        """
+        other = copy(self)
+        other.trials = self.trials.simulating()
+        other.likelihood = other.trials.likelihood
+        other.base = other.trials.base()
+        other._dependent, other._left_out = {}, {}
+        return other
+
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
         """Return the ripple of the mains: what was taken out, and what shows only beside `hypothesis`."""
+        if self.likelihood.simulates:
+            return self.ripple
         found = self._ripple(hypothesis)
         return self.ripple.with_more(found) if found else self.ripple
 
@@ -93,6 +111,8 @@ class Case:
 
     def is_enough(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""
+        if self.likelihood.simulates:
+            return False
         known = self._dependent.get(id(hypothesis))
         if known is None:
             known = hypothesis, depends_on_inputs(ScoreTest(self.likelihood, hypothesis))

@@ -76,12 +76,17 @@ class ScoreTest:
         return np.asarray(once - self._own @ (self._own.T @ once))
 
     def gain(self, plant: Plant) -> float:
-        """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it cannot be simulated."""
+        """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it cannot be simulated.
+
+        Or what `plant` gains as it is, where that is more: an effect as large as friction that holds the axis for
+        seconds is far from what a first order tells.
+        """
         try:
             columns = self._columns(plant)
         except (InputError, NumericalError):
             return 0.0
-        return self.explained(columns)
+        reached = self.free_of_own(self.residual + columns[:, 0]) if columns.shape[1] == 1 else self._left
+        return max(self.explained(columns), float(self._left @ self._left - reached @ reached))
 
     def pushed(self, forces: Sequence[NDArray[np.float64]], size: float) -> NDArray[np.float64]:
         """Return what `forces`, one array a record, would do to the residual, to first order, shape (n,).

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Drive, effect_class
+from servolens.effects import Drive, DryFriction, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Hypothesis, Likelihood, fixed
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
-from servolens.identification.segments import motion_segments, moving_parts
+from servolens.identification.segments import applied_voltage, motion_segments, moving_parts
+from servolens.identification.smoothing import smooth
 from servolens.identification.starting import Screen, seen_in
 
 if TYPE_CHECKING:
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Start", "Trials"]
 
+STANDS = 0.01
+"""Share of the top speed below which the axis stands."""
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
 FALSE_ALARM = 1e-3
@@ -82,14 +86,22 @@ class Trials:
             command_unit=records[0].command_unit,
         )
         self.seen = seen_in(self.screen.segments, self.bare)
+        known = priors["gain"].value if "gain" in priors else self.bare.gain
         self.likelihood = Likelihood(
             records,
-            self.bare,
+            replace(self.bare, gain=known),
             FitOptions(priors=priors),
             price=lambda plant: sum(self.price(type(effect)) for effect in plant.effects),
             is_admissible=self._is_admissible,
         )
+        self.standing = _standing_command(records)
         self._proposals: dict[str, Proposals] = {}
+
+    def simulating(self) -> Trials:
+        """Return the trials by simulations in closed loop, for models that are known not to be the axis."""
+        other = copy(self)
+        other.likelihood = self.likelihood.simulating()
+        return other
 
     def base(self) -> Hypothesis:
         """Return gain and damping alone.
@@ -109,7 +121,12 @@ class Trials:
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
     def _is_admissible(self, plant: Plant) -> bool:
-        """Tell whether the records show the effects as a whole, and no prior is contradicted."""
+        """Tell whether the records show the effects as a whole, and no prior is contradicted.
+
+        Gain and damping alone may: what they lack may be why.
+        """
+        if not plant.effects:
+            return True
         values = dict(zip(plant.parameters, plant.values, strict=True))
         contradicted = any(
             abs(values[name] - prior.value) > CONTRADICTS * prior.deviation
@@ -129,7 +146,7 @@ class Trials:
 
         free = max(len(cls.parameters()) - len(fixed(cls)), 1)
         entry = float(chi2.isf(FALSE_ALARM / max(self.candidates, 1), free))
-        return max(entry, free * float(np.log(self.likelihood.samples)))
+        return max(entry, free * float(np.log(self.likelihood.counted)))
 
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.
@@ -171,7 +188,32 @@ class Trials:
             except (InputError, NumericalError):
                 continue
             starts.append(replace(alone, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects))
-        return starts
+        return [*starts, *self._standing(plant, cls, starts)]
+
+    def _standing(self, plant: Plant, cls: type[Effect], starts: Sequence[Plant]) -> list[Plant]:
+        """Return plants whose dry friction holds the axis where it stands: its level is read off the standing command.
+
+        An axis that mostly sticks shows little of its friction in motion, and what it shows is biased with the gain.
+        """
+        levels = [spec.name for spec in cls.parameters() if spec.name.startswith("level")]
+        if not (issubclass(cls, DryFriction) and levels and starts and self.standing > 0.0):
+            return []
+        effect = starts[0].effects[-1]
+        found = []
+        for share in (1.0, 0.5):
+            level = share * abs(plant.gain) * self.standing
+            found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
+        return found
+
+
+def _standing_command(records: Sequence[Record]) -> float:
+    """Return the largest command under which the axis stands: nine tenths of its standing samples have less."""
+    commands = []
+    for record in records:
+        velocity = np.abs(smooth(record.time, record.position, min(41, len(record)))[1])
+        commands.append(np.abs(applied_voltage(record))[velocity < STANDS * velocity.max()])
+    found = np.concatenate(commands)
+    return float(np.quantile(found, 0.9)) if found.size else 0.0
 
 
 def _swapped(plant: Plant, cls: type[Effect], loop: float) -> list[Plant]:

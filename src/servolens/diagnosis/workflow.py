@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
+    from servolens.diagnosis.search import Effort
     from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
     from servolens.record import Record
@@ -106,8 +107,10 @@ def _diagnosed(
         progress(what, round(90 * share), 100)
 
     found = search(case.trials, case.base, EFFORT[effort], tell)
-    progress("measuring the gain", 90, 100)
     path, doubts = _confirmed(found, case)
+    if not case.is_enough(path[-1]):
+        case, found, path, doubts = _simulated(case, found, path, doubts, EFFORT[effort])
+    progress("measuring the gain", 90, 100)
     gains = case.gains(path)
     verdict = _verdict(case, path)
     if verdict in ("unexplained", "healthy"):
@@ -169,6 +172,28 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
         doubts.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
     return path, doubts
+
+
+def _simulated(
+    case: Case, found: Search, path: list[Hypothesis], doubts: list[Finding], effort: Effort
+) -> tuple[Case, Search, list[Hypothesis], list[Finding]]:
+    """Return what a search by simulations finds instead, where that predicts records better to which nothing was fitted.
+
+    A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
+    who tunes wants the step.
+    """
+    try:
+        simulating = case.simulating()
+        other = search(simulating.trials, simulating.base, effort)
+        steps, more = _confirmed(other, simulating)
+    except NumericalError:
+        return case, found, path, doubts
+    again = [h for h in (case.likelihood.judged(step.plant) for step in steps) if h is not None]
+    if len(again) == len(steps) and again[-1].total < path[-1].total and case.is_enough(again[-1]):
+        return case, replace(found, path=tuple(again)), again, more
+    if case.gains([path[-1]]).tested(-1) <= simulating.gains([steps[-1]]).tested(-1):
+        return case, found, path, doubts
+    return simulating, other, steps, more
 
 
 def _verdict(case: Case, path: Sequence[Hypothesis]) -> Verdict:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import copysign, cos
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -17,8 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PendulumGravity"]
 
-LEAST_TRAVEL, STANDS = 0.1, 0.1
-"""[rad] Within less a weight is a constant force and a spring, unless it stands: cosine of the angle from there on."""
+LEAST_TRAVEL = 0.5
+"""[rad] Within less a weight is a constant force and a spring: sin φ differs from φ by 1 % at half of it."""
 
 
 @final
@@ -56,8 +55,7 @@ class PendulumGravity(Force):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        spring = copysign(1.0, self.amplitude) * cos(0.5 * (seen.low + seen.high) + self.phase)
-        return seen.travel >= LEAST_TRAVEL or spring < -STANDS
+        return seen.travel >= LEAST_TRAVEL
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:

@@ -13,7 +13,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.noise import NoiseModel
-from servolens.identification.observed import ObservedRun, Signals
+from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage, noise_level
 from servolens.quality.beginning import initial_motion
@@ -34,6 +34,9 @@ __all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "begins_with_its_s
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
+REMEMBERS, SLOW_RATE = 1.0, 0.5
+"""Time constants of a loop, 1/ω, over which its errors are correlated; rate at which a record without a reference is
+observed where the model is not the axis, in units of the loops' own."""
 ROUNDED = 0.5
 """Share of rounding in the noise from which on nothing tells shaking from it: the axis is simulated."""
 FEW, SOME, FULL = 4, 10, 30
@@ -131,13 +134,33 @@ class Likelihood:
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
         self.work = 0
+        self.simulates = False
 
-    def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun]:
-        """Return the records as prediction-error problems."""
-        return [
-            ObservedRun(signals, i, noise, unpowered=unpowered and begins_with_its_step(signals.record))
-            for i, signals in enumerate(self.signals)
-        ]
+    def simulating(self) -> Likelihood:
+        """Return the likelihood of simulations in closed loop, for models that are known not to be the axis.
+
+        The error is that of `predict`; it counts once in the time that a loop remembers. Records without a reference
+        are observed as slowly as that.
+        """
+        other = copy(self)
+        steps = [signals.record.sample_time for signals in self.signals]
+        other.white = replace(self.white, share=0.0, discount=max(REMEMBERS / self.rate / float(np.median(steps)), 1.0))
+        other.simulates = True
+        return other
+
+    def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun | SimulatedRun]:
+        """Return the records as prediction-error problems, or as simulations."""
+        found: list[ObservedRun | SimulatedRun] = []
+        for i, signals in enumerate(self.signals):
+            record = signals.record
+            kind = SimulatedRun if self.simulates and record.reference is not None and record.controller else ObservedRun
+            found.append(kind(signals, i, noise, unpowered=unpowered and begins_with_its_step(record)))
+        return found
+
+    @property
+    def counted(self) -> float:
+        """How many samples count by themselves, at least 2."""
+        return max(self.samples / self.white.discount, 2.0)
 
     def options(self, plant: Plant) -> FitOptions:
         """Return how `plant` is fitted: options on its own parameters, and phases of each record's own."""
@@ -236,7 +259,7 @@ class Likelihood:
         noise, misfit = min(found, key=lambda pair: pair[1])
         misfit += problem.prior_cost(point.values)
         plant = plants[0]
-        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(self.samples))
+        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(self.counted))
         return Hypothesis(
             plant,
             noise,
@@ -258,6 +281,10 @@ class Likelihood:
             if one is not None:
                 found[rate] = one
 
+        if self.simulates:
+            closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
+            look(0.0 if closed else SLOW_RATE)
+            return list(found.values())
         for rate in RATES[:1] if self.white.share > ROUNDED else RATES:
             look(rate)
         if found:
@@ -280,16 +307,16 @@ class Likelihood:
             ]
         except (InputError, NumericalError):
             return None
-        noise = first.estimated(missed, [run.whiten for run in runs])
+        noise = first.estimated(missed, [run.whiten for run in runs]) if not self.simulates else first.scaled(missed)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return None
         misfit = 0.0
         for run, error, start in zip(self.runs(noise, unpowered=unpowered), missed, begun, strict=True):
             white, initial = run.whiten(error), run.signals.initial
             misfit += run.whiten.log_determinant + float(white @ white)
-            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2))
+            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2)) if run.start.size else 0.0
         parameters = noise.order + (rate > 0.0) + (noise.jitter > 0.0)
-        return noise, misfit + parameters * float(np.log(self.samples))
+        return noise, misfit + parameters * float(np.log(self.counted))
 
     def on(self, records: Sequence[Record]) -> Likelihood:
         """Return the likelihood of other `records` of the same axis, with what is known of it."""
@@ -330,6 +357,8 @@ class Likelihood:
             if not size < least:
                 break
             least = size
+            if not start.size:
+                break
             moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
             slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
             start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]

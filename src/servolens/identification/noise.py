@@ -50,6 +50,10 @@ class NoiseModel:
         Standard deviation of the noise [m or rad].
     jitter : float
         Standard deviation of the sampling instants about those that are stated [s].
+    discount : float
+        Samples that count as one. Errors of a model that is not the axis are no noise: they go on for as long as the
+        loop remembers, and the likelihood is tempered by it (Miller and Dunson 2019,
+        doi:10.1080/01621459.2018.1469995).
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
     """
@@ -62,6 +66,7 @@ class NoiseModel:
     spread: float
     floor: float
     jitter: float = 0.0
+    discount: float = 1.0
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
@@ -100,6 +105,12 @@ class NoiseModel:
             return timed._coloured(residuals, [Whitener(w.position, w.speed, timed) for w in whiteners])
         return self._coloured(residuals, whiteners)
 
+    def scaled(self, residuals: Sequence[NDArray[np.float64]]) -> NoiseModel:
+        """Return white noise of the size of `residuals`."""
+        samples = sum(r.size for r in residuals)
+        spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
+        return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread)
+
     def _coloured(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
         evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
         filters, scales = burg(evened, MOST_ORDER)
@@ -135,8 +146,8 @@ class Whitener:
         begun = min(noise.order, position.size)
         self._begin = np.zeros((begun, begun))
         for k in range(begun):  # the first samples have no past as long as the filter
-            self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k]
-        self._filter = noise.filters[-1] / noise.innovation
+            self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
+        self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
 
     def evened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), with equal weight for each run of equal readings.
@@ -173,7 +184,7 @@ class Whitener:
         found = float(np.sum(np.log(noise.scales[:begun]))) + (samples - begun) * float(np.log(noise.innovation))
         if self._weight is not None:
             found -= float(np.sum(np.log(self._weight)))
-        return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0))
+        return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0)) / noise.discount
 
 
 def _jitter(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, TypeVar, final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import smooth
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.loop import simulate_observed, without_gaps
+from servolens.simulation.loop import simulate_observed, simulate_trial, without_gaps
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["InitialState", "ObservedRun", "Signals"]
+__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun"]
 
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
@@ -32,6 +32,15 @@ COARSE = 1e-4
 """Share of the noise by which a simulated sample may be wrong."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
+
+
+Value = TypeVar("Value")
+
+
+def required(value: Value | None) -> Value:
+    """Return what the caller has made sure is there."""
+    assert value is not None  # noqa: S101 - see above
+    return value
 
 
 @final
@@ -165,3 +174,66 @@ class ObservedRun:
         initial = self.signals.initial
         away = (start - initial.mean) / initial.deviation
         return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
+
+
+@final
+class SimulatedRun:
+    """A record simulated in closed loop from its reference, as gains are predicted: for models that are not the axis.
+
+    Parameters
+    ----------
+    signals : Signals
+        Of a record with reference and controller.
+    group : int
+        Its number.
+    noise : NoiseModel
+        White, with the number of samples that count as one.
+    unpowered : bool
+        See :class:`ObservedRun`.
+    """
+
+    def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
+        self.group, self.signals, self.noise = group, signals, noise
+        record = signals.record
+        self.whiten = Whitener(record.position, np.zeros(len(record)), noise)
+        self.samples = len(record)
+        self.sample_time = float(np.max(np.diff(record.time)))
+        self.start: NDArray[np.float64] = np.empty(0)
+        self.shifts: tuple[float, ...] = ()
+        self._begin = (float(signals.initial.mean[0]), float(signals.initial.mean[1]))
+        self._time, held, self._index = without_gaps(record.time)
+        self._reference = np.ascontiguousarray(required(record.reference)[held])
+        self._added = np.zeros(self._time.size) if record.feedforward is None else record.feedforward[held]
+        self._before = applied_before(record)
+        if unpowered and self._before is None:
+            self._before = 0.0
+
+    def missed(
+        self,
+        plant: Plant,
+        start: NDArray[np.float64],
+        substeps: int,
+        *,
+        push: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Return simulated minus measured position [m or rad], shape (n,); with a voltage `push` added, if any.
+
+        It begins as the first samples show; `start` is empty.
+        """
+        record = self.signals.record
+        run = simulate_trial(
+            plant_in(plant, record),
+            required(record.controller),
+            self._time,
+            self._reference,
+            feedforward=self._added if push is None else self._added + push,
+            start=self._begin,
+            before=self._before,
+            substeps=substeps,
+        )
+        shown = run.measured if self._index is None else run.measured[self._index]
+        return shown - record.position
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return the difference in standard deviations."""
+        return self.whiten(self.missed(plant, start, substeps))
