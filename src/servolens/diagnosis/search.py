@@ -157,7 +157,7 @@ class _Explorer:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         found: list[Hypothesis] = []
         for place, hypothesis in enumerate(beam):
-            if place > 0 and beam[0].noise.rate == 0.0:
+            if place > 0 and beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
                 break  # what leaves no more than sensor noise is no impostor
             found += self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
         found.sort(key=_total)
