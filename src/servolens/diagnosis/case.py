@@ -22,6 +22,8 @@ from servolens.identification.segments import noise_level
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from servolens.identification.integral import Prior
     from servolens.identification.observed import Signals
     from servolens.plant import Plant
@@ -75,8 +77,10 @@ class Case:
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
 
-    def _missed(self, hypothesis: Hypothesis) -> list[np.ndarray]:
-        test = ScoreTest(self.likelihood, hypothesis)
+    def _missed(self, hypothesis: Hypothesis) -> list[NDArray[np.float64]]:
+        """Return what `hypothesis` misses of each record, beside white noise: a coloured one would hide a ripple."""
+        white = replace(self.likelihood.white, rate=hypothesis.noise.rate)
+        test = ScoreTest(self.likelihood, replace(hypothesis, noise=white))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return np.split(test.left, ends)
 

@@ -47,7 +47,7 @@ class Ripple:
 
 
 def mains_ripple(signals: Sequence[Signals], white: Sequence[NDArray[np.float64]]) -> Ripple:
-    """Return the ripple that the whitened residuals show beyond chance.
+    """Return the ripple that the residuals show beyond chance.
 
     White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency). The waves
     are then fitted to the third differences of the position, in which the motion is small.
@@ -57,7 +57,7 @@ def mains_ripple(signals: Sequence[Signals], white: Sequence[NDArray[np.float64]
     signals : sequence of Signals
         The records.
     white : sequence of ndarray
-        Whitened residual of each, of variance about 1.
+        Residual of each in units of its white noise; whitened as coloured noise it would hide the ripple itself.
     """
     from scipy.stats import chi2
 
