@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.trials import FALSE_ALARM
 from servolens.errors import ServolensError
 from servolens.simulation.loop import simulate
@@ -69,8 +70,8 @@ class Remainder:
     material: bool
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        """Return the fields; null with a reason for what is not finite."""
+        return finite({name: getattr(self, name) for name in self.__slots__})
 
 
 def depends_on_inputs(test: ScoreTest) -> bool:

@@ -102,8 +102,12 @@ def diagnose(
 def _diagnosed(
     case: Case, effort: str, findings: Sequence[Finding], progress: Callable[[str, int, int], None]
 ) -> Diagnosis:
+    furthest = 0
+
     def tell(what: str, share: float) -> None:
-        progress(what, round(90 * share), 100)
+        nonlocal furthest  # fits that run side by side report out of turn
+        furthest = max(furthest, min(round(90 * share), 90))
+        progress(what, furthest, 100)
 
     found = search(case.trials, case.base, EFFORT[effort], tell)
     progress("measuring the gain", 90, 100)
@@ -183,6 +187,7 @@ def _remainder(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     travel = max(float(np.ptp(record.position)) for record in case.records)
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
     missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
+    missed = missed if np.isfinite(error) else error
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
     return Remainder(
         rms=rms,
