@@ -27,7 +27,7 @@ KEPT = 0.6
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position as `predict` has it [m or rad]; infinite where it cannot be simulated."""
+    """Return simulated minus measured position as `predict` has it [m or rad]; infinite where it has none."""
     try:
         return prediction_residual(plant, record)
     except (InputError, NumericalError):
