@@ -133,7 +133,6 @@ def split_number(text: str) -> tuple[float, str]:
     return value, rest
 
 
-@cache
 def prefixed(values: Iterable[float], text: str) -> tuple[float, str]:
     """Return factor and unit in which the largest of `values` is at least about 1, down to billionths.
 
@@ -163,6 +162,7 @@ def readable(value: float, text: str) -> str:
     return f"{float(f'{factor * value:.2g}'):g} {unit}"
 
 
+@cache
 def _from_table(text: str) -> Unit | None:
     """Read products of known units over at most one more, e.g. ``V s/mm``."""
     above, slash, below = text.partition("/")
