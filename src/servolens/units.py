@@ -156,7 +156,7 @@ def readable(value: float, text: str) -> str:
     Examples
     --------
     >>> readable(8.04e-6, "m"), readable(0.00123, "m/s^2"), readable(0.101, "s")
-    ('8 µm', '1.2 mm/s^2', '0.1 s')
+    ('8 µm', '1.2 mm/s^2', '100 ms')
     """
     factor, unit = prefixed([value], text)
     return f"{float(f'{factor * value:.2g}'):g} {unit}"

@@ -151,7 +151,7 @@ class Case:
         return tuple(record for k, record in enumerate(self.records) if k != i)
 
     def noise_floor(self, chosen: Hypothesis) -> float:
-        """Return the r.m.s. of sensor noise and rounding together [m or rad].
+        """Return the r.m.s. of sensor noise, a ripple of the mains and rounding together [m or rad].
 
         Of a model that leaves nothing else, what it leaves; what shakes the axis is not the sensor's. Else what a
         settled axis shows at the end of its steps, but no less than third differences do.
@@ -160,9 +160,9 @@ class Case:
             alpha, _ = observer_gains(
                 chosen.noise.rate, float(np.median(np.diff(self.likelihood.signals[0].time[:64])))
             )
-            return max(chosen.noise.spread * float(np.sqrt(1.0 - alpha)), 1e-300)
+            return max(float(np.hypot(chosen.noise.spread * np.sqrt(1.0 - alpha), self.ripple.rms)), 1e-300)
         resting = [spread for record in self.records for step in record.steps() if (spread := _resting(step)) > 0.0]
-        return max(self.likelihood.floor, float(np.median(resting)) if resting else 0.0)
+        return max(self.likelihood.floor, self.ripple.rms, float(np.median(resting)) if resting else 0.0)
 
     def signals(self) -> tuple[Signals, ...]:
         """Return the training records as they are simulated."""
