@@ -255,7 +255,8 @@ def _healthy(diagnosis: Diagnosis) -> str:
 def _unexplained(diagnosis: Diagnosis) -> str:
     contradiction = [finding for finding in diagnosis.findings if finding.code == "records_contradict"]
     if contradiction:
-        return f"{unit(contradiction[0].message.rstrip('.'))}."
+        told = unit(contradiction[0].message)
+        return told if told.endswith((".", "?")) else f"{told}."
     where = where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
