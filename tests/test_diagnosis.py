@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.reasons import distinctness, twins_of
-from servolens.diagnosis.search import EFFORT
+from servolens.diagnosis.search import EFFORT, search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
@@ -132,14 +133,22 @@ def test_structure_as_large_as_the_noise_is_no_health():
     assert [cause.effect for cause in diagnosis.causes] == ["return_spring"]
 
 
-def test_effort_bounds_what_is_simulated():
-    campaign = lab.hidden_campaign(SEED + 3, foreign="even_gain", visibility=30.0, records=2, heldout=1)
-    assert EFFORT["quick"].work < EFFORT["normal"].work < EFFORT["thorough"].work
-    for effort in ("quick", "normal"):
-        diagnosis = diagnose(campaign.records, heldout=campaign.heldout, effort=effort)
-        assert len(diagnosis.causes) <= EFFORT[effort].causes
+def test_effort_bounds_what_is_simulated(rubbing):
+    campaign, _ = rubbing
+    work = [effort.work for effort in EFFORT.values()]
+    assert (list(EFFORT), work) == (["quick", "normal", "thorough"], sorted(work))
+    case = Case(campaign.records, (), {}, len(catalogue()))
+    begun = case.likelihood.work
+    found = search(case.trials, case.base, replace(EFFORT["quick"], work=0.0))
+    assert (found.ended_early, found.chosen.causes, case.likelihood.work) == (True, (), begun)
+    found = search(case.trials, case.base, EFFORT["quick"])
+    assert found.chosen.causes == ("coulomb_friction",)
+    assert begun < case.likelihood.work < 1.5 * EFFORT["quick"].work  # one pass may begin before it is spent
+
+
+def test_effort_that_does_not_exist_is_refused(rubbing):
     with pytest.raises(InputError, match="effort must be one of quick, normal, thorough; got 'hasty'"):
-        diagnose(campaign.records, effort="hasty")
+        diagnose(rubbing[0].records, effort="hasty")
 
 
 def test_the_same_records_give_the_same_result_and_progress_goes_forward(rubbing):
