@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.diagnosis.errors import KEPT, Gains, residual
-from servolens.diagnosis.logs import beyond
+from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.score import ScoreTest
 from servolens.diagnosis.structure import depends_on_inputs
 from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import Trials
+from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.findings import Finding
     from servolens.identification.integral import Prior
     from servolens.identification.observed import Signals
     from servolens.plant import Plant
@@ -76,6 +79,7 @@ class Case:
             self.base = self.trials.base()
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
+        self._contradiction: tuple[Finding | None] | None = None
 
     def _missed(self, hypothesis: Hypothesis) -> list[NDArray[np.float64]]:
         """Return what `hypothesis` misses of each record, beside white noise: a coloured one would hide a ripple."""
@@ -91,6 +95,36 @@ class Case:
             known = hypothesis, depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
             self._dependent[id(hypothesis)] = known
         return not known[1]
+
+    def contradiction(self) -> Finding | None:
+        """Return a finding if each record by itself is explained, but by gains that no single axis has.
+
+        Explained by gain and damping, or with dry friction beside them: more effects would explain anything.
+        """
+        if self._contradiction is None:
+            self._contradiction = (None,) if len(self.records) < 2 else (self._apart(),)
+        return self._contradiction[0]
+
+    def _apart(self) -> Finding | None:
+        if self.is_enough(self.base):
+            return None
+        rubbing = self.trials.starts(ScoreTest(self.likelihood, self.base), CoulombFriction.name)
+        for plant in (self.base.plant, *(start.plant for start in rubbing[:1])):
+            plants = in_parallel(partial(self._by_itself, plant), self.records)
+            if all(plants):
+                return apart([p for p in plants if p], [record.name for record in self.records])
+        return None
+
+    def _by_itself(self, plant: Plant, record: Record) -> Plant | None:
+        """Return `plant` fitted to one record; None where it does not explain it."""
+        try:
+            likelihood = self.likelihood.on([record])
+            found = likelihood.judged(plant)
+            if found is None or depends_on_inputs(ScoreTest(likelihood, found)):
+                return None
+        except (InputError, NumericalError):
+            return None
+        return found.plant
 
     def gains(self, path: Sequence[Hypothesis]) -> Gains:
         """Return the errors of the hypotheses, as `predict` has them, on training and held-out records."""

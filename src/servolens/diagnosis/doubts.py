@@ -57,7 +57,9 @@ def said(
             f" {100 * remainder.of_travel:.2g} % of the travel."
         )
         told.append(Finding(code="immaterial_remainder", severity="note", message=message))
-    contradiction = _contradiction(case, chosen) if verdict in ("partly_explained", "unexplained") else None
+    contradiction = case.contradiction()
+    if contradiction is None and verdict in ("partly_explained", "unexplained"):
+        contradiction = _contradiction(case, chosen)
     return told if contradiction is None else [*told, contradiction]
 
 

@@ -34,6 +34,8 @@ SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
 """Knots of a force over velocity or voltage, in units of the largest: dense where friction and dead zones act."""
 PLACES = np.linspace(0.0, 1.0, 7)
 """Knots of a force over the travel and over time."""
+LOCAL = 101
+"""Samples over which the noise's local variance is averaged."""
 LAGS = 2
 """Ratio of one lag of an instrument to the one before."""
 
@@ -80,7 +82,9 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     The whitened residual is regressed on instruments, at right angles to what the hypothesis itself explains: what
     forces over velocity, position, voltage, and time would do to it, each along the simulation of the loop from the
     reference, which knows nothing of the noise; and changes of the reference itself over lags from a few samples to
-    half a record. The explained sum of squares is χ², beyond what a structure of the tolerated size adds to it.
+    half a record. The explained sum of squares, by the covariance that noise of the local size has along them (White
+    1980: samples that are early or late err while the axis moves), is χ², beyond what a structure of the tolerated size
+    adds to it.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11).
     """
@@ -91,14 +95,23 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     """Return what forces and what the reference explain of the residual's squares, each with its limit."""
     from scipy.stats import ncx2
 
-    found = []
+    found, variance = [], _local_variance(test.left)
     for columns in (forced(test), _instruments(test)):
         basis = _basis(test, columns)
         if basis.shape[1]:
             along = basis.T @ test.left
+            covariance = basis.T @ (variance[:, None] * basis)
             limit = float(ncx2.isf(0.5 * FALSE_ALARM, basis.shape[1], TOLERATED**2 * test.left.size))
-            found.append((float(along @ along), limit))
+            found.append((float(along @ np.linalg.solve(covariance, along)), limit))
     return found
+
+
+def _local_variance(white: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the variance of whitened noise, 1 or more, from differences: what is smooth in it does not count."""
+    from scipy.ndimage import uniform_filter1d
+
+    squares = 0.5 * np.diff(white, append=white[-1:]) ** 2
+    return np.maximum(uniform_filter1d(squares, LOCAL), 1.0)
 
 
 def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,7 +171,8 @@ def _hats(values: NDArray[np.float64], knots: NDArray[np.float64]) -> list[NDArr
 
 def _instruments(test: ScoreTest) -> NDArray[np.float64]:
     """Return the instruments of all records, whitened, shape (n, k): those of each record are 0 in the others."""
-    blocks = [run.whiten(_of_run(run)) for run in test.runs]
+    found = [(run, _of_run(run)) for run in test.runs]
+    blocks = [run.whiten(columns) if columns.shape[1] else columns for run, columns in found]
     columns = np.zeros((test.residual.size, sum(block.shape[1] for block in blocks)))
     row = column = 0
     for block in blocks:

@@ -109,7 +109,10 @@ def _diagnosed(
         furthest = max(furthest, min(round(90 * share), 90))
         progress(what, furthest, 100)
 
-    found = search(case.trials, case.base, EFFORT[effort], tell)
+    if case.contradiction() is None:
+        found = search(case.trials, case.base, EFFORT[effort], tell)
+    else:  # no effect makes one axis of two
+        found = Search((case.base,), (case.base,), (), ended_early=False)
     progress("measuring the gain", 90, 100)
     path, doubts = _confirmed(found, case)
     gains = case.gains(path)
