@@ -36,12 +36,13 @@ def said(
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
     told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, gains)]
-    if case.ripple:
-        lines = " and ".join(f"{f:g}" for f in case.ripple.frequencies)
-        size = readable(case.ripple.amplitude, case.records[0].length_unit)
+    ripple = case.ripple_beside(chosen)
+    if ripple:
+        lines = " and ".join(f"{f:g}" for f in ripple.frequencies)
         message = (
-            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude {size}; it is counted as noise and taken"
-            " out. Check shielding and grounding."
+            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude"
+            f" {readable(ripple.amplitude, case.records[0].length_unit)}; it counts as noise. Check shielding and"
+            " grounding."
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
