@@ -82,8 +82,8 @@ def _alike(refined: Refinement) -> list[Finding]:
         largest = max((float(refined.correlation[pair]) for pair in pairs), key=abs)
         size = f"{'up to ' if len(pairs) > 1 else ''}{largest:.3f}"
         message = (
-            f"{', '.join(told[:-1])} and {told[-1]} are correlated at {size}: these data hardly tell them apart; fix one,"
-            " give a prior, or log a run that moves them differently."
+            f"{', '.join(told[:-1])} and {told[-1]} are correlated at {size}: these data hardly tell them apart; fix"
+            " one, give a prior, or log a run that moves them differently."
         )
         found.append(Finding(code="strongly_correlated", severity="note", message=message))
     return found
