@@ -34,6 +34,9 @@ __all__ = ["Case"]
 
 RIPPLES = 3
 """Times that a ripple of the mains is looked for: the strongest lines hide others."""
+WANDERS = 50.0
+"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
+constant is 5000 samples. What wanders so far is what the model lacks."""
 RESTING = 0.1
 """Last share of each step over which an axis that has settled shows its noise."""
 
@@ -101,7 +104,9 @@ class Case:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""
         known = self._dependent.get(id(hypothesis))
         if known is None:
-            known = hypothesis, depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
+            noise = hypothesis.noise
+            wanders = noise.rate == 0.0 and noise.spread > WANDERS * noise.innovation
+            known = hypothesis, wanders or depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
             self._dependent[id(hypothesis)] = known
         return not known[1]
 
@@ -159,6 +164,11 @@ class Case:
         if self.heldout:
             return self.likelihood.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+
+    @property
+    def travel(self) -> float:
+        """Largest range of the position [m or rad]."""
+        return max(float(np.ptp(record.position)) for record in self.records)
 
     @property
     def cuts(self) -> list[int]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.structure import Remainder
     from servolens.identification.likelihood import Hypothesis
 
-__all__ = ["said"]
+__all__ = ["said", "strangers"]
 
 FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
@@ -35,7 +35,7 @@ def said(
     case: Case, found: Search, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
-    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, gains)]
+    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *strangers(case, gains)]
     ripple = case.ripple_beside(chosen)
     if ripple:
         lines = " and ".join(f"{f:g}" for f in ripple.frequencies)
@@ -100,7 +100,7 @@ def _unpowered(case: Case) -> Finding:
     return Finding(code="unpowered_before", severity="note", message=message)
 
 
-def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+def strangers(case: Case, gains: Gains) -> Iterator[Finding]:
     """Yield a finding for each held-out record that is much farther off than those that were fitted."""
     fitted = gains.train(-1)
     known = {finding.record for finding in beyond(case.records, case.heldout)}

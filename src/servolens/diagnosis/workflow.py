@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.doubts import said
+from servolens.diagnosis.doubts import said, strangers
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.fitted import fitted
@@ -116,7 +116,7 @@ def _diagnosed(
     progress("measuring the gain", 90, 100)
     path, doubts = _confirmed(found, case)
     gains = case.gains(path)
-    verdict = _verdict(case, path)
+    verdict = _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
@@ -178,16 +178,18 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
     return path, doubts
 
 
-def _verdict(case: Case, path: Sequence[Hypothesis]) -> Verdict:
+def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
+    """Judge what is left in the training records, and whether those held out are of the same axis."""
     chosen = path[-1]
-    if case.is_enough(chosen):
+    alien = any(strangers(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
+    if case.is_enough(chosen) and not alien:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 
 
 def _remainder(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     error, noise = gains.train(-1), gains.noise
-    travel = max(float(np.ptp(record.position)) for record in case.records)
+    travel = case.travel
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
     missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
     missed = missed if np.isfinite(error) else error
