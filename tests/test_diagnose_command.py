@@ -14,9 +14,12 @@ from test_cli import finite, is_quantity, process, refused, result, run
 from servolens import Controller, Plant, Record, lab, simulate
 from servolens.diagnosis.logged import Logged
 from servolens.diagnosis.next_experiment import next_experiment, proposed
+from servolens.diagnosis.result import Errors
 from servolens.effects import ActuatorLag, Backlash, CoulombFriction, DeadZone, Delay, SensorLag
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.model import Model
+from servolens.results import to_text
 from servolens.summaries import diagnosis_summary
 from servolens.summaries.diagnosis import spoken
 
@@ -33,10 +36,20 @@ FIELDS = {
     "baseline",
     "extended",
     "noise_floor",
+    "remainder",
     "where",
     "model",
     "next_experiment",
     "experiments",
+}
+REMAINDER = {
+    "rms",
+    "times_noise",
+    "of_travel",
+    "acceleration_rms",
+    "of_motor",
+    "depends_on_inputs",
+    "material",
 }
 EXPERIMENT = {"kp", "kd", "start", "reference", "back", "duration", "sample_time", "separates", "separation"}
 
@@ -141,8 +154,8 @@ def test_shares_of_the_error_and_candidates_are_told(rubbing):
         low, high = share["range"]
         assert low < high
         assert 0.0 <= share["share_of_error"] <= 1.0 + 1e-9
-    left = [candidate["rms_error"] for candidate in body["candidates"]]
-    assert left == sorted(left)
+    gained = [candidate["likelihood"] for candidate in body["candidates"]]
+    assert gained == sorted(gained, reverse=True)
 
 
 def test_what_was_logged_is_in_the_result(rubbing):
@@ -268,9 +281,11 @@ def test_next_refuses_a_diagnosis_that_lacks_something(doubtful, tmp_path, field
 
 
 def test_a_healthy_axis_is_called_healthy(bench):
-    body = result("diagnosis", "diagnose", bench / "plain40.csv", bench / "plain80.csv")
+    body = result("diagnosis", "diagnose", bench / "plain40.csv", bench / "plain80.csv", "--effort", "quick")
     assert body["verdict"] == "healthy"
     assert body["causes"] == []
+    assert set(body["remainder"]) == REMAINDER
+    assert (body["remainder"]["depends_on_inputs"], body["remainder"]["material"]) == (False, False)
     assert body["next_experiment"] is None
     assert body["model"]["effects"] == []
     assert body["baseline"] == body["extended"]
@@ -330,6 +345,7 @@ def test_a_file_given_as_training_and_as_held_out_is_refused(bench, tmp_path):
         (("RUB", "RUB"), "given twice"),
         (("RUB", "--prior", "level=1,2"), "a prior on 'level' is not possible"),
         (("RUB", "--prior", "gain=1.9"), "NAME=MEAN,SD"),
+        (("RUB", "--effort", "hasty"), "'hasty' is not one of"),
         (("RUB", "--out", "-", "--json", "-"), "cannot both go to standard output"),
         (("RUB", "--out", "RUB"), "would overwrite"),
         (("RUB", "--json", "nowhere/d.json"), "does not exist"),
@@ -557,23 +573,56 @@ def found():
 
 
 def test_each_verdict_has_its_own_honest_sentence(found):
-    partly = replace(found, verdict="partly_explained", remainder=30 * found.noise_floor)
-    lost = replace(found, verdict="unexplained", causes=(), remainder=30 * found.noise_floor)
+    much = replace(
+        found.remainder, rms=1.2e-3, of_travel=0.012, times_noise=60.0, depends_on_inputs=True, material=True
+    )
+    little = replace(much, rms=3e-4, of_travel=0.003, times_noise=15.0, material=False)
+    partly = replace(found, verdict="partly_explained", remainder=much)
+    lost = replace(found, verdict="unexplained", causes=(), remainder=much)
     assert "part of it is explained by Coulomb friction" in diagnosis_summary(partly).sentences[0]
-    assert "30 times the noise" in diagnosis_summary(partly).sentences[1]
-    little = replace(partly, remainder=0.4 * found.noise_floor)
-    assert "little but smooth" in diagnosis_summary(little).sentences[1]
+    told = "What is left is unexplained, and it matters: 1.2 % of the travel, 1.2 mm (r.m.s.) beyond the noise."
+    assert diagnosis_summary(partly).sentences[1].startswith(told)
     assert "nothing in the catalogue explains it" in diagnosis_summary(lost).sentences[0]
     assert "before tuning" in diagnosis_summary(lost).sentences[1]
+    told = "What is left is unexplained, but immaterial: 0.3 % of the travel, 0.3 mm (r.m.s.) beyond the noise."
+    assert diagnosis_summary(replace(lost, remainder=little)).sentences[1].startswith(told)
+    shaken = replace(found, remainder=replace(little, depends_on_inputs=False))
+    assert "0.3 % of the travel" in diagnosis_summary(shaken).sentences[1]
+    assert "does not depend on the reference" in diagnosis_summary(shaken).sentences[1]
     assert diagnosis_summary(lost).tables[1].title.startswith("R.m.s. error")
 
 
 def test_rivals_are_named_where_there_are_any(found):
     (cause,) = found.causes
-    doubted = replace(found, causes=(replace(cause, rivals=("dead_zone", "presliding")),))
-    text = " ".join(diagnosis_summary(doubted).sentences)
-    assert "No safe step like those logged would tell them apart" in text
-    assert "These data cannot tell it from a dead zone or presliding friction." in text
+    doubted = replace(found, causes=(replace(cause, rivals=("dead_zone", "presliding", "delay + backlash")),))
+    for verdict in ("explained", "partly_explained"):
+        text = " ".join(diagnosis_summary(replace(doubted, verdict=verdict)).sentences)
+        assert "No safe step like those logged would separate them" in text
+        rivals = "a dead zone, presliding friction or a delay together with backlash."
+        assert f"These data cannot distinguish it from {rivals}" in text
+
+
+def test_what_the_records_hold_beside_the_motion_is_told_once(found):
+    ripple = Finding(code="mains_ripple", severity="note", message="the sensor shows a ripple of the mains at 50 Hz.")
+    summary = diagnosis_summary(replace(found, findings=(*found.findings, ripple)))
+    assert "The sensor shows a ripple of the mains at 50 Hz." in summary.sentences
+    assert any(re.fullmatch(r"Noise (19|2\d) µm \(r\.m\.s\.\)[^.]*\.", told) for told in summary.sentences)
+    assert not {"noise_model", "mains_ripple"} & {finding.code for finding in summary.findings}
+
+
+def test_errors_that_are_not_finite_are_null_with_a_reason(found):
+    lost = Errors(rms_error=float("inf"), heldout_rms_error=0.001)
+    runaway = replace(found.remainder, rms=float("inf"), times_noise=float("inf"), of_travel=float("inf"))
+    body = json.loads(to_text(replace(found, extended=lost, remainder=runaway).to_json()))
+    assert body["extended"]["rms_error"] is None
+    assert "cannot be simulated" in body["extended"]["reason"]
+    assert body["remainder"]["rms"] is None
+    assert "cannot be simulated" in body["remainder"]["reason"]
+    assert "reason" not in body["baseline"]
+    text = " ".join(diagnosis_summary(replace(found, extended=lost, remainder=runaway)).sentences)
+    assert "What the model leaves has no size" in text
+    assert "nan" not in text
+    assert "inf " not in text
 
 
 def test_every_effect_has_a_name_that_people_say():

@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from servolens import Plant, Prior, lab
-from servolens.diagnosis import diagnose
-from servolens.diagnosis import trials as trials_module
+from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.errors import pooled, residual, rotated
+from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import since_step
-from servolens.diagnosis.remainder import remainder
-from servolens.diagnosis.search import _beam, _Explorer, search
-from servolens.diagnosis.trials import MOST_SUBSTEPS, Hypothesis, Trials
-from servolens.diagnosis.workflow import _stands_out, _twin
+from servolens.diagnosis.reasons import distinctness, twins_of
+from servolens.diagnosis.search import EFFORT, search
+from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
     Cogging,
     CoulombFriction,
     DeadZone,
-    Delay,
     PendulumGravity,
     Presliding,
-    ReturnSpring,
     Saturation,
     SensorLag,
-    StribeckFriction,
+    catalogue,
 )
 from servolens.errors import InputError
 from servolens.model import Quantity
 from servolens.record import Controller, Record
+from servolens.results import to_text
 from servolens.simulation import simulate_voltage
-from servolens.simulation.rates import substeps_for
 from servolens.summaries import diagnosis_summary
 
 SEED = 9000
@@ -53,14 +49,23 @@ SOME = (
 PAIRS = (("coulomb_friction", "delay"), ("return_spring", "quadratic_drag"))
 
 
-def first_named(diagnosis, effect):
-    cause = diagnosis.causes[0]
-    return cause.effect == effect or (cause.effect in TWINS.get(effect, ()) and effect in cause.rivals)
+def trials_of(*records, priors=None):
+    return Trials(records, priors or {}, len(catalogue()))
 
 
-def test_coulomb_friction_is_named_and_measured():
-    campaign = lab.hidden_campaign(SEED, effects=["coulomb_friction"], visibility=30.0)
-    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+def codes(diagnosis):
+    return {finding.code for finding in diagnosis.findings}
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """A campaign whose axis rubs, and its diagnosis."""
+    campaign = lab.hidden_campaign(SEED, effects=["coulomb_friction"], visibility=30.0, records=2, heldout=1)
+    return campaign, diagnose(campaign.records, heldout=campaign.heldout)
+
+
+def test_coulomb_friction_is_named_and_measured(rubbing):
+    campaign, diagnosis = rubbing
     (cause,) = diagnosis.causes
     assert diagnosis.verdict == "explained"
     assert cause.effect == "coulomb_friction"
@@ -70,6 +75,106 @@ def test_coulomb_friction_is_named_and_measured():
     assert abs(found.value - level) < 4.0 * found.stderr
     assert diagnosis.extended.heldout_rms_error < 1.2 * campaign.floor < diagnosis.baseline.heldout_rms_error
     assert cause.heldout == (diagnosis.baseline.heldout_rms_error, diagnosis.extended.heldout_rms_error)
+
+
+def test_remainder_of_what_is_explained_is_immaterial(rubbing):
+    campaign, diagnosis = rubbing
+    rest = diagnosis.remainder
+    assert (rest.depends_on_inputs, rest.material) == (False, False)
+    error = diagnosis.extended.rms_error  # where a noisy loop sticks is chance: more than the noise alone
+    assert rest.times_noise == pytest.approx(error / diagnosis.noise_floor)
+    assert np.hypot(rest.rms, diagnosis.noise_floor) == pytest.approx(error)
+    travel = max(np.ptp(record.position) for record in campaign.records)
+    assert rest.of_travel == pytest.approx(rest.rms / travel)
+    assert rest.acceleration_rms < 0.1 * campaign.truth.effects["coulomb_friction"]["level"]
+
+
+def test_simpler_effect_is_preferred_to_those_that_contain_it(rubbing):
+    _, diagnosis = rubbing
+    single = {candidate.effects[-1]: candidate.likelihood for candidate in diagnosis.candidates}
+    assert {"coulomb_friction", "stribeck_friction", "asymmetric_friction"} <= set(single)
+    assert max(single, key=single.get) == "coulomb_friction"
+
+
+@pytest.mark.parametrize("world", lab.WORLDS)
+def test_friction_is_explained_in_every_world(world):
+    campaign = lab.hidden_campaign(7103, effects=["coulomb_friction"], world=world, records=2, heldout=1)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["coulomb_friction"])
+
+
+@pytest.mark.parametrize("seed", [7101, 7102])
+@pytest.mark.parametrize("world", lab.WORLDS)
+def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
+    campaign = lab.hidden_campaign(seed, world=world, records=2, heldout=1)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict == "healthy"
+    assert diagnosis.causes == ()
+    assert diagnosis.plant.effects == ()
+    assert not diagnosis.remainder.depends_on_inputs
+    assert "noise_model" in codes(diagnosis)
+    assert ("shaken_axis" in codes(diagnosis)) == (world == "shaken")
+    assert ("mains_ripple" in codes(diagnosis)) == (world == "hum")
+    floor = campaign.floor if world != "shaken" else campaign.noise  # what shakes the axis is no noise of its sensor
+    assert diagnosis.noise_floor == pytest.approx(floor, rel=0.2)
+
+
+def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
+    campaign = lab.hidden_campaign(SEED + 3, foreign="even_gain", visibility=30.0, records=2, heldout=1)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.remainder.times_noise > 3.0
+    assert diagnosis.remainder.depends_on_inputs
+    assert diagnosis.verdict in ("partly_explained", "unexplained")
+
+
+def test_knocks_that_know_no_input_are_no_cause_and_told_with_their_size():
+    campaign = lab.hidden_campaign(SEED + 3, foreign="random_knocks", visibility=30.0, records=2, heldout=1)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.causes == ()
+    assert diagnosis.remainder.times_noise > 10.0
+    assert diagnosis.remainder.rms > 10.0 * campaign.floor
+    assert "shaken_axis" in codes(diagnosis)
+
+
+def test_structure_as_large_as_the_noise_is_no_health():
+    campaign = lab.hidden_campaign(SEED + 9, effects=["return_spring"], visibility=1.0, records=2, heldout=1)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict == "explained"
+    assert [cause.effect for cause in diagnosis.causes] == ["return_spring"]
+
+
+def test_effort_bounds_what_is_simulated(rubbing):
+    campaign, _ = rubbing
+    work = [effort.work for effort in EFFORT.values()]
+    assert (list(EFFORT), work) == (["quick", "normal", "thorough"], sorted(work))
+    case = Case(campaign.records, (), {}, len(catalogue()))
+    begun = case.likelihood.work
+    found = search(case.trials, case.base, replace(EFFORT["quick"], work=0.0))
+    assert (found.ended_early, found.chosen.causes, case.likelihood.work) == (True, (), begun)
+    found = search(case.trials, case.base, EFFORT["quick"])
+    assert found.chosen.causes == ("coulomb_friction",)
+    assert begun < case.likelihood.work < 1.5 * EFFORT["quick"].work  # one pass may begin before it is spent
+
+
+def test_effort_that_does_not_exist_is_refused(rubbing):
+    with pytest.raises(InputError, match="effort must be one of quick, normal, thorough; got 'hasty'"):
+        diagnose(rubbing[0].records, effort="hasty")
+
+
+def test_the_same_records_give_the_same_result_and_progress_goes_forward(rubbing):
+    campaign, diagnosis = rubbing
+    told = []
+    again = diagnose(campaign.records, heldout=campaign.heldout, progress=lambda *step: told.append(step))
+    assert to_text(again.to_json()) == to_text(diagnosis.to_json())
+    done = [share for _, share, _ in told]
+    assert done == sorted(done)
+    assert told[-1][1:] == (100, 100)
+    assert {total for *_, total in told} == {100}
+
+
+def first_named(diagnosis, effect):
+    cause = diagnosis.causes[0]
+    return cause.effect == effect or (cause.effect in TWINS.get(effect, ()) and effect in cause.rivals)
 
 
 @pytest.mark.slow
@@ -90,38 +195,18 @@ def test_hidden_pair_is_named(effects):
     assert {cause.effect for cause in diagnosis.causes} == set(effects)
 
 
-@pytest.mark.parametrize("seed", range(SEED, SEED + 8))
-def test_healthy_axis_is_called_healthy(seed):
-    campaign = lab.hidden_campaign(seed)
-    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
-    assert diagnosis.verdict == "healthy"
-    assert diagnosis.causes == ()
-    assert diagnosis.plant.effects == ()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("foreign", ["even_gain", "random_knocks"])
-def test_foreign_law_is_not_explained_by_a_member_of_the_catalogue(foreign):
-    campaign = lab.hidden_campaign(SEED + 3, foreign=foreign)
-    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
-    assert diagnosis.verdict != "explained"
-    assert diagnosis.remainder > 0.0
-    if diagnosis.verdict == "healthy":  # so little that it does not matter, and said so
-        assert diagnosis.causes == ()
-        assert "small_remainder" in {finding.code for finding in diagnosis.findings}
-
-
 @pytest.mark.parametrize(
     "lacking", [{"records": 1, "heldout": 1}, {"log_voltage": False}, {"log_reference": False}], ids=str
 )
 def test_little_is_logged_and_friction_is_named_all_the_same(lacking):
-    campaign = lab.hidden_campaign(SEED + 4, effects=["coulomb_friction"], visibility=40.0, **lacking)
+    few = {"records": 2, "heldout": 1, **lacking}
+    campaign = lab.hidden_campaign(SEED + 4, effects=["coulomb_friction"], visibility=40.0, **few)
     diagnosis = diagnose(campaign.records)
     assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
 
 
 def test_without_held_out_records_each_record_is_left_out_in_turn():
-    campaign = lab.hidden_campaign(SEED + 5, effects=["return_spring"], visibility=30.0)
+    campaign = lab.hidden_campaign(SEED + 5, effects=["return_spring"], visibility=30.0, records=2, heldout=0)
     diagnosis = diagnose(campaign.records)
     heldout = [gain for gain in diagnosis.gains if gain.heldout]
     assert [gain.name for gain in heldout] == [record.name for record in campaign.records]
@@ -152,7 +237,7 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     diagnosis = diagnose(steps_of(axis, [(40, 0), (80, 0), (120, 4)], reference=(0.1, 0.0)))
     (cause,) = diagnosis.causes
     assert cause.effect == "asymmetric_friction"
-    assert {"coulomb_friction", "constant_force"} <= set(cause.rivals)
+    assert "coulomb_friction + constant_force" in cause.rivals
     assert cause.quantities["level_positive"].value == pytest.approx(0.55, rel=0.01)
     assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
 
@@ -175,17 +260,10 @@ def test_held_out_record_that_goes_beyond_the_training_is_called_an_extrapolatio
 
 
 def test_record_beyond_all_others_is_parted_instead_of_left_out():
-    seen = []
-
-    def fit(records):
-        seen.append([len(record) for record in records])
-        return Plant(gain=1.9, damping=6.0)
-
     low, middle, high = steps_of(lab.LM1, [(40, 0), (45, 0), (120, 0)])
-    errors = rotated([low, middle, high], fit)
-    assert [error.size for error in errors[:2]] == [len(low), len(middle)]
-    assert 0 < errors[2].size < len(high)
-    assert seen[2] == [len(low), len(middle), len(high) - errors[2].size]
+    cuts = Case((low, middle, high), (), {}, len(catalogue())).cuts
+    assert cuts[:2] == [0, 0]
+    assert 0 < cuts[2] < len(high)
 
 
 def test_axis_that_does_not_move_is_refused():
@@ -194,57 +272,16 @@ def test_axis_that_does_not_move_is_refused():
         diagnose(record)
 
 
-def test_search_returns_to_the_simpler_effect():
-    campaign = lab.hidden_campaign(SEED + 6, effects=["coulomb_friction"], visibility=30.0)
-    trials = Trials(campaign.records, {})
-    found = search(trials, trials.fitted(trials.start), lambda h: h.error < 1.1 * trials.noise)
-    assert found.chosen.causes == ("coulomb_friction",)
-    assert {h.causes for h in found.tried} >= {("stribeck_friction",), ("asymmetric_friction",)}
-
-
-@pytest.mark.slow
-def test_play_whose_fit_ends_in_a_shallow_fold_needs_no_further_effect():
-    campaign = lab.hidden_campaign(412, effects=["backlash"], records=2, visibility=30.0)
-    trials = Trials(campaign.records, {})
-    shallow = trials.judged(trials.fitted(trials.extended(trials.fitted(trials.start), "backlash").plant))
-    assert shallow.error > 1.2 * trials.noise
-
-    def judged(enough):
-        return _Explorer(trials, enough, lambda _what, _share: None).judged([shallow])[0]
-
-    assert judged(lambda _: True) is shallow
-    deep = judged(lambda h: h.error < 1.05 * trials.noise)
-    assert deep.error < trials.noise
-    assert deep.plant.effect("backlash").gap == pytest.approx(campaign.truth.effects["backlash"]["gap"], rel=1e-3)
-
-
-def test_smooth_remainder_is_seen_below_the_noise():
-    rng = np.random.default_rng(5)
-    noise = rng.normal(size=12_000)
-    wave = 0.4 * np.sqrt(2.0) * np.sin(np.arange(12_000) / 100.0)
-    assert remainder([noise]) == 0.0
-    assert remainder([noise + wave]) == pytest.approx(0.4, rel=0.2)
-
-
-def test_rounding_at_rest_is_no_remainder():
-    rng = np.random.default_rng(6)
-    moving = np.cumsum(rng.uniform(0.0, 2.0, size=6_000))
-    position = np.concatenate([moving, np.full(6_000, moving[-1])])
-    error = np.round(position) - position
-    assert remainder([error]) > 0.1
-    assert remainder([error], rounding=1.0) == 0.0
-
-
-def test_diagnosis_survives_json():
-    import json
-
-    campaign = lab.hidden_campaign(SEED + 7, effects=["constant_force"], visibility=20.0)
-    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
-    data = json.loads(json.dumps(diagnosis.to_json()))
+def test_diagnosis_survives_json(rubbing):
+    _, diagnosis = rubbing
+    data = json.loads(json.dumps(diagnosis.to_json(), allow_nan=False))
     assert data["verdict"] == diagnosis.verdict
-    assert data["causes"][0]["effect"] == "constant_force"
+    assert data["causes"][0]["effect"] == "coulomb_friction"
     assert set(data["causes"][0]["gain"]) == {"train", "heldout", "unit"}
-    assert data["model"]["effects"][0]["effect"] == "constant_force"
+    assert data["model"]["effects"][0]["effect"] == "coulomb_friction"
+    assert set(data["remainder"]) == {
+        "rms", "times_noise", "of_travel", "acceleration_rms", "of_motor", "depends_on_inputs", "material"
+    }  # fmt: skip
     assert isinstance(diagnosis.plant, Plant)
 
 
@@ -261,10 +298,9 @@ def test_reported_error_is_not_tied_to_the_measurement():
     assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.1)
 
 
-def test_single_effects_are_listed_once():
-    campaign = lab.hidden_campaign(SEED + 8, effects=["return_spring"], visibility=30.0)
-    names = [candidate.effects for candidate in diagnose(campaign.records, heldout=campaign.heldout).candidates]
-    assert len(names) == len(set(names)) > 15
+def test_single_effects_are_listed_once(rubbing):
+    names = [candidate.effects for candidate in rubbing[1].candidates]
+    assert len(names) == len(set(names)) >= 3
 
 
 def test_what_swings_nearby_has_another_phase_in_every_record():
@@ -354,17 +390,15 @@ def test_an_axis_that_the_sensors_noise_shakes_before_its_step_is_healthy():
         ]
         diagnosis = diagnose([run.slice(run.time[500], run.time[-1]) for run in runs])
         assert diagnosis.verdict == "healthy"
-        assert diagnosis.remainder < 0.2 * diagnosis.noise_floor
+        assert diagnosis.remainder.times_noise < 1.2
 
 
-def test_records_cut_out_of_a_motion_are_followed_by_their_voltage_alone():
+def test_records_cut_out_of_a_motion_are_followed_from_where_they_begin():
     """Cut where a sine turns round, the axis seems to rest, and does not."""
     time = np.arange(2000) * 1e-3
     swing = 0.1 * np.sin(2.0 * np.pi * time)
     runs = [lab.step_record(lab.LM1, kp, trajectory=swing, duration=1.999, noise=1e-4, seed=kp) for kp in (60, 100)]
-    case = Case.of(tuple(run.slice(0.34, 2.0) for run in runs), (), {})
-    assert case.is_explained(case.base)
-    assert not case.base.tied
+    assert diagnose([run.slice(0.34, 2.0) for run in runs]).verdict == "healthy"
 
 
 def test_late_start_is_no_motion_backward():
@@ -380,13 +414,6 @@ def test_late_start_is_no_motion_backward():
     assert diagnosis.verdict == "explained"
     assert "delay" in (diagnosis.causes[0].effect, *diagnosis.causes[0].rivals)
     assert diagnosis.extended.heldout_rms_error < 1.2 * diagnosis.noise_floor
-
-
-def test_record_that_no_simulation_follows_contradicts_nothing(monkeypatch):
-    records = [lab.step_record(lab.LM1, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
-    case = Case.of(tuple(records), (), {})
-    monkeypatch.setattr(Trials, "judged", lambda _self, hypothesis: replace(hypothesis, residuals=()))
-    assert case.apart(case.base) is None
 
 
 @pytest.mark.slow
@@ -408,10 +435,17 @@ def test_delay_of_records_that_begin_with_their_step_from_rest_is_seen():
 
 def test_wave_of_which_a_part_is_seen_is_no_candidate():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"return_spring": {"stiffness": 20.0}})
-    trials = Trials([lab.step_record(axis, kp=kp, reference=[0.1, 0.02], noise=1e-5, seed=kp) for kp in (40, 80)], {})
-    travel = trials.seen.travel
-    assert trials.fitted(trials.start.with_effect(Cogging(amplitude=1.0, pitch=4.0 * travel, phase=0.0))) is None
-    assert trials.fitted(trials.start.with_effect(Cogging(amplitude=0.01, pitch=0.2 * travel, phase=0.0))) is not None
+    trials = trials_of(*(lab.step_record(axis, kp=kp, reference=[0.1, 0.02], noise=1e-5, seed=kp) for kp in (40, 80)))
+    travel, judged = trials.seen.travel, trials.likelihood.judged
+    assert judged(trials.bare.with_effect(Cogging(amplitude=1.0, pitch=4.0 * travel, phase=0.0))) is None
+    assert judged(trials.bare.with_effect(Cogging(amplitude=0.01, pitch=0.2 * travel, phase=0.0))) is not None
+
+
+def test_plants_too_stiff_to_be_fitted_are_not_tried():
+    trials = trials_of(lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1))
+    soft, stiff = (trials.bare.with_effect(Presliding(stiffness=s, level=1e-4)) for s in (1.0, 1e6))
+    assert trials.likelihood.is_too_stiff(stiff)
+    assert not trials.likelihood.is_too_stiff(soft)
 
 
 def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
@@ -435,73 +469,9 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)
 
 
-def test_disturbance_is_found_behind_a_dead_zone():
-    campaign = lab.hidden_campaign(SEED + 3, effects=["dead_zone", "periodic_disturbance"], visibility=20.0)
-    trials = Trials(campaign.records, {})
-    plant = trials.start.with_effect(DeadZone(width=campaign.truth.effects["dead_zone"]["width"]))
-    beside = trials.fitted(plant)
-    found = trials.extended(beside, "periodic_disturbance")
-    wanted = campaign.truth.effects["periodic_disturbance"]["frequency"]
-    assert found.plant.effect("periodic_disturbance").frequency == pytest.approx(wanted, rel=0.01)
-
-
-def test_starts_too_stiff_to_be_fitted_are_not_simulated(monkeypatch):
-    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
-    tried, error_of = [], trials_module.error_of
-
-    def counted(plant, runs, **how):
-        tried.extend(substeps_for(plant, run.sample_time) for run in runs)
-        return error_of(plant, runs, **how)
-
-    monkeypatch.setattr(trials_module, "error_of", counted)
-    for trials.most_substeps in (MOST_SUBSTEPS, 3):
-        tried.clear()
-        trials.extended(trials.fitted(trials.start), "presliding")
-        assert (max(tried) > 3) == (trials.most_substeps > 3)
-
-
-def test_generalising_step_does_not_upset_what_the_search_is_sure_of(monkeypatch):
-    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
-    noise, plant = trials.noise, trials.start
-    coulomb, stribeck = CoulombFriction(level=0.1), StribeckFriction(level=0.1, static_excess=0.1, stribeck_speed=0.1)
-    both = plant.with_effect(stribeck).with_effect(DeadZone(width=0.1))
-    steps = iter(
-        [
-            Hypothesis(plant.with_effect(coulomb), 60.0 * noise),
-            Hypothesis(plant.with_effect(stribeck), 40.0 * noise),
-            Hypothesis(both, 19.0 * noise),
-        ]
-    )
-    monkeypatch.setattr(
-        "servolens.diagnosis.search._Explorer.explore", lambda *_: [h for h in (next(steps, None),) if h]
-    )
-    monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
-    found = search(trials, Hypothesis(plant, 100.0 * noise), lambda _: False)
-    assert found.chosen.causes == ("stribeck_friction", "dead_zone")
-
-
-@pytest.mark.parametrize(("third", "rounds"), [(9.0, 3), (7.0, 4)])
-def test_fourth_effect_is_looked_for_only_where_the_third_helps(monkeypatch, third, rounds):
-    trials = Trials([lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)], {})
-    effects = (CoulombFriction(level=0.1), DeadZone(width=0.1), Delay(time=1e-3))
-    asked = []
-
-    def explore(_explorer, jobs, _what):
-        asked.append(jobs)
-        if len(asked) > len(effects):
-            return []
-        plant = replace(trials.start, effects=effects[: len(asked)])
-        return [Hypothesis(plant, (50.0, 10.0, third)[len(asked) - 1] * trials.noise)]
-
-    monkeypatch.setattr("servolens.diagnosis.search._Explorer.explore", explore)
-    monkeypatch.setattr("servolens.diagnosis.search._reconsidered", lambda path, *_: (path, (), True))
-    search(trials, Hypothesis(trials.start, 100.0 * trials.noise), lambda _: False)
-    assert len(asked) == rounds
-
-
 @pytest.mark.parametrize("effect", ["flexible_coupling", "speed_servo"])
 def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
-    campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True)
+    campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
     assert diagnosis.verdict == "explained"
     assert [cause.effect for cause in diagnosis.causes] == [effect]
@@ -513,31 +483,16 @@ def test_weight_within_a_small_angle_is_no_candidate_unless_it_stands():
     hangs, stands = PendulumGravity(amplitude=0.5, phase=1.5), PendulumGravity(amplitude=0.5, phase=3.0)
     for weight, travel, is_candidate in ((hangs, 0.05, False), (hangs, 0.8, True), (stands, 0.05, True)):
         records = [lab.step_record(axis, kp=kp, reference=[travel], noise=1e-5, seed=kp) for kp in (40, 80)]
-        assert weight.is_whole(Trials(records, {}).seen) == is_candidate
+        assert weight.is_whole(trials_of(*records).seen) == is_candidate
 
 
 def test_arm_that_stands_upright_is_found_in_a_small_travel():
     arm = lab.Truth(gain=20.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 8.0, "phase": 2.9}})
     runs = [lab.step_record(arm, kp=kp, kd=0.5, reference=[0.06], noise=1e-5, seed=kp) for kp in (10, 16)]
-    trials = Trials(runs, {})
-    found = trials.extended(trials.fitted(trials.start), "pendulum_gravity")
-    assert found.error < 1.1 * trials.noise
-
-
-def test_simplest_of_those_that_come_close_is_extended_too():
-    bare = Plant(gain=2.0, damping=5.0)
-    found = [
-        Hypothesis(bare.with_effect(effect), error)
-        for effect, error in (
-            (Cogging(amplitude=1.0, pitch=0.1, phase=0.0), 2.0),
-            (Presliding(stiffness=100.0, level=1.0), 2.2),
-            (PendulumGravity(amplitude=1.0, phase=0.0), 2.21),
-            (ReturnSpring(stiffness=10.0), 2.3),
-            (DeadZone(width=0.1), 3.9),
-        )
-    ]
-    assert [h.causes for h in _beam(found)] == [("cogging",), ("presliding",), ("return_spring",)]
-    assert [h.causes for h in _beam(found[:3])] == [("cogging",), ("presliding",)]
+    diagnosis = diagnose(runs)
+    assert diagnosis.verdict == "explained"
+    (cause,) = diagnosis.causes
+    assert "pendulum_gravity" in (cause.effect, *cause.rivals)
 
 
 @pytest.mark.parametrize(
@@ -549,10 +504,10 @@ def test_lags_are_twins_as_long_as_all_between_them_is_linear(beside, twins):
     """What bends the command before the lag changes nothing; dry friction after it tells the two apart."""
     plant = Plant(gain=20.0, damping=10.0, effects=(beside, SensorLag(time_constant=0.01)))
     other = Plant(gain=20.0, damping=10.0, effects=(beside, ActuatorLag(time_constant=0.01)))
-    assert (_twin(Hypothesis(plant, 1.0), "sensor_lag") == "actuator_lag") == twins
-    assert (_twin(Hypothesis(other, 1.0), "actuator_lag") == "sensor_lag") == twins
+    assert ("actuator_lag" in twins_of(plant, "sensor_lag")) == twins
+    assert ("sensor_lag" in twins_of(other, "actuator_lag")) == twins
     both = other.with_effect(SensorLag(time_constant=0.002))
-    assert not _twin(Hypothesis(both, 1.0), "actuator_lag")
+    assert "sensor_lag" not in twins_of(both, "actuator_lag")
     time = np.arange(2000) * 1e-3
     voltage = np.where(time < 0.8, 4.0, -3.0)
     one, two = (simulate_voltage(p, time, voltage, before=0.0).measured for p in (plant, other))
@@ -560,12 +515,12 @@ def test_lags_are_twins_as_long_as_all_between_them_is_linear(beside, twins):
 
 
 @pytest.mark.parametrize(
-    ("value", "stderr", "sure"), [(0.6, 0.4, 0.866), (0.6, 0.06, 1.0), (0.6, None, 1.0), (0.0, None, 0.0)]
+    ("value", "stderr", "sure"), [(0.6, 0.4, 0.866), (0.6, 0.06, 1.0), (0.6, None, 0.5), (0.0, None, 0.0)]
 )
 def test_cause_within_its_error_bar_is_not_trusted(value, stderr, sure):
     plant = Plant(gain=20.0, damping=10.0, effects=(CoulombFriction(level=value),))
     level = Quantity(value=value, unit="m/s^2", stderr=stderr)
-    assert _stands_out(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
+    assert distinctness(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
 
 
 def test_time_counts_from_where_the_reference_sets_out():

@@ -93,7 +93,7 @@ def _failure(error: BaseException) -> tuple[int, str]:
         case ServolensError():
             return error.exit_status, " ".join(str(error).split("\n"))
         case KeyboardInterrupt() | click.Abort():
-            return INTERRUPTED, "interrupted; nothing was written half"
+            return INTERRUPTED, "interrupted; no files were written"
         case MemoryError():
             return FAULT, "there is not enough memory for these records; give fewer or shorter ones"
         case OSError() if error.filename is None:

@@ -16,14 +16,16 @@ from typing import TYPE_CHECKING, Any, final
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
-__all__ = ["Unit", "parse_unit", "split_number"]
+__all__ = ["Unit", "parse_unit", "prefixed", "readable", "split_number"]
 
 Dimension = tuple[tuple[str, float], ...]
 
 LONGEST = 40
 """Longest text that is looked at as a unit."""
+PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
+"""Units of which people write thousandths with a prefix."""
 _VOLT = {"kg": 1, "m": 2, "s": -3, "A": -1}
 _NEWTON = {"kg": 1, "m": 1, "s": -2}
 _TORQUE = {"kg": 1, "m": 2, "s": -2}
@@ -129,6 +131,35 @@ def split_number(text: str) -> tuple[float, str]:
     if rest[:1] + rest[-1:] in ("[]", "()") and "(" not in rest[1:]:
         rest = rest[1:-1].strip()
     return value, rest
+
+
+def prefixed(values: Iterable[float], text: str) -> tuple[float, str]:
+    """Return factor and unit in which the largest of `values` is at least about 1, down to billionths.
+
+    Examples
+    --------
+    >>> prefixed([0.004], "s"), prefixed([0.3], "m/s"), prefixed([0.004], "V")
+    ((1000.0, 'ms'), (1.0, 'm/s'), (1.0, 'V'))
+    """
+    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    if text not in PREFIXED or largest == 0:
+        return 1.0, text
+    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n")):
+        if largest * factor >= (0.1 if factor == 1.0 and text not in ("m", "rad", "s") else 0.5):
+            return factor, prefix + text
+    return 1e9, f"n{text}"
+
+
+def readable(value: float, text: str) -> str:
+    """Return `value` of unit `text` with two digits, and with the prefix that suits its size.
+
+    Examples
+    --------
+    >>> readable(8.04e-6, "m"), readable(0.00123, "m/s^2"), readable(0.101, "s")
+    ('8 µm', '1.2 mm/s^2', '100 ms')
+    """
+    factor, unit = prefixed([value], text)
+    return f"{float(f'{factor * value:.2g}'):g} {unit}"
 
 
 @cache

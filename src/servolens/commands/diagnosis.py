@@ -21,6 +21,7 @@ from servolens.commands.options import (
     Documented,
     Paths,
     Recordings,
+    effort_option,
     finite,
     force_option,
     json_option,
@@ -57,6 +58,7 @@ __all__ = ["diagnose", "next_"]
     metavar="NAME=MEAN,SD",
     help="Data-sheet knowledge: gain=45,2. May be repeated.",
 )
+@effort_option
 @click.option("--out", metavar="FILE", help="Write the extended model.")
 @click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
 @force_option
@@ -65,6 +67,7 @@ def diagnose(
     recordings: Recordings,
     heldout: tuple[str, ...],
     priors: tuple[tuple[str, float, float], ...],
+    effort: str,
     out: str | None,
     report: str | None,
     force: bool,
@@ -91,7 +94,7 @@ def diagnose(
         others = load_records(replace(recordings, paths=heldout), outputs, progress) if heldout else ()
         _check_apart(records, others)
         with about(*recordings.paths, *heldout):
-            result = find(records, heldout=others, priors=known, progress=progress)
+            result = find(records, heldout=others, priors=known, effort=effort, progress=progress)
     refused = refusal(result.findings, force=force)
     findings = (*refused, *result.findings)
     if out and not refused:
@@ -124,7 +127,7 @@ def diagnose(
 def next_(file: str, kp: float | None, reference: float | None, json_file: str | None) -> int:
     """Propose the experiment that best tells rivals apart.
 
-    Reads what `servolens diagnose --json` wrote; a model alone names no rivals, and is told from itself without its
+    Reads what `servolens diagnose --json` wrote; a model alone names no rivals, and is compared with itself without its
     least certain effect, with gains and steps as --kp and --reference say: it does not know those that were logged.
     Exit status 1 if there is nothing to tell apart.
     """

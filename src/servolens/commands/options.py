@@ -19,6 +19,7 @@ __all__ = [
     "Paths",
     "Recordings",
     "SpecOptions",
+    "effort_option",
     "finite",
     "force_option",
     "json_option",
@@ -218,6 +219,14 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
+)
+
+effort_option = click.option(
+    "--effort",
+    type=click.Choice(["quick", "normal", "thorough"]),
+    default="normal",
+    show_default=True,
+    help="How far the search for causes goes.",
 )
 
 force_option = click.option(

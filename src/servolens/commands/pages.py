@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING
 import click
 
 from servolens.commands.files import about, check_outputs, load_records, writing
-from servolens.commands.options import Documented, Recordings, SpecOptions, json_option, recordings, specification
+from servolens.commands.options import (
+    Documented,
+    Recordings,
+    SpecOptions,
+    effort_option,
+    json_option,
+    recordings,
+    specification,
+)
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError
 from servolens.findings import Finding
@@ -50,9 +58,10 @@ def demo(out: str, json_file: str | None) -> int:
 @click.command(cls=Documented, epilog="servolens report kp60.csv --kp 100 --settling-time 0.5 --out report.html")
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
 @specification(required=False)
+@effort_option
 @click.option("--out", required=True, metavar="FILE.html", help="The page to write.")
 @json_option
-def report(recordings: Recordings, spec: SpecOptions, out: str, json_file: str | None) -> int:
+def report(recordings: Recordings, spec: SpecOptions, effort: str, out: str, json_file: str | None) -> int:
     """Write everything about the records into one self-contained page.
 
     Quality, models, prediction errors and, with --kp and --settling-time, the comparison of gains. Without
@@ -66,10 +75,10 @@ def report(recordings: Recordings, spec: SpecOptions, out: str, json_file: str |
     with progress_bar() as progress:
         records = load_records(recordings, outputs, progress)
         with about(*recordings.paths), writing(Path(out)):
-            body = write_report(Path(out), records, spec=wanted, progress=progress)
+            body = write_report(Path(out), records, spec=wanted, effort=effort, progress=progress)
     if json_file:
         write_json(json_file, "report", body, [Finding(**finding) for finding in body["findings"]])
-    click.echo(f"{out}: the report", err=json_file == STANDARD_OUTPUT)
+    click.echo(f"Wrote {out}", err=json_file == STANDARD_OUTPUT)
     return 0
 
 

@@ -82,13 +82,13 @@ def _doubts(demo: Demo) -> Section:
     blocks: list[Block] = [
         f"The cart never moves faster than {number(fastest, 3)} m/s: damping beyond that speed is extrapolated.",
         "Every step goes from 0 to the same place: what differs along the rail or between directions cannot be seen.",
-        "The voltage never reaches a limit that is logged, so nothing is known of the amplifier's.",
+        "The voltage never reached a limit, so the amplifier's limit is unknown.",
     ]
     if demo.findings:
         blocks.append(Findings(findings=demo.findings))
     else:
         blocks.append("The checks of the identification found nothing to warn of.")
-    return Section(key="doubts", title="What the data cannot tell", blocks=tuple(blocks))
+    return Section(key="doubts", title="What the data leave open", blocks=tuple(blocks))
 
 
 def _fit(demo: Demo) -> Section:

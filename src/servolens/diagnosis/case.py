@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.diagnosis.errors import KEPT, Gains, residual
-from servolens.diagnosis.logs import beyond
+from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.score import ScoreTest
 from servolens.diagnosis.structure import depends_on_inputs
 from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import Trials
+from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
@@ -23,6 +25,7 @@ from servolens.identification.segments import noise_level
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from servolens.findings import Finding
     from servolens.identification.integral import Prior
     from servolens.identification.observed import Signals
     from servolens.plant import Plant
@@ -32,6 +35,9 @@ __all__ = ["Case"]
 
 RIPPLES = 3
 """Times that a ripple of the mains is looked for: the strongest lines hide others."""
+WANDERS = 50.0
+"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
+constant is 5000 samples. What wanders so far is what the model lacks."""
 RESTING = 0.1
 """Last share of each step over which an axis that has settled shows its noise."""
 
@@ -81,6 +87,7 @@ class Case:
             self.base = self.trials.base()
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
+        self._contradiction: tuple[Finding | None] | None = None
 
     def simulating(self) -> Case:
         """Return the case by simulations in closed loop, for models that are known not to be the axis.
@@ -105,7 +112,9 @@ class Case:
         return self.ripple.with_more(found) if found else self.ripple
 
     def _ripple(self, hypothesis: Hypothesis) -> Ripple:
-        test = ScoreTest(self.likelihood, hypothesis)
+        """Look for a ripple beside white noise: as coloured noise the whitening would hide it."""
+        white = replace(self.likelihood.white, rate=hypothesis.noise.rate)
+        test = ScoreTest(self.likelihood, replace(hypothesis, noise=white))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_ripple(test.runs, np.split(test.left, ends))
 
@@ -115,9 +124,41 @@ class Case:
             return False
         known = self._dependent.get(id(hypothesis))
         if known is None:
-            known = hypothesis, depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
+            noise = hypothesis.noise
+            wanders = noise.rate == 0.0 and noise.spread > WANDERS * noise.innovation
+            known = hypothesis, wanders or depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
             self._dependent[id(hypothesis)] = known
         return not known[1]
+
+    def contradiction(self) -> Finding | None:
+        """Return a finding if each record by itself is explained, but by gains that no single axis has.
+
+        Explained by gain and damping, or with dry friction beside them: more effects would explain anything.
+        """
+        if self._contradiction is None:
+            self._contradiction = (None,) if len(self.records) < 2 else (self._apart(),)
+        return self._contradiction[0]
+
+    def _apart(self) -> Finding | None:
+        if self.is_enough(self.base):
+            return None
+        rubbing = self.trials.starts(ScoreTest(self.likelihood, self.base), CoulombFriction.name)
+        for plant in (self.base.plant, *(start.plant for start in rubbing[:1])):
+            plants = in_parallel(partial(self._by_itself, plant), self.records)
+            if all(plants):
+                return apart([p for p in plants if p], [record.name for record in self.records])
+        return None
+
+    def _by_itself(self, plant: Plant, record: Record) -> Plant | None:
+        """Return `plant` fitted to one record; None where it does not explain it."""
+        try:
+            likelihood = self.likelihood.on([record])
+            found = likelihood.judged(plant)
+            if found is None or depends_on_inputs(ScoreTest(likelihood, found)):
+                return None
+        except (InputError, NumericalError):
+            return None
+        return found.plant
 
     def gains(self, path: Sequence[Hypothesis]) -> Gains:
         """Return the errors of the hypotheses, as `predict` has them, on training and held-out records."""
@@ -143,6 +184,11 @@ class Case:
         if self.heldout:
             return self.likelihood.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+
+    @property
+    def travel(self) -> float:
+        """Largest range of the position [m or rad]."""
+        return max(float(np.ptp(record.position)) for record in self.records)
 
     @property
     def cuts(self) -> list[int]:
@@ -178,7 +224,7 @@ class Case:
         return tuple(record for k, record in enumerate(self.records) if k != i)
 
     def noise_floor(self, chosen: Hypothesis) -> float:
-        """Return the r.m.s. of sensor noise and rounding together [m or rad].
+        """Return the r.m.s. of sensor noise, a ripple of the mains and rounding together [m or rad].
 
         Of a model that leaves nothing else, what it leaves; what shakes the axis is not the sensor's. Else what a
         settled axis shows at the end of its steps, but no less than third differences do.
@@ -187,9 +233,9 @@ class Case:
             alpha, _ = observer_gains(
                 chosen.noise.rate, float(np.median(np.diff(self.likelihood.signals[0].time[:64])))
             )
-            return max(chosen.noise.spread * float(np.sqrt(1.0 - alpha)), 1e-300)
+            return max(float(np.hypot(chosen.noise.spread * np.sqrt(1.0 - alpha), self.ripple.rms)), 1e-300)
         resting = [spread for record in self.records for step in record.steps() if (spread := _resting(step)) > 0.0]
-        return max(self.likelihood.floor, float(np.median(resting)) if resting else 0.0)
+        return max(self.likelihood.floor, self.ripple.rms, float(np.median(resting)) if resting else 0.0)
 
     def signals(self) -> tuple[Signals, ...]:
         """Return the training records as they are simulated."""

@@ -1,4 +1,4 @@
-"""What a verdict alone does not say: the noise, what shakes the axis, records that contradict each other or the rest."""
+"""What a verdict alone does not say: the noise, what shakes the axis, records that contradict each other."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME, begins_with_its_step
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.structure import Remainder
     from servolens.identification.likelihood import Hypothesis
 
-__all__ = ["said"]
+__all__ = ["said", "strangers"]
 
 FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
@@ -34,13 +35,14 @@ def said(
     case: Case, found: Search, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
-    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, gains)]
+    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *strangers(case, gains)]
     ripple = case.ripple_beside(chosen)
     if ripple:
-        lines = ", ".join(f"{f:g}" for f in ripple.frequencies)
+        lines = " and ".join(f"{f:g}" for f in ripple.frequencies)
         message = (
-            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude {ripple.amplitude:.2g}"
-            f" {case.records[0].length_unit}; it counts as noise. Check shielding and grounding."
+            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude"
+            f" {readable(ripple.amplitude, case.records[0].length_unit)}; it counts as noise. Check shielding and"
+            " grounding."
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
@@ -52,10 +54,13 @@ def said(
         told.append(Finding(code="effort_spent", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained") and not remainder.material:
         message = (
-            f"what is left depends on the inputs, but is immaterial: {100 * remainder.of_travel:.2g} % of the travel."
+            "what is left depends on the inputs and has no known cause, but is immaterial:"
+            f" {100 * remainder.of_travel:.2g} % of the travel."
         )
         told.append(Finding(code="immaterial_remainder", severity="note", message=message))
-    contradiction = _contradiction(case, chosen) if verdict in ("partly_explained", "unexplained") else None
+    contradiction = case.contradiction()
+    if contradiction is None and verdict in ("partly_explained", "unexplained"):
+        contradiction = _contradiction(case, chosen)
     return told if contradiction is None else [*told, contradiction]
 
 
@@ -63,22 +68,23 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     """Describe the noise model in a sentence."""
     noise, unit = chosen.noise, case.records[0].length_unit
     sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
-    parts = [f"noise {gains.noise:.2g} {unit} (r.m.s.)"]
+    told = f"noise {readable(gains.noise, unit)} (r.m.s.)"
     memory = noise.memory()
     if noise.rate == 0.0 and memory > 2.0:
         slow = float(np.sqrt(max(noise.spread**2 - noise.innovation**2, 0.0)))
-        parts.append(f"of which {slow:.2g} {unit} change slowly (over {memory * sample:.2g} s)")
+        told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
     if noise.share > 0.5:
-        parts.append(f"the encoder's rounding of {noise.rounding:.2g} {unit} dominates")
-    return Finding(code="noise_model", severity="note", message=f"{', '.join(parts)}.")
+        told += f"; the encoder's rounding to {readable(noise.rounding, unit)} dominates"
+    return Finding(code="noise_model", severity="note", message=f"{told}.")
 
 
 def _shaken(case: Case, remainder: Remainder) -> Finding:
     message = (
-        f"something shakes the axis irregularly, by about {remainder.acceleration_rms:.2g}"
-        f" {case.records[0].length_unit}/s^2 (r.m.s.), {100 * remainder.of_motor:.2g} % of what the motor gives at most."
-        " It does not depend on the reference: it is no cause of the catalogue, and no gain designed from a model"
-        " removes it. Look for vibration, cables or a machine nearby."
+        "something shakes the axis irregularly, by about"
+        f" {readable(remainder.acceleration_rms, f'{case.records[0].length_unit}/s^2')} (r.m.s.),"
+        f" {100 * remainder.of_motor:.2g} % of what the motor gives at most. It does not depend on the reference: it is"
+        " no cause of the catalogue, and no gain designed from a model removes it. Look for vibration, cables or a"
+        " machine nearby."
     )
     return Finding(code="shaken_axis", severity="note", message=message)
 
@@ -94,7 +100,7 @@ def _unpowered(case: Case) -> Finding:
     return Finding(code="unpowered_before", severity="note", message=message)
 
 
-def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+def strangers(case: Case, gains: Gains) -> Iterator[Finding]:
     """Yield a finding for each held-out record that is much farther off than those that were fitted."""
     fitted = gains.train(-1)
     known = {finding.record for finding in beyond(case.records, case.heldout)}
@@ -102,8 +108,8 @@ def _strangers(case: Case, gains: Gains) -> Iterator[Finding]:
         size = pooled([error])
         if record.name not in known and size > FARTHER * max(fitted, gains.noise):
             message = (
-                f"held out, the simulation misses it by {size:.2g} {record.length_unit} (r.m.s.), the records that were"
-                f" fitted by {fitted:.2g}; is it of the same axis, load and units?"
+                f"held out, the simulation misses it by {readable(size, record.length_unit)} (r.m.s.), the records that"
+                f" were fitted by {readable(fitted, record.length_unit)}; is it of the same axis, load and units?"
             )
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
 

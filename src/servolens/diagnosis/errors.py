@@ -7,27 +7,26 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.logs import beyond
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.errors import InputError, NumericalError
 from servolens.prediction import prediction_residual
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["KEPT", "Gains", "pooled", "residual", "rotated"]
+__all__ = ["KEPT", "Gains", "pooled", "residual"]
 
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
 
 
 def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return simulated minus measured position as `predict` has it [m or rad]; infinite where it cannot be simulated."""
+    """Return simulated minus measured position as `predict` has it [m or rad]; infinite where it has none."""
     try:
         return prediction_residual(plant, record)
     except (InputError, NumericalError):
@@ -39,22 +38,6 @@ def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
     if not all(np.isfinite(r).all() for r in residuals):
         return float("inf")
     return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
-
-
-def rotated(records: Sequence[Record], fit: Callable[[Sequence[Record]], Plant]) -> list[NDArray[np.float64]]:
-    """Return each record's residual by the plant that `fit` finds without it.
-
-    A record that goes far beyond all others, as a single one does, is parted: its beginning is fitted too, the residual
-    is that of its end. Without it nothing could be known of what shows in it alone.
-    """
-    found = []
-    for i, record in enumerate(records):
-        others, cut = [other for k, other in enumerate(records) if k != i], 0
-        if not others or beyond(others, [record]):
-            cut = max(int(KEPT * len(record)), 2)
-            others.append(record.slice(float(record.time[0]), float(record.time[cut - 1])))
-        found.append(residual(fit(others), record)[cut:])
-    return found
 
 
 @final

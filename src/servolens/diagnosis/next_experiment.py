@@ -165,7 +165,7 @@ def proposed(
     named = {cause: plant}
     for rival in rivals[cause][:MOST_RIVALS]:
         others = [effect.name for effect in rival.effects if effect.name not in known]
-        named.setdefault(" and ".join(others) or f"without {cause}", rival)
+        named.setdefault(" + ".join(others) or f"without {cause}", rival)
     return next_experiment(named, logged, noise=noise)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Hypothesis
     from servolens.model import Quantity
 
-__all__ = ["causes_of", "rival_plants"]
+__all__ = ["causes_of", "distinctness", "rival_plants", "twins_of"]
 
 MOST_CONFIDENT = 0.999
 OF_A_PART = 0.5
@@ -36,8 +36,8 @@ def causes_of(
     """Return the causes in the order of the path, each with what it gained."""
     chosen, causes = path[-1], []
     for name in _in_order(path):
-        quantities, twins = _own(fit, name), _twins(chosen, name)
-        sure = _posterior(found, chosen, name) * _stands_out(chosen.plant, name, quantities)
+        quantities, twins = _own(fit, name), twins_of(chosen.plant, name)
+        sure = _posterior(found, chosen, name) * distinctness(chosen.plant, name, quantities)
         sure /= 1.0 + sum(twin not in (n for h in found.rivals_of(name) for n in h.causes) for twin in twins)
         sure *= 1.0 if verdict == "explained" else OF_A_PART
         at = next(i for i, h in enumerate(path) if name in h.causes and all(name in g.causes for g in path[i:]))
@@ -90,20 +90,20 @@ def _rivals(found: Search, chosen: Hypothesis, cause: str, twins: Sequence[str])
     return tuple(dict.fromkeys([*told, *twins]))
 
 
-def _twins(chosen: Hypothesis, cause: str) -> list[str]:
+def twins_of(plant: Plant, cause: str) -> list[str]:
     """Return what does the same elsewhere in the loop, where all that lies between is linear, or in structure."""
-    effect = chosen.plant.effect(cause)
+    effect, causes = plant.effect(cause), [effect.name for effect in plant.effects]
     if effect is None:
         return []
-    same = [name for name in getattr(effect, "same_structure", ()) if name not in chosen.causes]
-    if not effect.twin or effect.twin in chosen.causes:
+    same = [name for name in getattr(effect, "same_structure", ()) if name not in causes]
+    if not effect.twin or effect.twin in causes:
         return same
     places = [cls.stage for name in (cause, effect.twin) if issubclass(cls := catalogue()[name], Actuator)]
-    between = [e for e in chosen.plant.effects if not (isinstance(e, Actuator) and e.stage < min(places, default=0))]
+    between = [e for e in plant.effects if not (isinstance(e, Actuator) and e.stage < min(places, default=0))]
     return [effect.twin, *same] if all(e.linear for e in between) else same
 
 
-def _stands_out(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
+def distinctness(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
     """Return with what confidence the cause's size differs from nothing by its error bar; a half where it has none."""
     effect = plant.effect(cause)
     sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, final
 
+from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
 
@@ -39,9 +40,9 @@ class Errors:
     rms_error: float
     heldout_rms_error: float | None
 
-    def to_json(self) -> dict[str, float | None]:
-        """Return the fields."""
-        return {"rms_error": self.rms_error, "heldout_rms_error": self.heldout_rms_error}
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields; null with a reason for what is not finite."""
+        return finite({"rms_error": self.rms_error, "heldout_rms_error": self.heldout_rms_error})
 
 
 @final
@@ -126,11 +127,13 @@ class Cause:
             "parameters": {name: quantity.to_json() for name, quantity in self.quantities.items()},
             "confidence": self.confidence,
             "rivals": list(self.rivals),
-            "gain": {
-                "train": list(self.train),
-                "heldout": None if self.heldout is None else list(self.heldout),
-                "unit": unit,
-            },
+            "gain": finite(
+                {
+                    "train": list(self.train),
+                    "heldout": None if self.heldout is None else list(self.heldout),
+                    "unit": unit,
+                }
+            ),
             "sentence": self.kind.sentence,
             "looks_like": self.kind.looks_like,
             "remedy": self.kind.remedy,
@@ -213,7 +216,7 @@ class Diagnosis:
             "where": [share.to_json() for share in self.where],
             "instruments": [instrument.to_json() for instrument in self.instruments],
             "records": [
-                {"name": g.name, "heldout": g.heldout, "before": g.before, "after": g.after, "noise": g.noise}
+                finite({"name": g.name, "heldout": g.heldout, "before": g.before, "after": g.after, "noise": g.noise})
                 for g in self.gains
             ],
             "candidates": [

@@ -76,7 +76,7 @@ class ScoreTest:
         return np.asarray(once - self._own @ (self._own.T @ once))
 
     def gain(self, plant: Plant) -> float:
-        """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it cannot be simulated.
+        """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it has no simulation.
 
         Or what `plant` gains as it is, where that is more: an effect as large as friction that holds the axis for
         seconds is far from what a first order tells.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.trials import FALSE_ALARM
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import ServolensError
@@ -31,7 +32,7 @@ TOLERATED = 0.05
 TESTS = 3
 """Among which the familywise error rate is shared: forces, changes of the reference, and rest against motion."""
 BLOCKS, FEWEST_BLOCKS = (8, 32), 20
-"""Samples of a block: a few, and as many as the slowest motion that a loop of 5 Hz corrects; blocks that an F test needs."""
+"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
 SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
 SMALL = 1e-3
@@ -76,8 +77,8 @@ class Remainder:
     material: bool
 
     def to_json(self) -> dict[str, Any]:
-        """Return the fields."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        """Return the fields; null with a reason for what is not finite."""
+        return finite({name: getattr(self, name) for name in self.__slots__})
 
 
 def depends_on_inputs(test: ScoreTest) -> bool:
@@ -220,7 +221,8 @@ def _hats(values: NDArray[np.float64], knots: NDArray[np.float64]) -> list[NDArr
 
 def _instruments(test: ScoreTest) -> NDArray[np.float64]:
     """Return the instruments of all records, whitened, shape (n, k): those of each record are 0 in the others."""
-    blocks = [run.whiten(_of_run(run)) for run in test.runs]
+    found = [(run, _of_run(run)) for run in test.runs]
+    blocks = [run.whiten(columns) if columns.shape[1] else columns for run, columns in found]
     columns = np.zeros((test.residual.size, sum(block.shape[1] for block in blocks)))
     row = column = 0
     for block in blocks:

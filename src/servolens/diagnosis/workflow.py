@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.doubts import said
+from servolens.diagnosis.doubts import said, strangers
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.fitted import fitted
@@ -103,16 +103,24 @@ def diagnose(
 def _diagnosed(
     case: Case, effort: str, findings: Sequence[Finding], progress: Callable[[str, int, int], None]
 ) -> Diagnosis:
-    def tell(what: str, share: float) -> None:
-        progress(what, round(90 * share), 100)
+    furthest = 0
 
-    found = search(case.trials, case.base, EFFORT[effort], tell)
+    def tell(what: str, share: float) -> None:
+        nonlocal furthest  # fits that run side by side report out of turn
+        furthest = max(furthest, min(round(90 * share), 90))
+        progress(what, furthest, 100)
+
+    is_one = case.contradiction() is None
+    if is_one:
+        found = search(case.trials, case.base, EFFORT[effort], tell)
+    else:  # no effect makes one axis of two
+        found = Search((case.base,), (case.base,), (), ended_early=False)
     path, doubts = _confirmed(found, case)
-    if not case.is_enough(path[-1]):
+    if is_one and not case.is_enough(path[-1]):
         case, found, path, doubts = _simulated(case, found, path, doubts, EFFORT[effort])
     progress("measuring the gain", 90, 100)
     gains = case.gains(path)
-    verdict = _verdict(case, path)
+    verdict = _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
@@ -196,18 +204,21 @@ def _simulated(
     return simulating, other, steps, more
 
 
-def _verdict(case: Case, path: Sequence[Hypothesis]) -> Verdict:
+def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
+    """Judge what is left in the training records, and whether those held out are of the same axis."""
     chosen = path[-1]
-    if case.is_enough(chosen):
+    alien = any(strangers(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
+    if case.is_enough(chosen) and not alien:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 
 
 def _remainder(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     error, noise = gains.train(-1), gains.noise
-    travel = max(float(np.ptp(record.position)) for record in case.records)
+    travel = case.travel
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
     missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
+    missed = missed if np.isfinite(error) else error
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
     return Remainder(
         rms=rms,

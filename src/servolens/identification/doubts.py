@@ -69,18 +69,23 @@ def _vague(refined: Refinement) -> list[Finding]:
 
 
 def _alike(refined: Refinement) -> list[Finding]:
-    """Name the pairs of parameters that the data cannot tell apart."""
+    """Name the parameters that the data cannot tell apart: those of one effect, or of two, in one sentence."""
     names = list(refined.plant.parameters)
-    found = []
+    groups: dict[frozenset[str], list[tuple[int, int]]] = {}
     for i in range(len(names)):
         for k in range(i):
-            rho = refined.correlation[i, k]
-            if abs(rho) > ALIKE:
-                message = (
-                    f"{names[k]} and {names[i]} are correlated at {rho:.3f}: these data hardly tell them apart; "
-                    "fix one, give a prior, or log a run that moves them differently."
-                )
-                found.append(Finding(code="strongly_correlated", severity="note", message=message))
+            if abs(refined.correlation[i, k]) > ALIKE:
+                groups.setdefault(frozenset(names[n].rpartition(".")[0] for n in (i, k)), []).append((k, i))
+    found = []
+    for pairs in groups.values():
+        told = [names[n] for n in sorted({n for pair in pairs for n in pair})]
+        largest = max((float(refined.correlation[pair]) for pair in pairs), key=abs)
+        size = f"{'up to ' if len(pairs) > 1 else ''}{largest:.3f}"
+        message = (
+            f"{', '.join(told[:-1])} and {told[-1]} are correlated at {size}: these data hardly tell them apart; fix"
+            " one, give a prior, or log a run that moves them differently."
+        )
+        found.append(Finding(code="strongly_correlated", severity="note", message=message))
     return found
 
 

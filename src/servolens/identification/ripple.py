@@ -53,6 +53,11 @@ class Ripple:
     def __bool__(self) -> bool:
         return bool(self.frequencies)
 
+    @property
+    def rms(self) -> float:
+        """Root mean square over all records [m or rad]."""
+        return float(np.sqrt(np.mean(np.concatenate(self.waves) ** 2)))
+
 
 def mains_ripple(runs: Sequence[ObservedRun], white: Sequence[NDArray[np.float64]]) -> Ripple:
     """Return the ripple that the whitened residuals show beyond chance.
@@ -89,7 +94,7 @@ def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) ->
         2.0 * abs(np.vdot(np.exp(2j * np.pi * f * time), window * residual)) ** 2 / residual.size
         for f in (frequency, *around)
     ]
-    return sizes[0] / max(float(np.mean(sizes[1:])) / 2.0, 1.0)
+    return float(sizes[0]) / max(float(np.mean(sizes[1:])) / 2.0, 1.0)
 
 
 def _fitted(

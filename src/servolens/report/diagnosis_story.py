@@ -20,9 +20,10 @@ from servolens.report.page import write_page
 from servolens.report.wording import shown, symbol_text
 from servolens.summaries.diagnosis import (
     advice,
-    grouped,
+    doubts,
     log_doubts,
     next_sentences,
+    noise_sentences,
     remaining_sentences,
     verdict_sentence,
     why_enough,
@@ -73,13 +74,14 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
         Section(key="gain", title="Record by record", blocks=_gain(diagnosis)),
         Section(key="doubts", title="Doubts", blocks=_doubts(diagnosis)),
     ]
-    more = [*_log(diagnosis), *remaining_sentences(diagnosis), _tested(diagnosis)]
+    more = [*_log(diagnosis), *remaining_sentences(diagnosis), *noise_sentences(diagnosis), _tested(diagnosis)]
     write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
 
 
 def diagnosis_section(diagnosis: Diagnosis) -> Section:
     """Return the report's section: the sentence first, then the pictures, then what follows from it."""
     first = [verdict_sentence(diagnosis), *_log(diagnosis), *remaining_sentences(diagnosis)]
+    first += noise_sentences(diagnosis)
     return Section(key="wrong", title=WRONG, blocks=(*first, *_wrong(diagnosis), *_why(diagnosis), *_gain(diagnosis)))
 
 
@@ -153,6 +155,5 @@ def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
 
 
 def _doubts(diagnosis: Diagnosis) -> tuple[Block, ...]:
-    if not diagnosis.findings:
-        return ("Neither the records nor the fits gave cause for doubt.",)
-    return (Findings(findings=grouped(diagnosis.findings)),)
+    found = doubts(diagnosis)
+    return (Findings(findings=found),) if found else ("Neither the records nor the fits gave cause for doubt.",)

@@ -153,8 +153,8 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         name = " and ".join(spoken(cause.effect) for cause in diagnosis.causes)
         law = curve(f"the model with {name}", factor * law.x, law.y, "velocity")
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
-    chance = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
-    title = f"correlation {correlation(instrument)}, by chance less than once in {_times(float(chance))}"
+    level = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
+    title = f"correlation r = {correlation(instrument)}, p < {level}"
     figure = new_figure(3.2)
     plot_pieces(
         factor * x,
@@ -200,15 +200,6 @@ def _varying_label(diagnosis: Diagnosis, instrument: Instrument) -> str:
     if instrument.varies == "gain":
         return f"Gain [{unit(diagnosis.plant.unit('gain'))}]"
     return f"Force against forward\nmotion, by mass [{length}/s²]"
-
-
-def _times(chance: float) -> str:
-    """Return one over `chance` in words."""
-    times = 1.0 / chance
-    for size, word in ((1e12, "million million"), (1e9, "thousand million"), (1e6, "million"), (1e3, "thousand")):
-        if times >= 0.999 * size:
-            return f"{number(round(times / size), 3)} {word}".replace("1 ", "a ", 1)
-    return number(times, 3)
 
 
 @styled

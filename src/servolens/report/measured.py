@@ -97,6 +97,7 @@ def write_report(
     records: Sequence[Record],
     *,
     spec: PDSpec | None = None,
+    effort: str = "normal",
     progress: Callable[[str, int, int], None] | None = None,
 ) -> dict[str, Any]:
     """Write everything about `records` into one self-contained page.
@@ -109,6 +110,8 @@ def write_report(
         Runs of one axis.
     spec : PDSpec, optional
         What a PD gain has to achieve; when None, a spec that suits the records is chosen, and the page says which.
+    effort : {"quick", "normal", "thorough"}
+        How far the search for causes goes.
     progress : callable, optional
         Called with (description, done, total).
 
@@ -124,16 +127,15 @@ def write_report(
     """
     tell = progress or (lambda *_: None)
     runs = tuple(records)
-    tell("checking", 0, 6)
+    tell("checking", 0, 100)
     qualities = tuple(assess(record) for record in runs)
     usable = [record for record, quality in zip(runs, qualities, strict=True) if quality.usable]
-    tell("identifying", 1, 6)
+    tell("identifying", 2, 100)
     fit = identify(usable or runs)
-    tell("predicting held-out records", 2, 6)
+    tell("predicting held-out records", 5, 100)
     held_out, lost = _held_out(usable)
-    tell("looking for causes of what remains", 3, 6)
-    diagnosis, undiagnosed = _diagnosed(usable)
-    tell("designing", 4, 6)
+    diagnosis, undiagnosed = _diagnosed(usable, effort, lambda what, done, _: tell(what, 10 + round(0.8 * done), 100))
+    tell("designing", 90, 100)
     wanted = spec or suggested_spec(fit)
     comparison, why = _compared(fit, wanted)
     told = {(f.code, f.message, f.record): f for q in qualities for f in q.findings}
@@ -150,14 +152,16 @@ def write_report(
         suggested=spec is None,
         findings=tuple(sorted(told.values(), key=lambda f: SEVERITIES.index(f.severity))),
     )
-    tell("writing the page", 5, 6)
+    tell("writing the page", 95, 100)
     write_measured(path, measured)
-    tell("report written", 6, 6)
+    tell("report written", 100, 100)
     body: dict[str, Any] = to_finite(measured.to_json())
     return {**body, "findings": [finding.to_json() for finding in measured.findings]}
 
 
-def _diagnosed(records: Sequence[Record]) -> tuple[Diagnosis | None, str]:
+def _diagnosed(
+    records: Sequence[Record], effort: str, tell: Callable[[str, int, int], None]
+) -> tuple[Diagnosis | None, str]:
     """Return what gain and damping lack in these records, or why that is not told."""
     samples = sum(len(record) for record in records)
     if not records:
@@ -168,7 +172,7 @@ def _diagnosed(records: Sequence[Record]) -> tuple[Diagnosis | None, str]:
             " diagnose, which writes a page of its own with --report"
         )
     try:
-        return diagnose(records), ""
+        return diagnose(records, effort=effort, progress=tell), ""
     except ServolensError as error:
         return None, str(error)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -24,11 +25,13 @@ __all__ = [
     "advice",
     "cause_phrase",
     "diagnosis_summary",
+    "doubts",
     "experiment_sentence",
     "experiment_summary",
     "grouped",
     "log_doubts",
     "next_sentences",
+    "noise_sentences",
     "remaining_sentences",
     "spoken",
     "verdict_sentence",
@@ -37,6 +40,10 @@ __all__ = [
 
 FEW = 200
 """Samples up to which records show little."""
+SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis")
+"""Findings about what the records hold beside the motion: sentences of their own."""
+BEYOND_NOISE = 1.5
+"""Times the noise from which on a remainder that knows no input is worth a sentence."""
 
 
 def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
@@ -48,6 +55,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         Of one axis.
     """
     sentences = [verdict_sentence(diagnosis), *_first_the_log(diagnosis), *remaining_sentences(diagnosis)]
+    sentences += noise_sentences(diagnosis)
     for cause in diagnosis.causes:
         looks, *rest = advice(cause, diagnosis)
         sentences += [f"{capital(spoken(cause.effect))}: {looks}", *rest]
@@ -58,7 +66,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
         tables=(parameters_table(diagnosis), records_table(diagnosis), *([best] if best else [])),
-        findings=grouped(diagnosis.findings),
+        findings=doubts(diagnosis),
     )
 
 
@@ -135,8 +143,20 @@ def grouped(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     )
 
 
+def doubts(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Return the findings that no sentence tells already, grouped."""
+    told = (*SURROUNDINGS, "immaterial_remainder")
+    return grouped([finding for finding in diagnosis.findings if finding.code not in told])
+
+
+def noise_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
+    found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
+    return [capital(unit(finding.message)) for finding in found]
+
+
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Say what remains where something does, and what the records are too short to show."""
+    """Say what the remainder is worth where there is one, and what the records are too short to show."""
     told = _left(diagnosis)
     if diagnosis.verdict in ("partly_explained", "unexplained"):
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
@@ -168,15 +188,17 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     told += [f"What to do: {kind.remedy}"] if kind.remedy else []
     told += [f"For the PD gain: {kind.for_the_gain}"] if kind.for_the_gain else []
     sure = f"Confidence {percent(100 * cause.confidence)} among the effects tried"
-    rivals = _rivals(cause)
+    if diagnosis.verdict == "partly_explained":
+        sure += ", as far as the error is explained at all"
+    rivals = [spoken(rival) for rival in _rivals(cause)]
     if rivals:
-        told.append(f"{sure}. These data cannot tell it from {' or '.join(spoken(rival) for rival in rivals)}.")
+        told.append(f"{sure}. These data cannot distinguish it from {listed(rivals, last='or')}.")
     elif diagnosis.verdict == "partly_explained":
-        told.append(f"{sure}, as far as the error is explained at all.")
+        told.append(f"{sure}.")
     else:
         told.append(f"{sure}: none does as well with as few parameters.")
     if len(rivals) < len(cause.rivals):
-        told.append(f"It is the same as {' together with '.join(spoken(part) for part in kind.unites)}.")
+        told.append(f"It is the same as {spoken(' + '.join(kind.unites))}.")
     return told
 
 
@@ -186,14 +208,13 @@ def next_sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.next_experiment is not None:
         return [experiment_sentence(diagnosis.next_experiment, plant.length_unit, plant.command_unit)]
     if any(_rivals(cause) for cause in diagnosis.causes):
-        return ["No safe step like those logged would tell them apart; look at the machine, or measure something else."]
+        return ["No safe step like those logged would separate them; look at the machine, or measure something else."]
     return []
 
 
 def _rivals(cause: Cause) -> list[str]:
-    """Return the rivals of a cause but for those that together are the same thing."""
-    parts = cause.kind.unites if set(cause.kind.unites) <= set(cause.rivals) else ()
-    return [rival for rival in cause.rivals if rival not in parts]
+    """Return the rivals of a cause but for the pair that together is the same thing."""
+    return [rival for rival in cause.rivals if set(rival.split(" + ")) != set(cause.kind.unites)]
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
@@ -234,7 +255,8 @@ def _healthy(diagnosis: Diagnosis) -> str:
 def _unexplained(diagnosis: Diagnosis) -> str:
     contradiction = [finding for finding in diagnosis.findings if finding.code == "records_contradict"]
     if contradiction:
-        return f"{unit(contradiction[0].message.rstrip('.'))}."
+        told = unit(contradiction[0].message)
+        return told if told.endswith((".", "?")) else f"{told}."
     where = where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
@@ -255,16 +277,22 @@ def _first_the_log(diagnosis: Diagnosis) -> list[str]:
 
 def _left(diagnosis: Diagnosis) -> list[str]:
     """Say what remains, where something does."""
-    if diagnosis.verdict not in ("partly_explained", "unexplained"):
-        return []
     if any(finding.code == "heldout_contradicts" for finding in diagnosis.findings):
         return ["Records that were held out are much farther off than those that were fitted: see the warnings below."]
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
-    size = f"{length(rest.rms, unit_)} (r.m.s.) beyond the noise, {percent(100 * rest.of_travel)} of the travel"
-    worth = "enough to matter" if rest.material else "immaterial for most uses"
-    told = f"The simulation still misses {size}: {worth}."
+    if not math.isfinite(rest.rms):
+        return ["What the model leaves has no size: a record cannot be simulated with it."]
+    size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
+    if diagnosis.verdict in ("healthy", "explained"):
+        worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
+        told = f"Beside that, the simulation misses {size}, which does not depend on the reference. {worth}"
+        return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
+    worth = "and it matters" if rest.material else "but immaterial"
+    told = f"What is left is unexplained, {worth}: {size}."
     if diagnosis.verdict == "partly_explained":
         return [f"{told} Something else is wrong too, and the causes below may stand for it in part."]
+    if not rest.material:
+        return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
 
 

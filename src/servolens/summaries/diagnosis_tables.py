@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.diagnosis.errors import KEPT
 from servolens.diagnosis.logs import beyond
 from servolens.summaries.names import spoken
-from servolens.summaries.wording import capital, number, plus_minus, scale, unit
+from servolens.summaries.wording import capital, minus, number, plus_minus, scale, unit
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def kinds_sentence(diagnosis: Diagnosis) -> str:
 def candidates_table(diagnosis: Diagnosis) -> Table | None:
     """Return the best single effects and what each leaves; None where none was tried."""
     best = [*{candidate.effects: candidate for candidate in reversed(diagnosis.candidates)}.values()]
-    best = sorted(best, key=lambda candidate: candidate.error)[:CANDIDATES]
+    best = sorted(best, key=lambda candidate: -candidate.likelihood)[:CANDIDATES]
     if not best:
         return None
     floor = max(diagnosis.noise_floor, 1e-300)
@@ -85,14 +85,17 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
             capital(" and ".join(spoken(name) for name in candidate.effects)),
             number(factor * candidate.error, 3),
             number(candidate.error / floor, 3),
+            minus(number(candidate.likelihood, 3)),
         )
         for candidate in best
     ]
     return Table(
         title="Best single effects beside gain and damping",
-        columns=("Effect", f"Leaves [{length}]", "Times the noise"),
+        columns=("Effect", f"Leaves [{length}]", "Times the noise", "Log-likelihood gain"),
         rows=tuple(rows),
-        note="R.m.s. of what is left of the training records, driven by their voltage beside the noise that suits each effect; not held out.",
+        note="R.m.s. of what is left of the training records, driven by their voltage beside the noise that suits each"
+        " effect; not held out. Gain: of 2 log-likelihood, less the price of the effect's parameters; the most likely"
+        " comes first.",
     )
 
 

@@ -1,4 +1,4 @@
-"""What the records say before any effect is assumed: where the error arises, and what would make up for it."""
+"""What the records say before any effect is assumed: where the error arises, and what a missing force depends on."""
 
 from __future__ import annotations
 
@@ -59,22 +59,22 @@ def where_phrase(shares: Sequence[Share]) -> str:
 
 
 def instrument_sentence(instrument: Instrument | None) -> str:
-    """Say what the paper's own instrument shows."""
+    """Say what the time-varying estimate shows."""
     if instrument is None:
         return "There are too few samples of motion to let damping, gain or a force vary in time."
     if instrument.significance > CLEAR:
         return (
-            "Allowed to vary in time, neither damping nor gain nor a free force goes with anything that was measured"
-            " more than chance would have it."
+            "Model-free check: neither a damping nor a gain that varies in time nor a missing force correlates"
+            " significantly with anything that was measured."
         )
-    start, how_much = "Before any effect is assumed:", f"(correlation {correlation(instrument)})"
+    start, how_much = "Model-free check:", f"(r = {correlation(instrument)})"
     if instrument.goes_with == "constant":
-        return f"{start} a constant force beside gain and damping would make up for the error {how_much}."
+        return f"{start} the missing force is constant {how_much}."
     quantity = QUANTITIES[instrument.goes_with]
     if instrument.varies == "force":
-        return f"{start} a free force that would make up for the error goes with the {quantity} {how_much}."
+        return f"{start} the missing force correlates with the {quantity} {how_much}."
     how = "rises" if instrument.correlation > 0 else "falls"
-    return f"{start} allowed to vary in time, the {instrument.varies} {how} with the {quantity} {how_much}."
+    return f"{start} the {instrument.varies}, estimated piece by piece in time, {how} with the {quantity} {how_much}."
 
 
 def correlation(instrument: Instrument) -> str:

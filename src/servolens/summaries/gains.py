@@ -150,13 +150,13 @@ def _responses(design: Design, command_unit: str) -> Table:
 def _verdict(kind: str, design: Design, response: Response | None, kd_unit: str) -> str:
     if design.kd is None or response is None:
         return f"{kind.capitalize()} model: {_stop(design.reason)}"
-    subject = f"The {kind} recommendation kd = {_gain(design)} {kd_unit}"
+    start = f"With the {kind} recommendation kd = {_gain(design)} {kd_unit}"
     asked = f"{number(design.spec.settling_time)} s"
     if response.settling_time is None:
-        return f"{subject} does not settle on the nonlinear plant: it breaks the {asked} it was designed for."
-    took = f"{subject} takes {number(response.settling_time)} s on the nonlinear plant"
+        return f"{start} the nonlinear plant does not settle and misses the {asked} target."
+    took = f"{start} the nonlinear plant settles in {number(response.settling_time)} s"
     if response.settling_time > design.spec.settling_time and not response.meets:
-        return f"{took}: it breaks the {asked} it was designed for."
+        return f"{took} and misses the {asked} target."
     return f"{took} and meets the spec there." if response.meets else f"{took}, but {_broken(design.spec, response)}."
 
 

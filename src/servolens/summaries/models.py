@@ -135,7 +135,7 @@ def _damping_law(model: Model | None) -> list[str]:
     factor, length = scale([half], model.plant.length_unit)
     return [
         f"Damping {verb} from {number(still, 3)} 1/s at standstill to {number(fast, 3)} 1/s at high speed;"
-        f" half of the way is done at {number(factor * half, 2)} {length}/s."
+        f" the midpoint is at {number(factor * half, 2)} {length}/s."
     ]
 
 
@@ -146,7 +146,9 @@ def _doubtful(kind: str, model: Model) -> list[str]:
         if quantity.stderr is None:
             told.append(f"{kind}: {name} has no standard error: {quantity.reason or 'it is not known'}.")
         elif quantity.value and abs(quantity.value) < NORMAL_95 * quantity.stderr:
-            told.append(f"{kind}: {name} is not told from zero by these data.")
+            told.append(
+                f"{kind}: {name} is not significantly different from zero (95 % interval {interval(quantity)})."
+            )
         if bound := _bound(model.plant, name, quantity.value):
             told.append(f"{kind}: {name} stands at its bound {bound}.")
     return told

@@ -31,6 +31,9 @@ NAMES = {
     "actuator_lag": "a lag of the actuator",
     "sensor_lag": "a lag of the sensor",
     "force_limit": "a limit of force",
+    "load_friction": "friction that grows with the load",
+    "friction_map": "friction that differs over the travel",
+    "end_stop": "an end stop",
     "speed_servo": "a speed loop in the drive",
     "flexible_coupling": "a flexible coupling",
 }
@@ -40,14 +43,14 @@ SIDES = {"level_positive": "level forward", "level_negative": "level backward"}
 
 
 def spoken(name: str) -> str:
-    """Return an effect's name as people say it.
+    """Return an effect's name, or those of effects joined by a plus, as people say it.
 
     Examples
     --------
-    >>> spoken("coulomb_friction"), spoken("backlash"), spoken("without delay")
-    ('Coulomb friction', 'backlash', 'without delay')
+    >>> spoken("coulomb_friction"), spoken("backlash"), spoken("without delay"), spoken("delay + coulomb_friction")
+    ('Coulomb friction', 'backlash', 'without delay', 'a delay together with Coulomb friction')
     """
-    return NAMES.get(name, name.replace("_", " "))
+    return " together with ".join(NAMES.get(part, part.replace("_", " ")) for part in name.split(" + "))
 
 
 def spoken_parameter(name: str) -> str:

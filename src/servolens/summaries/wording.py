@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from servolens.units import prefixed
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
@@ -30,8 +32,6 @@ __all__ = [
 
 DIGITS = 4
 LARGEST_PLAIN, SMALLEST_PLAIN = 1e6, 1e-4
-PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
-"""Units of which people write thousandths with a prefix."""
 
 
 def number(value: float | None, digits: int = DIGITS) -> str:
@@ -200,23 +200,6 @@ def minus(text: str) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
-def prefixed(values: Iterable[float], text: str) -> tuple[float, str]:
-    """Return factor and unit in which the largest of `values` is at least about 1, down to billionths.
-
-    Examples
-    --------
-    >>> prefixed([0.004], "s"), prefixed([0.3], "m/s"), prefixed([0.004], "V")
-    ((1000.0, 'ms'), (1.0, 'm/s'), (1.0, 'V'))
-    """
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    if text not in PREFIXED or largest == 0:
-        return 1.0, text
-    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ"), (1e9, "n")):
-        if largest * factor >= (0.1 if factor == 1.0 and text not in ("m", "rad", "s") else 0.5):
-            return factor, prefix + text
-    return 1e9, f"n{text}"
-
-
 def capital(text: str) -> str:
     """Return `text` with its first letter in upper case.
 
@@ -228,7 +211,7 @@ def capital(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def listed(words: Sequence[str], most: int = 4) -> str:
+def listed(words: Sequence[str], most: int = 4, last: str = "and") -> str:
     """Return `words` as a list in a sentence, at most `most` of them; semicolons part words that hold commas.
 
     Examples
@@ -238,8 +221,8 @@ def listed(words: Sequence[str], most: int = 4) -> str:
     """
     mark = "; " if any("," in word for word in words) else ", "
     if len(words) > most:
-        return f"{mark.join(words[: most - 1])} and {len(words) - most + 1} more"
-    return " and ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)
+        return f"{mark.join(words[: most - 1])} {last} {len(words) - most + 1} more"
+    return f" {last} ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _decimals(error: float) -> int:
