@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
-    from servolens.diagnosis.structure import Remainder
     from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.structure import Remainder
 
 __all__ = ["said"]
 

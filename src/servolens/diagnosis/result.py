@@ -11,9 +11,9 @@ from servolens.effects import effect_class
 if TYPE_CHECKING:
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.next_experiment import Experiment
-    from servolens.diagnosis.structure import Remainder
     from servolens.effects import Effect
     from servolens.findings import Finding
+    from servolens.identification.structure import Remainder
     from servolens.model import Model, Quantity
     from servolens.plant import Plant
     from servolens.record import Record

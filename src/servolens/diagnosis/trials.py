@@ -12,16 +12,17 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Hypothesis, Likelihood, fixed
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
+from servolens.identification.score import FALSE_ALARM
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen, seen_in
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servolens.diagnosis.score import ScoreTest
     from servolens.effects import Effect
     from servolens.identification.integral import Prior
     from servolens.identification.ranking import Proposals
+    from servolens.identification.score import ScoreTest
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -29,8 +30,6 @@ __all__ = ["Start", "Trials"]
 
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
-FALSE_ALARM = 1e-3
-"""Familywise error rate: probability that any effect of the catalogue enters a model that lacks none."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it."""
 

@@ -136,6 +136,8 @@ class Whitener:
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), whitened."""
         evened = self.evened(rows)
+        if rows.size == 0:
+            return evened
         if rows.ndim == 1:
             white = np.convolve(evened, self._filter)[: rows.size]
         else:
@@ -145,6 +147,20 @@ class Whitener:
         begun = self._begin.shape[0]
         white[:begun] = self._begin @ evened[:begun]
         return white
+
+    def deviations(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows D, shape (n, k), so that DᵀD is the covariance of the noise's sums with `weights`, shape (n, k).
+
+        The adjoint of the inverse filter: what is whitened by it has these variances before.
+        """
+        from scipy.signal import lfilter
+
+        spread = np.asarray(lfilter([1.0], self._filter, weights[::-1], axis=0))[::-1]
+        if self._first.size == 0:
+            return spread
+        sums = np.add.reduceat(spread, self._first, axis=0)
+        raised = np.repeat((sums.T * ((1.0 / self._kept - 1.0) / self._counts)).T, self._counts, axis=0)
+        return np.asarray(spread + raised)
 
     @property
     def log_determinant(self) -> float:

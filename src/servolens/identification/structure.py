@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.diagnosis.trials import FALSE_ALARM
 from servolens.errors import ServolensError
+from servolens.identification.score import FALSE_ALARM
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.diagnosis.score import ScoreTest
     from servolens.identification.observed import ObservedRun
+    from servolens.identification.score import ScoreTest
     from servolens.record import Record
 
 __all__ = ["MATERIAL", "Remainder", "depends_on_inputs", "unexplained_acceleration"]

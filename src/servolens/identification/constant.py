@@ -1,0 +1,88 @@
+"""Constant damping by the integral equation, with error bars that know what the noise does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.findings import Finding
+from servolens.identification.explained import Explained, excerpt_of, explained
+from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.uncertainty import LinearEstimate
+from servolens.model import Model
+from servolens.plant import Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.integral import Prior
+    from servolens.identification.segments import Segment
+
+__all__ = ["ConstantFit", "fit_constant"]
+
+CONTRADICTS = 3.0
+"""Standard deviations from a prior from which on the records contradict it."""
+NAMES = ("damping", "gain")
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class ConstantFit:
+    """The model, what is left beside it, and doubts."""
+
+    model: Model
+    left: Explained
+    findings: tuple[Finding, ...]
+
+
+def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> ConstantFit:
+    """Fit gain and damping to all `segments`; `priors` are combined with that by their variances.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Stretches of motion.
+    priors : mapping of str to Prior
+        Knowledge from elsewhere; that of parameters other than gain and damping is not used.
+    """
+    shares = [Pieces.whole(s.time.size) for s in segments]
+    estimate = solve_integral(assemble(segments, shares)).x
+    first = segments[0].record
+    known = {name: priors[name] for name in NAMES if name in priors}
+
+    def plant(values: NDArray[np.float64]) -> Plant:
+        damping, gain = (float(v) for v in values)
+        return Plant(gain=gain, damping=damping, length_unit=first.length_unit, command_unit=first.command_unit)
+
+    left = explained(plant(estimate), excerpt_of(segments)[0], priors=known)
+    covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
+    findings = []
+    for index, name in enumerate(NAMES):
+        if name not in known:
+            continue
+        prior, value, spread = known[name], float(estimate[index]), float(np.sqrt(covariance[index, index]))
+        if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
+            findings.append(_contradicted(name, prior, value, spread))
+    for index, name in enumerate(NAMES):
+        if name in known:
+            weight = covariance[:, index] / (covariance[index, index] + known[name].deviation ** 2)
+            estimate = estimate + weight * (known[name].value - estimate[index])
+            covariance = covariance - np.outer(weight, covariance[index])
+    model = Model(
+        plant=plant(estimate),
+        covariance=covariance[::-1, ::-1],
+        identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
+    )
+    return ConstantFit(model, left, tuple(findings))
+
+
+def _contradicted(name: str, prior: Prior, value: float, spread: float) -> Finding:
+    message = (
+        f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
+        f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
+    )
+    return Finding(code="prior_contradicts_data", severity="warning", message=message)

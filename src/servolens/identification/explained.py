@@ -1,0 +1,119 @@
+"""What a plant leaves of the records: the noise beside it, and whether that is all that is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.likelihood import Likelihood
+from servolens.identification.options import FitOptions
+from servolens.identification.score import ScoreTest
+from servolens.identification.structure import depends_on_inputs
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servolens.identification.integral import Prior
+    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.noise import NoiseModel
+    from servolens.identification.segments import Segment
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["Explained", "excerpt_of", "explained"]
+
+MOST_JUDGED = 8_000
+"""Samples of an excerpt from which the noise is estimated: its spread is then known to 1 %."""
+NEGLIGIBLE = 2e-5
+"""Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Explained:
+    """A plant fitted to an excerpt of the records beside its own noise.
+
+    Attributes
+    ----------
+    likelihood : Likelihood
+        Of the excerpt.
+    hypothesis : Hypothesis or None
+        The plant and its noise; None where it cannot be simulated.
+    is_enough : bool
+        Whether what it leaves is noise: it does not depend on the inputs, or is negligible.
+    """
+
+    likelihood: Likelihood
+    hypothesis: Hypothesis | None
+    is_enough: bool
+
+    @property
+    def noise(self) -> NoiseModel:
+        """The noise beside the plant; white where that cannot be simulated."""
+        return self.likelihood.white if self.hypothesis is None else self.hypothesis.noise
+
+
+def explained(
+    plant: Plant,
+    excerpt: Sequence[Record],
+    *,
+    held: Sequence[str] = (),
+    priors: Mapping[str, Prior] | None = None,
+    like: Explained | None = None,
+) -> Explained:
+    """Fit `plant` and the noise in turn, and judge what is left.
+
+    Parameters
+    ----------
+    plant : Plant
+        Start and structure.
+    excerpt : sequence of Record
+        See :func:`excerpt_of`.
+    held : sequence of str
+        Qualified names of parameters that stay as they are.
+    priors : mapping of str to Prior, optional
+        Knowledge from elsewhere, by qualified name.
+    like : Explained, optional
+        Whose noise to begin with.
+    """
+    likelihood = Likelihood(excerpt, plant, FitOptions(held=tuple(held), priors=priors or {}))
+    try:
+        found = likelihood.judged(plant, None if like is None else like.hypothesis)
+    except (InputError, NumericalError):
+        found = None
+    return Explained(likelihood, found, found is not None and _is_enough(likelihood, found))
+
+
+def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
+    """Return up to 8000 samples of the records of `segments`, and whether that is all of them.
+
+    Records one after the other, as a whole, or from their first motion on.
+    """
+    records = {id(s.record): s.record for s in segments}
+    if sum(len(record) for record in records.values()) <= MOST_JUDGED:
+        return tuple(records.values()), True
+    first: dict[int, int] = {}
+    for segment in segments:
+        first.setdefault(id(segment.record), segment.first)
+    share = max(MOST_JUDGED // len(records), MOST_JUDGED // 8)
+    kept: list[Record] = []
+    for key, record in records.items():
+        count = min(len(record), share, MOST_JUDGED - sum(len(r) for r in kept))
+        begin = min(first[key], len(record) - count)
+        kept.append(record.slice(float(record.time[begin]), float(record.time[begin + count - 1])))
+        if sum(len(r) for r in kept) > MOST_JUDGED - share // 2:
+            break
+    return tuple(kept), False
+
+
+def _is_enough(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
+    travel = max(float(np.ptp(signals.measured)) for signals in likelihood.signals)
+    if hypothesis.noise.rate == 0.0 and hypothesis.noise.spread <= NEGLIGIBLE * travel:
+        return True
+    try:
+        return not depends_on_inputs(ScoreTest(likelihood, hypothesis))
+    except (InputError, NumericalError):
+        return False
