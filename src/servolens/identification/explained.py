@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.closed_loop import fit_loop
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
     from servolens.identification.noise import NoiseModel
+    from servolens.identification.refine import Refinement
     from servolens.identification.segments import Segment
     from servolens.plant import Plant
     from servolens.record import Record
@@ -44,11 +46,14 @@ class Explained:
         The plant and its noise; None where it cannot be simulated.
     is_enough : bool
         Whether what it leaves is noise: it does not depend on the inputs, or is negligible.
+    loop : Refinement or None
+        The fit in closed loop where driven by the voltage too much is left, and none is so.
     """
 
     likelihood: Likelihood
     hypothesis: Hypothesis | None
     is_enough: bool
+    loop: Refinement | None = None
 
     @property
     def noise(self) -> NoiseModel:
@@ -79,12 +84,18 @@ def explained(
     like : Explained, optional
         Whose noise to begin with.
     """
-    likelihood = Likelihood(excerpt, plant, FitOptions(held=tuple(held), priors=priors or {}))
+    options = FitOptions(held=tuple(held), priors=priors or {})
+    likelihood = Likelihood(excerpt, plant, options)
     try:
         found = likelihood.judged(plant, None if like is None else like.hypothesis)
     except (InputError, NumericalError):
         found = None
-    return Explained(likelihood, found, found is not None and _is_enough(likelihood, found))
+    if found is not None and _is_enough(likelihood, found):
+        return Explained(likelihood, found, True)
+    loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
+    if loop is not None and loop.is_enough:
+        return Explained(likelihood, found, True, loop.refined)
+    return Explained(likelihood, found, False)
 
 
 def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.identification.score import ScoreTest
     from servolens.record import Record
 
-__all__ = ["MATERIAL", "Remainder", "depends_on_inputs", "unexplained_acceleration"]
+__all__ = ["MATERIAL", "Remainder", "depends_on_inputs", "forces_along", "is_chance", "unexplained_acceleration"]
 
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
@@ -100,6 +100,21 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     return found
 
 
+def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: NDArray[np.float64]) -> bool:
+    """Tell whether `columns` explain no more of a whitened residual, beside its `own` directions, than chance does."""
+    from scipy.stats import ncx2
+
+    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+    free = columns - basis @ (basis.T @ columns)
+    sizes = np.linalg.norm(free, axis=0)
+    free = free[:, sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
+    if free.shape[1] == 0:
+        return True
+    left, singular, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=False)
+    along = left[:, singular > 1e-4 * singular[0]].T @ (residual - basis @ (basis.T @ residual))
+    return float(along @ along) <= float(ncx2.isf(FALSE_ALARM, along.size, TOLERATED**2 * residual.size))
+
+
 def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return an orthonormal basis of the columns, at right angles to what the hypothesis explains itself."""
     free = test.free_of_own(columns)
@@ -121,7 +136,13 @@ def forced(test: ScoreTest) -> NDArray[np.float64]:
 
 def _laws(test: ScoreTest) -> list[NDArray[np.float64]]:
     """Return, for each record, forces of all kinds along the simulation that knows no noise, shape (k, n)."""
-    found = [_noise_free(test, i) for i in range(len(test.runs))]
+    return forces_along([_noise_free(test, i) for i in range(len(test.runs))])
+
+
+def forces_along(
+    found: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+) -> list[NDArray[np.float64]]:
+    """Return forces of all kinds along position, velocity and voltage of each record, shape (k, n)."""
     fastest = max(float(np.abs(v).max()) for _, v, _ in found)
     low, high = min(float(y.min()) for y, _, _ in found), max(float(y.max()) for y, _, _ in found)
     most = max(float(np.abs(u).max()) for _, _, u in found)

@@ -115,6 +115,8 @@ def _by_likelihood(
 
 def _optimum(left: Explained, segments: Sequence[Segment]) -> Refinement:
     """Return the optimum of the likelihood of all records of `segments`, beside the noise of their excerpt."""
+    if left.loop is not None:
+        return left.loop
     if left.hypothesis is None:
         raise NumericalError("no damping law can be simulated on these records; identify 'constant' instead")
     records = tuple({id(s.record): s.record for s in segments}.values())
