@@ -7,6 +7,7 @@ makes of noise and shaking together is a stationary process, autoregressive here
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
@@ -132,9 +133,11 @@ def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white
                 run.missed(plant, start, substeps)
                 for run, start, substeps in zip(runs, point.starts, problem.substeps, strict=True)
             ]
-            noise = white.estimated(missed, [run.whiten for run in runs])
+            noise = white.estimated(missed, [run.whiten for run in runs], for_errors=True)
         runs = [LoopRun(record, i, noise) for i, record in enumerate(records)]
         refined = minimise_error(plant, runs, options, noise=1.0)
+        unknowns = problem.free.size + sum(start.size for start in point.starts)
+        refined = replace(refined, covariance=refined.covariance * noise.inflation(problem.samples, unknowns))
         return LoopFit(refined, noise, _is_enough(refined.plant, runs, options))
     except (InputError, NumericalError):
         return None

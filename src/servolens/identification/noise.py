@@ -88,10 +88,23 @@ class NoiseModel:
         total = float(np.sum(self.filters[-1]))
         return max((self.innovation / max(abs(total), 1e-12)) ** 2 / max(self.spread**2, 1e-300), 1.0)
 
-    def estimated(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
-        """Return the model whose autoregressive part suits `residuals`, one array a record."""
+    def inflation(self, samples: int, unknowns: int) -> float:
+        """Return by how much variances are larger than with a noise that is known: n/(n − p), n without its memory.
+
+        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold.
+        """
+        return 1.0 / max(1.0 - unknowns * self.memory() / samples, 0.1)
+
+    def estimated(
+        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool = False
+    ) -> NoiseModel:
+        """Return the model whose autoregressive part suits `residuals`, one array a record.
+
+        For a decision its order is that of the Bayesian criterion; for error bars that of Akaike's, which leaves less
+        of the slow noise out.
+        """
         evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
-        filters, scales = burg(evened, MOST_ORDER)
+        filters, scales = burg(evened, MOST_ORDER, price=2.0 if for_errors else None)
         samples = sum(r.size for r in residuals)
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
         return replace(self, filters=filters, scales=scales, spread=spread)
@@ -172,11 +185,11 @@ class Whitener:
 
 
 def burg(
-    signals: Sequence[NDArray[np.float64]], most: int
+    signals: Sequence[NDArray[np.float64]], most: int, price: float | None = None
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
     """Return the prediction-error filters of order 0 … p of an autoregressive process, and what each leaves.
 
-    Burg's method over all `signals` together; p by the Bayesian information criterion.
+    Burg's method over all `signals` together; p by the Bayesian information criterion, or by another price.
 
     Parameters
     ----------
@@ -184,6 +197,8 @@ def burg(
         Realisations of one process with mean 0.
     most : int
         Highest order.
+    price : float, optional
+        Of an order, in −2 log-likelihood; the logarithm of the number of samples when None.
 
     References
     ----------
@@ -202,8 +217,8 @@ def burg(
         longer = np.append(filters[-1], 0.0)
         filters.append(longer - reflection * longer[::-1])
         powers.append(max(powers[-1] * (1.0 - reflection**2), 1e-300))
-    price = np.log(samples) * np.arange(len(powers))
-    order = int(np.argmin(samples * np.log(powers) + price))
+    costs = (np.log(samples) if price is None else price) * np.arange(len(powers))
+    order = int(np.argmin(samples * np.log(powers) + costs))
     return tuple(filters[: order + 1]), np.sqrt(powers[: order + 1])
 
 

@@ -86,7 +86,8 @@ class LinearEstimate:
             weights = _of_innovations(segment, share, rows, damping, noise, window)
             deviations = Whitener(segment.position, noise).deviations(weights)
             found += deviations.T @ deviations
-        return np.asarray(found * self.share)
+        samples = sum(s.time.size for s in self.segments)
+        return np.asarray(found * self.share * noise.inflation(samples, size + 2 * len(self.segments)))
 
 
 def _looked_at(

@@ -121,7 +121,9 @@ def _optimum(left: Explained, segments: Sequence[Segment]) -> Refinement:
         raise NumericalError("no damping law can be simulated on these records; identify 'constant' instead")
     records = tuple({id(s.record): s.record for s in segments}.values())
     is_all = sum(map(len, records)) == sum(map(len, left.likelihood.records))
-    return fitted(left.likelihood if is_all else left.likelihood.on(records), left.hypothesis).refinement
+    refined = fitted(left.likelihood if is_all else left.likelihood.on(records), left.hypothesis).refinement
+    unknowns = len(refined.plant.values) + 2 * len(records)
+    return replace(refined, covariance=refined.covariance * left.noise.inflation(sum(map(len, records)), unknowns))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
