@@ -42,6 +42,8 @@ class ConstantFit:
 def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> ConstantFit:
     """Fit gain and damping to all `segments`; `priors` are combined with that by their variances.
 
+    Where something shakes the axis, or the controller answers to its noise, the fit in closed loop is the answer.
+
     Parameters
     ----------
     segments : sequence of Segment
@@ -58,8 +60,11 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
         damping, gain = (float(v) for v in values)
         return Plant(gain=gain, damping=damping, length_unit=first.length_unit, command_unit=first.command_unit)
 
-    left = explained(plant(estimate), excerpt_of(segments)[0], priors=known)
-    covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
+    left = explained(plant(estimate), excerpt_of(segments)[0])
+    if left.loop is not None:
+        estimate, covariance = np.array(left.loop.plant.values)[::-1], left.loop.covariance[::-1, ::-1]
+    else:
+        covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
     findings = []
     for index, name in enumerate(NAMES):
         if name not in known:

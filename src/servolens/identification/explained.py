@@ -47,7 +47,8 @@ class Explained:
     is_enough : bool
         Whether what it leaves is noise: it does not depend on the inputs, or is negligible.
     loop : Refinement or None
-        The fit in closed loop where driven by the voltage too much is left, and none is so.
+        The fit in closed loop where that leaves nothing, and the one driven by the voltage leaves something or sees
+        the axis shaken.
     """
 
     likelihood: Likelihood
@@ -90,12 +91,13 @@ def explained(
         found = likelihood.judged(plant, None if like is None else like.hypothesis)
     except (InputError, NumericalError):
         found = None
-    if found is not None and _is_enough(likelihood, found):
-        return Explained(likelihood, found, True)
+    is_enough = found is not None and _is_enough(likelihood, found)
+    if is_enough and found is not None and found.noise.rate == 0.0:
+        return Explained(likelihood, found, is_enough)
     loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
     if loop is not None and loop.is_enough:
-        return Explained(likelihood, found, True, loop.refined)
-    return Explained(likelihood, found, False)
+        return Explained(likelihood, found, is_enough=True, loop=loop.refined)
+    return Explained(likelihood, found, is_enough)
 
 
 def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
