@@ -42,7 +42,7 @@ class ConstantFit:
 def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> ConstantFit:
     """Fit gain and damping to all `segments`; `priors` are combined with that by their variances.
 
-    Where something shakes the axis, or the controller answers to its noise, the fit in closed loop is the answer.
+    Where something shakes the axis, or the controller answers to its noise, the fit by simulation is the answer.
 
     Parameters
     ----------
@@ -61,8 +61,9 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
         return Plant(gain=gain, damping=damping, length_unit=first.length_unit, command_unit=first.command_unit)
 
     left = explained(plant(estimate), excerpt_of(segments)[0])
-    if left.loop is not None:
-        estimate, covariance = np.array(left.loop.plant.values)[::-1], left.loop.covariance[::-1, ::-1]
+    if left.is_enough and (left.loop is not None or left.noise.rate > 0.0):
+        refined = left.optimum(left.likelihood.records)
+        estimate, covariance = np.array(refined.plant.values)[::-1], refined.covariance[::-1, ::-1]
     else:
         covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
     findings = []

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.closed_loop import fit_loop
+from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import depends_on_inputs
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -47,14 +49,32 @@ class Explained:
     is_enough : bool
         Whether what it leaves is noise: it does not depend on the inputs, or is negligible.
     loop : Refinement or None
-        The fit in closed loop where that leaves nothing, and the one driven by the voltage leaves something or sees
-        the axis shaken.
+        The fit in closed loop, where that leaves noise and the one driven by the voltage leaves more.
     """
 
     likelihood: Likelihood
     hypothesis: Hypothesis | None
     is_enough: bool
     loop: Refinement | None = None
+
+    def optimum(self, records: Sequence[Record]) -> Refinement:
+        """Return the optimum on `records` with its error bars, beside the noise of the excerpt.
+
+        Raises
+        ------
+        NumericalError
+            If the plant cannot be simulated.
+        """
+        if self.loop is not None:
+            return self.loop
+        if self.hypothesis is None:
+            raise NumericalError("this law cannot be simulated on these records; identify 'constant' instead")
+        samples = sum(map(len, records))
+        is_all = samples == sum(map(len, self.likelihood.records))
+        likelihood = self.likelihood if is_all else self.likelihood.on(records)
+        refined = fitted(likelihood, self.hypothesis).refinement
+        unknowns = len(refined.plant.values) + 2 * len(records)
+        return replace(refined, covariance=refined.covariance * self.noise.inflation(samples, unknowns))
 
     @property
     def noise(self) -> NoiseModel:
@@ -91,13 +111,12 @@ def explained(
         found = likelihood.judged(plant, None if like is None else like.hypothesis)
     except (InputError, NumericalError):
         found = None
-    is_enough = found is not None and _is_enough(likelihood, found)
-    if is_enough and found is not None and found.noise.rate == 0.0:
-        return Explained(likelihood, found, is_enough)
+    if found is not None and _is_enough(likelihood, found):
+        return Explained(likelihood, _with_slow_noise(likelihood, found), is_enough=True)
     loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
     if loop is not None and loop.is_enough:
         return Explained(likelihood, found, is_enough=True, loop=loop.refined)
-    return Explained(likelihood, found, is_enough)
+    return Explained(likelihood, found, is_enough=False)
 
 
 def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
@@ -120,6 +139,18 @@ def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
         if sum(len(r) for r in kept) > MOST_JUDGED - share // 2:
             break
     return tuple(kept), False
+
+
+def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
+    """Return the hypothesis beside the noise model for error bars."""
+    runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+    plants = [hypothesis.plant_of(i) for i in range(len(runs))]
+    missed = [
+        run.missed(plant, start, substeps_for(plant, run.sample_time))
+        for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
+    ]
+    noise = hypothesis.noise.estimated(missed, [run.whiten for run in runs], for_errors=True)
+    return replace(hypothesis, noise=noise)
 
 
 def _is_enough(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:

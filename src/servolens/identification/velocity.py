@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.effects import VelocityDecayDamping
-from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law
 from servolens.identification.explained import Explained, excerpt_of, explained
-from servolens.identification.fitted import fitted
 from servolens.identification.refine import refine_closed_loop
 from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
@@ -114,16 +112,8 @@ def _by_likelihood(
 
 
 def _optimum(left: Explained, segments: Sequence[Segment]) -> Refinement:
-    """Return the optimum of the likelihood of all records of `segments`, beside the noise of their excerpt."""
-    if left.loop is not None:
-        return left.loop
-    if left.hypothesis is None:
-        raise NumericalError("no damping law can be simulated on these records; identify 'constant' instead")
-    records = tuple({id(s.record): s.record for s in segments}.values())
-    is_all = sum(map(len, records)) == sum(map(len, left.likelihood.records))
-    refined = fitted(left.likelihood if is_all else left.likelihood.on(records), left.hypothesis).refinement
-    unknowns = len(refined.plant.values) + 2 * len(records)
-    return replace(refined, covariance=refined.covariance * left.noise.inflation(sum(map(len, records)), unknowns))
+    """Return the optimum on all records of `segments`."""
+    return left.optimum(tuple({id(s.record): s.record for s in segments}.values()))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
