@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from servolens.diagnosis.remainder import remainder
 
 from servolens import Plant, Prior, lab
 from servolens.diagnosis import diagnose
@@ -13,7 +14,6 @@ from servolens.diagnosis import trials as trials_module
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.errors import pooled, residual, rotated
 from servolens.diagnosis.evidence import since_step
-from servolens.diagnosis.remainder import remainder
 from servolens.diagnosis.search import _beam, _Explorer, search
 from servolens.diagnosis.trials import MOST_SUBSTEPS, Hypothesis, Trials
 from servolens.diagnosis.workflow import _stands_out, _twin

@@ -147,7 +147,9 @@ def _is_enough(plant: Plant, runs: Sequence[LoopRun], options: FitOptions) -> bo
     """Tell whether forces along the simulation explain no more of the whitened residual than chance."""
     problem = Problem(plant, runs, options, 1.0)
     point, _ = descend(problem, problem.start(), ITERATIONS)
-    own, other, left = [], [], []
+    own: list[NDArray[np.float64]] = []
+    other: list[NDArray[np.float64]] = []
+    left: list[NDArray[np.float64]] = []
     for i, (residual, jacobian, initial) in enumerate(problem.differences(point)):
         run, start = runs[i], point.starts[i]
         basis, _ = np.linalg.qr(initial)

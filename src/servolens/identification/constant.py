@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy as np
 from servolens.findings import Finding
 from servolens.identification.explained import Explained, excerpt_of, explained
 from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.score import FALSE_ALARM
 from servolens.identification.uncertainty import LinearEstimate
+from servolens.identification.velocity import law_left
 from servolens.model import Model
 from servolens.plant import Plant
 
@@ -61,11 +63,14 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
         return Plant(gain=gain, damping=damping, length_unit=first.length_unit, command_unit=first.command_unit)
 
     left = explained(plant(estimate), excerpt_of(segments)[0])
+    covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
     if left.is_enough and (left.loop is not None or left.noise.rate > 0.0):
         refined = left.optimum(left.likelihood.records)
-        estimate, covariance = np.array(refined.plant.values)[::-1], refined.covariance[::-1, ::-1]
-    else:
-        covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
+        simulated = np.array(refined.plant.values)[::-1]
+        if _agree(simulated - estimate, covariance) and not _is_law_likelier(left, segments):
+            estimate, covariance = simulated, refined.covariance[::-1, ::-1]
+        else:
+            left = replace(left, is_enough=False)
     findings = []
     for index, name in enumerate(NAMES):
         if name not in known:
@@ -84,6 +89,26 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
     )
     return ConstantFit(model, left, tuple(findings))
+
+
+def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:
+    """Tell whether damping against speed makes the records likelier: then what seems to shake the axis is its law."""
+    law = law_left(segments, {})
+    if law.hypothesis is None or left.hypothesis is None:
+        return law.hypothesis is not None
+    added = len(law.hypothesis.plant.values) - len(left.hypothesis.plant.values)
+    return law.hypothesis.misfit + added * float(np.log(left.likelihood.samples)) < left.hypothesis.misfit
+
+
+def _agree(difference: NDArray[np.float64], covariance: NDArray[np.float64]) -> bool:
+    """Tell whether two estimates differ by chance only: of a model that is right they do.
+
+    Hausman, *Specification tests in econometrics*, Econometrica 46 (1978), doi:10.2307/1913827.
+    """
+    from scipy.stats import chi2
+
+    statistic = float(difference @ np.linalg.solve(covariance, difference))
+    return statistic <= float(chi2.isf(FALSE_ALARM, difference.size))
 
 
 def _contradicted(name: str, prior: Prior, value: float, spread: float) -> Finding:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Explained", "excerpt_of", "explained"]
 
-MOST_JUDGED = 8_000
-"""Samples of an excerpt from which the noise is estimated: its spread is then known to 1 %."""
+MOST_JUDGED = 4_000
+"""Samples of an excerpt from which the noise is estimated: its spread is then known to about 1 %."""
 NEGLIGIBLE = 2e-5
 """Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 
@@ -120,7 +120,7 @@ def explained(
 
 
 def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
-    """Return up to 8000 samples of the records of `segments`, and whether that is all of them.
+    """Return up to 4000 samples of the records of `segments`, and whether that is all of them.
 
     Records one after the other, as a whole, or from their first motion on.
     """
@@ -130,7 +130,7 @@ def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
     first: dict[int, int] = {}
     for segment in segments:
         first.setdefault(id(segment.record), segment.first)
-    share = max(MOST_JUDGED // len(records), MOST_JUDGED // 8)
+    share = max(MOST_JUDGED // len(records), MOST_JUDGED // 4)
     kept: list[Record] = []
     for key, record in records.items():
         count = min(len(record), share, MOST_JUDGED - sum(len(r) for r in kept))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -12,16 +13,18 @@ from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import law_from_pieces
 from servolens.identification.door import check_priors, together
-from servolens.identification.piecewise import varying_plant
-from servolens.identification.segments import motion_segments, settled_steps
+from servolens.identification.piecewise import varying_residual
+from servolens.identification.segments import motion_segments
 from servolens.identification.varying import fit_varying
 from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
 from servolens.model import Model, Quantity
 from servolens.plant import Plant
-from servolens.prediction import RecordError, prediction_error
+from servolens.prediction import RecordError, prediction_residual, record_error
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from servolens.identification.integral import Prior
     from servolens.identification.noise import NoiseModel
@@ -232,18 +235,18 @@ def _with_velocity(result: Identification, law: VelocityFit) -> Identification:
 
 
 def _with_errors(result: Identification) -> Identification:
-    plants: dict[str, Plant] = {}
-    if result.constant is not None:
-        plants["constant"] = result.constant.plant
+    residuals: dict[str, Callable[[Record], NDArray[np.float64]]] = {}
+    for name in ("constant", "velocity"):
+        model: Model | None = getattr(result, name)
+        if model is not None:
+            residuals[name] = partial(prediction_residual, model.plant)
     if result.varying is not None:
-        plants["varying"] = _in_units(result.records, varying_plant(result.varying))
-    if result.velocity is not None:
-        plants["velocity"] = result.velocity.plant
+        residuals["varying"] = partial(varying_residual, result.varying)
     shown, findings = _beginnings(result.records)
     errors = {}
-    for name, plant in plants.items():
+    for name, residual in residuals.items():
         try:
-            errors[name] = tuple(_own_error(name, plant, record) for record in shown)
+            errors[name] = tuple(record_error(record, residual(record)) for record in shown)
         except NumericalError as error:
             findings.append(Finding(code="not_simulated", severity="warning", message=f"{name} model: {error}."))
     return replace(result, errors=errors, findings=(*result.findings, *findings))
@@ -260,26 +263,6 @@ def _beginnings(runs: tuple[Record, ...]) -> tuple[list[Record], list[Finding]]:
             run = run.slice(float(run.time[0]), end)
         shown.append(run)
     return shown, findings
-
-
-def _own_error(name: str, plant: Plant, record: Record) -> RecordError:
-    """Error on a record; time-varying damping counts from each step's beginning."""
-    if name != "varying":
-        return prediction_error(plant, record)
-    parts = settled_steps(record)
-    if len(parts) == 1 and record.edges().size > 1:
-        raise NumericalError("the axis never rests between its steps, so none of them can be simulated by itself")
-    steps = [step.with_({"time": step.time - step.time[0]}) for step in parts]
-    found = [prediction_error(plant, step) for step in steps]
-    weights = np.array([len(step) for step in steps], dtype=np.float64) / sum(len(step) for step in steps)
-    mean = float(weights @ [p.mean_abs_error for p in found])
-    return RecordError(
-        name=record.name,
-        mean_abs_error=mean,
-        rms_error=float(np.sqrt(weights @ [p.rms_error**2 for p in found])),
-        percent_error=100.0 * mean / record.step_size,
-        fit_percent=float(weights @ [p.fit_percent for p in found]),
-    )
 
 
 def _in_units(runs: tuple[Record, ...], plant: Plant) -> Plant:
