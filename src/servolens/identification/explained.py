@@ -49,23 +49,30 @@ class Explained:
     is_enough : bool
         Whether what it leaves is noise: it does not depend on the inputs, or is negligible.
     loop : Refinement or None
-        The fit in closed loop, where that leaves noise and the one driven by the voltage leaves more.
+        The fit in closed loop, where that leaves noise, and the one driven by the voltage leaves more or sees the axis
+        shaken.
+    is_shaken : bool
+        Whether both leave noise.
     """
 
     likelihood: Likelihood
     hypothesis: Hypothesis | None
     is_enough: bool
     loop: Refinement | None = None
+    is_shaken: bool = False
 
     def optimum(self, records: Sequence[Record]) -> Refinement:
         """Return the optimum on `records` with its error bars, beside the noise of the excerpt.
+
+        Of a shaken axis that driven by the voltage; shaking that is slower than an observer's model of it answers
+        differently to both ways to simulate, so that their difference counts as an error.
 
         Raises
         ------
         NumericalError
             If the plant cannot be simulated.
         """
-        if self.loop is not None:
+        if self.loop is not None and not self.is_shaken:
             return self.loop
         if self.hypothesis is None:
             raise NumericalError("this law cannot be simulated on these records; identify 'constant' instead")
@@ -74,7 +81,11 @@ class Explained:
         likelihood = self.likelihood if is_all else self.likelihood.on(records)
         refined = fitted(likelihood, self.hypothesis).refinement
         unknowns = len(refined.plant.values) + 2 * len(records)
-        return replace(refined, covariance=refined.covariance * self.noise.inflation(samples, unknowns))
+        covariance = refined.covariance * self.noise.inflation(samples, unknowns)
+        if self.loop is not None:
+            difference = np.array(refined.plant.values) - np.array(self.loop.plant.values)
+            covariance = covariance + np.outer(difference, difference)
+        return replace(refined, covariance=covariance)
 
     @property
     def noise(self) -> NoiseModel:
@@ -111,12 +122,15 @@ def explained(
         found = likelihood.judged(plant, None if like is None else like.hypothesis)
     except (InputError, NumericalError):
         found = None
-    if found is not None and _is_enough(likelihood, found):
-        return Explained(likelihood, _with_slow_noise(likelihood, found), is_enough=True)
+    is_enough = found is not None and _is_enough(likelihood, found)
+    if found is not None and is_enough:
+        found = _with_slow_noise(likelihood, found)
+        if found.noise.rate == 0.0:
+            return Explained(likelihood, found, is_enough)
     loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
-    if loop is not None and loop.is_enough:
-        return Explained(likelihood, found, is_enough=True, loop=loop.refined)
-    return Explained(likelihood, found, is_enough=False)
+    if loop is None or not loop.is_enough:
+        return Explained(likelihood, found, is_enough)
+    return Explained(likelihood, found, True, loop.refined, is_shaken=is_enough)
 
 
 def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
