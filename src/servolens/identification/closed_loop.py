@@ -35,6 +35,8 @@ __all__ = ["LoopFit", "fit_loop"]
 
 ROUNDS, ITERATIONS = 3, 15
 """Times that plant and noise are fitted in turn; iterations of each descent."""
+FOLLOWED = 0.5
+"""Unknowns over samples that are independent of each other, at most: slower noise is not told from structure."""
 SHIFT = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -138,7 +140,8 @@ def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white
         refined = minimise_error(plant, runs, options, noise=1.0)
         unknowns = problem.free.size + sum(start.size for start in point.starts)
         refined = replace(refined, covariance=refined.covariance * noise.inflation(problem.samples, unknowns))
-        return LoopFit(refined, noise, _is_enough(refined.plant, runs, options))
+        is_known = unknowns * noise.memory() <= FOLLOWED * problem.samples
+        return LoopFit(refined, noise, is_known and _is_enough(refined.plant, runs, options))
     except (InputError, NumericalError):
         return None
 

@@ -71,13 +71,10 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
             estimate, covariance = simulated, refined.covariance[::-1, ::-1]
         else:
             left = replace(left, is_enough=False)
-    findings = []
-    for index, name in enumerate(NAMES):
-        if name not in known:
-            continue
-        prior, value, spread = known[name], float(estimate[index]), float(np.sqrt(covariance[index, index]))
-        if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
-            findings.append(_contradicted(name, prior, value, spread))
+    free = Model(plant=plant(estimate), covariance=covariance[::-1, ::-1])
+    if known and not left.is_enough:
+        refined = law_left(segments, {}).optimum(left.likelihood.records)
+        free = Model(plant=refined.plant, covariance=refined.covariance)
     for index, name in enumerate(NAMES):
         if name in known:
             weight = covariance[:, index] / (covariance[index, index] + known[name].deviation ** 2)
@@ -88,7 +85,7 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
         covariance=covariance[::-1, ::-1],
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
     )
-    return ConstantFit(model, left, tuple(findings))
+    return ConstantFit(model, left, _contradicted(free, known))
 
 
 def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:
@@ -111,9 +108,15 @@ def _agree(difference: NDArray[np.float64], covariance: NDArray[np.float64]) -> 
     return statistic <= float(chi2.isf(FALSE_ALARM, difference.size))
 
 
-def _contradicted(name: str, prior: Prior, value: float, spread: float) -> Finding:
-    message = (
-        f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
-        f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
-    )
-    return Finding(code="prior_contradicts_data", severity="warning", message=message)
+def _contradicted(free: Model, known: Mapping[str, Prior]) -> tuple[Finding, ...]:
+    """Name the priors that a fit without them is far from."""
+    found = []
+    for name, prior in known.items():
+        value, spread = free.quantities[name].value, free.quantities[name].stderr or 0.0
+        if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
+            message = (
+                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
+                f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
+            )
+            found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
+    return tuple(found)

@@ -125,7 +125,8 @@ def explained(
     is_enough = found is not None and _is_enough(likelihood, found)
     if found is not None and is_enough:
         found = _with_slow_noise(likelihood, found)
-        if found.noise.rate == 0.0:
+        is_enough = not _outlasts(likelihood, found)
+        if is_enough and found.noise.rate == 0.0:
             return Explained(likelihood, found, is_enough)
     loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
     if loop is None or not loop.is_enough:
@@ -153,6 +154,12 @@ def excerpt_of(segments: Sequence[Segment]) -> tuple[tuple[Record, ...], bool]:
         if sum(len(r) for r in kept) > MOST_JUDGED - share // 2:
             break
     return tuple(kept), False
+
+
+def _outlasts(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
+    """Tell whether what an observer misses remembers longer than the observer does: then it is no mere shaking."""
+    step = float(np.median([np.median(np.diff(signals.time)) for signals in likelihood.signals]))
+    return hypothesis.noise.memory() * hypothesis.noise.rate * step > 1.0
 
 
 def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
