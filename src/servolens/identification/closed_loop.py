@@ -65,7 +65,8 @@ class LoopRun:
         self._controller = record.controller
         self.sample_time = float(np.max(np.diff(self.time)))
         travel = SHIFT * max(float(np.ptp(record.position)), 1e-12)
-        self.start, self.shifts = self._initial.mean, (travel, travel / max(record.duration, 1e-3))
+        self.start = self._initial.mean
+        self.shifts: tuple[float, ...] = (travel, travel / max(record.duration, 1e-3))
 
     def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> Simulation:
         """Return the loop on a grid without gaps."""

@@ -11,7 +11,7 @@ from servolens.effects import VelocityDecayDamping
 from servolens.findings import Finding
 from servolens.identification.damping_law import fit_law
 from servolens.identification.explained import Explained, excerpt_of, explained
-from servolens.identification.refine import refine_closed_loop
+from servolens.identification.refine import refine, refine_closed_loop
 from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
@@ -103,16 +103,18 @@ def _by_likelihood(
     """Return what the law leaves and its optimum; its rate of decay is free if damping depends on speed at all."""
     excerpt, _ = excerpt_of(segments)
     held = explained(start, excerpt, held=[SHAPE], priors=priors)
-    refined = _optimum(held, segments)
+    refined = _optimum(held, start, segments)
     if held.is_enough and not _depends_on_speed(refined):
         return held, refined
     free = explained(refined.plant, excerpt, priors=priors, like=held)
-    found = _optimum(free, segments)
+    found = _optimum(free, refined.plant, segments)
     return (free, found) if _depends_on_speed(found) else (held, refined)
 
 
-def _optimum(left: Explained, segments: Sequence[Segment]) -> Refinement:
-    """Return the optimum on all records of `segments`."""
+def _optimum(left: Explained, start: Plant, segments: Sequence[Segment]) -> Refinement:
+    """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
+    if left.hypothesis is None and left.loop is None:
+        return refine(start, segments, held=[SHAPE])
     return left.optimum(tuple({id(s.record): s.record for s in segments}.values()))
 
 
