@@ -129,7 +129,7 @@ def _in_closed_loop(starts: tuple[Plant, ...], segments: Sequence[Segment], prio
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
     steep = VelocityDecayDamping(alpha1=EXTRA * abs(starts[0].damping), alpha2=DECAY / max(fastest, 1e-12))
-    trials = [*starts[1:], *(replace(s, damping=abs(s.damping), effects=(steep,)) for s in starts)]
+    trials = [*starts[1:], replace(starts[0], damping=abs(starts[0].damping), effects=(steep,))]
     found = [refine_closed_loop(trial, records, noise=noise, priors=priors) for trial in trials]
     return min(found, key=lambda refined: refined.rms_error)
 
