@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import binom
 
 from servolens import solving
 from servolens.design import PDSpec, tune
@@ -20,10 +21,23 @@ from servolens.identification.refine import refine_closed_loop
 from servolens.identification.regressors import regressor
 from servolens.identification.segments import motion_segments
 from servolens.identification.varying import fit_varying, piece_duration
-from servolens.lab import LM1, LM3, NLM1, NLM2, NLM3, Truth, step_record, step_records, table_one
+from servolens.lab import (
+    LM1,
+    LM3,
+    NLM1,
+    NLM2,
+    NLM3,
+    WORLDS,
+    Truth,
+    step_record,
+    step_records,
+    surroundings,
+    table_one,
+)
 from servolens.lab.laws import ARRAYS, LAWS, Instant
 from servolens.plant import Plant
 from servolens.prediction import predict
+from servolens.report.figures import varying_position
 
 
 def plant_of(truth: Truth) -> Plant:
@@ -351,6 +365,64 @@ def test_no_record_and_no_motion_are_refused() -> None:
 
 
 # --- coverage -------------------------------------------------------------------------------------------------------
+
+
+REPEATS = 24
+FEWEST = int(binom.ppf(1e-3, REPEATS, 0.9))
+"""Intervals that hold the truth, at least, if nine of ten do; fewer in one of a thousand tests."""
+
+
+@pytest.mark.parametrize("world", list(WORLDS))
+def test_intervals_hold_the_truth_in_every_world(world: str) -> None:
+    rate = float(np.sqrt(LM1.gain * 60.0))
+    true = np.array([LM1.gain, LM1.damping])
+    inside = np.zeros(2)
+    for seed in range(31_000, 31_000 + REPEATS):
+        around = surroundings(world, seed, rate=rate, damping=LM1.damping)
+        records = [step_record(LM1, 60.0, duration=1.0, surroundings=around, seed=seed)]
+        found = identify(records, model="constant").model
+        inside += np.abs(np.array(found.plant.values) - true) <= 1.959964 * np.sqrt(np.diag(found.covariance))
+    assert np.all(inside >= FEWEST)
+
+
+@pytest.mark.parametrize("world", ["white", "coloured", "coarse"])
+def test_intervals_of_the_pieces_hold_a_constant_damping(world: str) -> None:
+    shares = []
+    for seed in range(32_000, 32_000 + REPEATS):
+        around = surroundings(world, seed)
+        varying = identify(
+            step_record(LM1, 60.0, duration=1.0, surroundings=around, seed=seed), model="varying"
+        ).varying
+        assert varying is not None
+        reach = 1.959964 * np.sqrt(np.diag(varying.covariance))
+        shares.append(np.mean(np.abs(np.append(varying.damping - LM1.damping, varying.gain - LM1.gain)) <= reach))
+    assert np.mean(shares) >= FEWEST / REPEATS
+
+
+def test_intervals_of_the_pieces_are_about_what_the_fit_gives_without_noise() -> None:
+    usual = {"duration": 1.0, "encoder": 0.0}
+    clean = fit_varying(motion_segments([step_record(NLM1, 60.0, **usual)]), duration=0.15)
+    shares = []
+    for seed in range(REPEATS):
+        noisy = identify(step_record(NLM1, 60.0, noise=1e-5, seed=seed, **usual), model="varying", piece=0.15).varying
+        assert noisy is not None
+        reach = 1.959964 * np.sqrt(np.diag(noisy.covariance))
+        shares.append(np.mean(np.abs(np.append(noisy.damping - clean.damping, noisy.gain - clean.gain)) <= reach))
+    assert np.mean(shares) >= FEWEST / REPEATS
+
+
+def test_a_law_that_does_not_explain_the_records_says_so() -> None:
+    rubbing = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    fit = identify(step_record(rubbing, 60.0, noise=1e-5, seed=1), model="velocity")
+    finding = next(finding for finding in fit.findings if finding.code == "beyond_the_law")
+    assert "do not rely on these intervals" in finding.message.lower()
+
+
+def test_figure_and_number_of_the_varying_model_are_of_one_residual() -> None:
+    record = step_record(NLM1, 60.0, noise=1e-5, seed=8, rest=0.3, reference=(0.1, 0.0))
+    fit = identify(record)
+    drawn = varying_position(fit.varying, record) - record.position  # type: ignore[arg-type]  # model="all"
+    assert fit.errors["varying"][0].rms_error == pytest.approx(np.sqrt(np.mean(drawn**2)), rel=1e-12)
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Prediction", "RecordError", "predict", "prediction_error", "prediction_residual"]
+__all__ = ["Prediction", "RecordError", "predict", "prediction_error", "prediction_residual", "record_error"]
 
 WINDOW = 5.0
 """Time constants of the axis that a window of a simulation without a reference lasts."""
@@ -84,7 +84,11 @@ def prediction_error(plant: Plant, record: Record) -> RecordError:
     InputError, NumericalError
         As :func:`servolens.simulation.simulate`.
     """
-    error = prediction_residual(plant, record)
+    return record_error(record, prediction_residual(plant, record))
+
+
+def record_error(record: Record, error: NDArray[np.float64]) -> RecordError:
+    """Return the error of a model whose residual on `record` is `error`, shape (n,) [m or rad]."""
     spread = float(np.linalg.norm(record.position - record.position.mean()))
     mean = float(np.mean(np.abs(error)))
     step = record.step_size

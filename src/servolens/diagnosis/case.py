@@ -11,8 +11,6 @@ import numpy as np
 
 from servolens.diagnosis.errors import KEPT, Gains, residual
 from servolens.diagnosis.logs import apart, beyond
-from servolens.diagnosis.score import ScoreTest
-from servolens.diagnosis.structure import depends_on_inputs
 from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
@@ -20,7 +18,9 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
 from servolens.identification.ripple import Ripple, mains_ripple
+from servolens.identification.score import ScoreTest
 from servolens.identification.segments import noise_level
+from servolens.identification.structure import depends_on_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.errors import Gains
+    from servolens.diagnosis.remainder import Remainder
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
-    from servolens.diagnosis.structure import Remainder
     from servolens.identification.likelihood import Hypothesis
 
 __all__ = ["said", "strangers"]

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.errors import Gains
-    from servolens.diagnosis.fitted import Fitted
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
+    from servolens.identification.fitted import Fitted
     from servolens.identification.likelihood import Hypothesis
     from servolens.model import Quantity
 

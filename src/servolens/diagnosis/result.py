@@ -12,7 +12,7 @@ from servolens.effects import effect_class
 if TYPE_CHECKING:
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.next_experiment import Experiment
-    from servolens.diagnosis.structure import Remainder
+    from servolens.diagnosis.remainder import Remainder
     from servolens.effects import Effect
     from servolens.findings import Finding
     from servolens.model import Model, Quantity

@@ -13,6 +13,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Hypothesis, Likelihood, fixed
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
+from servolens.identification.score import FALSE_ALARM
 from servolens.identification.segments import applied_voltage, motion_segments, moving_parts
 from servolens.identification.smoothing import smooth
 from servolens.identification.starting import Screen, seen_in
@@ -20,10 +21,10 @@ from servolens.identification.starting import Screen, seen_in
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servolens.diagnosis.score import ScoreTest
     from servolens.effects import Effect
     from servolens.identification.integral import Prior
     from servolens.identification.ranking import Proposals
+    from servolens.identification.score import ScoreTest
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -33,8 +34,6 @@ STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
-FALSE_ALARM = 1e-3
-"""Familywise error rate: probability that any effect of the catalogue enters a model that lacks none."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it."""
 

@@ -10,18 +10,18 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.doubts import said, strangers
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
-from servolens.diagnosis.fitted import fitted
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
+from servolens.diagnosis.remainder import MATERIAL, Remainder, unexplained_acceleration
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT, Search, search
-from servolens.diagnosis.structure import MATERIAL, Remainder, unexplained_acceleration
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
+from servolens.identification.fitted import fitted
 from servolens.identification.segments import applied_voltage
 from servolens.quality.spikes import without_spikes
 

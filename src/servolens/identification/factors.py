@@ -23,7 +23,7 @@ from numba import float64, int64, njit, types, void
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["LONGEST_PIECE", "segment_factor", "triangular_solution", "whiten"]
+__all__ = ["LONGEST_PIECE", "segment_factor", "triangular_solution"]
 
 LONGEST_PIECE = 4096
 """Samples; longer pieces are cut, which changes nothing in the result and bounds the memory."""
@@ -267,21 +267,3 @@ def triangular_solution(factor: Any, out: Any) -> float:
             square += factor[j, i] * factor[j, i]
         smallest = min(smallest, abs(factor[i, i]) / np.sqrt(square) if square > 0.0 else 0.0)
     return smallest
-
-
-@_kept(float64[::1](_SIGNAL, _SIGNAL, _SIGNAL))
-def whiten(residual: Any, damping: Any, time: Any) -> Any:
-    """Undo what the integral equation does to measurement noise: solve n + ∫c n dt = residual for n.
-
-    White noise n on the position enters the equation once directly and once through ∫c y.
-    """
-    n = residual.size
-    noise = np.empty(n)
-    noise[0] = residual[0]
-    total = 0.0
-    for k in range(1, n):
-        half = 0.5 * (time[k] - time[k - 1])
-        known = total + half * damping[k - 1] * noise[k - 1]
-        noise[k] = (residual[k] - known) / (1.0 + half * damping[k])
-        total = known + half * damping[k] * noise[k]
-    return noise

@@ -153,7 +153,9 @@ class Likelihood:
         found: list[ObservedRun | SimulatedRun] = []
         for i, signals in enumerate(self.signals):
             record = signals.record
-            kind = SimulatedRun if self.simulates and record.reference is not None and record.controller else ObservedRun
+            kind = (
+                SimulatedRun if self.simulates and record.reference is not None and record.controller else ObservedRun
+            )
             found.append(kind(signals, i, noise, unpowered=unpowered and begins_with_its_step(record)))
         return found
 

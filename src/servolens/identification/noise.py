@@ -98,12 +98,25 @@ class NoiseModel:
         total = float(np.sum(self.filters[-1]))
         return max((self.innovation / max(abs(total), 1e-12)) ** 2 / max(self.spread**2, 1e-300), 1.0)
 
-    def estimated(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
-        """Return the model whose autoregressive part suits `residuals`, one array a record."""
+    def inflation(self, samples: int, unknowns: int) -> float:
+        """Return by how much variances are larger than with a noise that is known: n/(n − p), n without its memory.
+
+        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold.
+        """
+        return 1.0 / max(1.0 - unknowns * self.memory() / samples, 0.1)
+
+    def estimated(
+        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool = False
+    ) -> NoiseModel:
+        """Return the model whose autoregressive part suits `residuals`, one array a record.
+
+        For a decision its order is that of the Bayesian criterion; for error bars that of Akaike's, which leaves less
+        of the slow noise out.
+        """
         timed = replace(self, jitter=_jitter(residuals, [whitener.speed for whitener in whiteners]))
         if timed.jitter > 0.0:
-            return timed._coloured(residuals, [Whitener(w.position, w.speed, timed) for w in whiteners])
-        return self._coloured(residuals, whiteners)
+            whiteners = [Whitener(w.position, w.speed, timed) for w in whiteners]
+        return timed._coloured(residuals, whiteners, for_errors=for_errors)
 
     def scaled(self, residuals: Sequence[NDArray[np.float64]]) -> NoiseModel:
         """Return white noise of the size of `residuals`."""
@@ -111,9 +124,11 @@ class NoiseModel:
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
         return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread)
 
-    def _coloured(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
+    def _coloured(
+        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool
+    ) -> NoiseModel:
         evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
-        filters, scales = burg(evened, MOST_ORDER)
+        filters, scales = burg(evened, MOST_ORDER, price=2.0 if for_errors else None)
         samples = sum(r.size for r in residuals)
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
         return replace(self, filters=filters, scales=scales, spread=spread)
@@ -166,6 +181,8 @@ class Whitener:
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), whitened."""
         evened = self.evened(rows)
+        if rows.size == 0:
+            return evened
         if rows.ndim == 1:
             white = np.convolve(evened, self._filter)[: rows.size]
         else:
@@ -175,6 +192,20 @@ class Whitener:
         begun = self._begin.shape[0]
         white[:begun] = self._begin @ evened[:begun]
         return white
+
+    def deviations(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return rows D, shape (n, k), so that DᵀD is the covariance of the noise's sums with `weights`, shape (n, k).
+
+        The adjoint of the inverse filter: what is whitened by it has these variances before.
+        """
+        from scipy.signal import lfilter
+
+        spread = np.asarray(lfilter([1.0], self._filter, weights[::-1], axis=0))[::-1]
+        if self._first.size == 0:
+            return spread
+        sums = np.add.reduceat(spread, self._first, axis=0)
+        raised = np.repeat((sums.T * ((1.0 / self._kept - 1.0) / self._counts)).T, self._counts, axis=0)
+        return np.asarray(spread + raised)
 
     @property
     def log_determinant(self) -> float:
@@ -217,11 +248,11 @@ def _steady_runs(position: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def burg(
-    signals: Sequence[NDArray[np.float64]], most: int
+    signals: Sequence[NDArray[np.float64]], most: int, price: float | None = None
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
     """Return the prediction-error filters of order 0 … p of an autoregressive process, and what each leaves.
 
-    Burg's method over all `signals` together; p by the Bayesian information criterion.
+    Burg's method over all `signals` together; p by the Bayesian information criterion, or by another price.
 
     Parameters
     ----------
@@ -229,6 +260,8 @@ def burg(
         Realisations of one process with mean 0.
     most : int
         Highest order.
+    price : float, optional
+        Of an order, in −2 log-likelihood; the logarithm of the number of samples when None.
 
     References
     ----------
@@ -247,8 +280,8 @@ def burg(
         longer = np.append(filters[-1], 0.0)
         filters.append(longer - reflection * longer[::-1])
         powers.append(max(powers[-1] * (1.0 - reflection**2), 1e-300))
-    price = np.log(samples) * np.arange(len(powers))
-    order = int(np.argmin(samples * np.log(powers) + price))
+    costs = (np.log(samples) if price is None else price) * np.arange(len(powers))
+    order = int(np.argmin(samples * np.log(powers) + costs))
     return tuple(filters[: order + 1]), np.sqrt(powers[: order + 1])
 
 

@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import field, make_dataclass
+from dataclasses import field, make_dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from servolens.effects import Axis, Effect, Force
+from servolens.errors import NumericalError
+from servolens.identification.segments import settled_steps
 from servolens.plant import Plant
+from servolens.prediction import prediction_residual
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.identification.varying import VaryingDamping
+    from numpy.typing import NDArray
 
-__all__ = ["CAPACITY", "piecewise_damping", "varying_plant"]
+    from servolens.identification.varying import VaryingDamping
+    from servolens.record import Record
+
+__all__ = ["CAPACITY", "piecewise_damping", "varying_plant", "varying_residual"]
 
 CAPACITY = 60
 
@@ -27,6 +35,25 @@ def varying_plant(varying: VaryingDamping) -> Plant:
         damping=0.0,
         effects=(piecewise_damping(varying.edges.tolist(), varying.damping.tolist()),),
     )
+
+
+def varying_residual(varying: VaryingDamping, record: Record) -> NDArray[np.float64]:
+    """Return simulated minus measured position of `record`, shape (n,) [m or rad]; each step from its own beginning.
+
+    Before the first step the axis rests where it was first measured.
+
+    Raises
+    ------
+    NumericalError
+        If the axis does not rest between its steps, or a step cannot be simulated.
+    """
+    parts = settled_steps(record)
+    if len(parts) == 1 and record.edges().size > 1:
+        raise NumericalError("the axis never rests between its steps, so none of them can be simulated by itself")
+    plant = replace(varying_plant(varying), length_unit=record.length_unit, command_unit=record.command_unit)
+    found = [prediction_residual(plant, step.with_({"time": step.time - step.time[0]})) for step in parts]
+    lead = len(record) - sum(part.size for part in found)
+    return np.concatenate([record.position[0] - record.position[:lead], *found])
 
 
 def piecewise_damping(edges: Sequence[float], damping: Sequence[float]) -> Effect:

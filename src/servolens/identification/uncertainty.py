@@ -2,75 +2,161 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.identification.factors import whiten
-from servolens.identification.integral import held_twice_integrated
+from servolens.identification.integral import Pieces, held_twice_integrated
+from servolens.identification.noise import NoiseModel, Whitener, observer_gains
+from servolens.identification.smoothing import value_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.integral import Pieces
     from servolens.identification.segments import Segment
 
-__all__ = ["apparent_noise", "correlation_factor", "integral_covariance", "robust_covariance"]
+__all__ = ["LinearEstimate", "apparent_noise", "correlation_factor", "robust_covariance"]
 
-MOST_SAMPLES = 200_000
-FEWEST_SEGMENTS = 20
-"""Of longer data every k-th segment is looked at, then every k-th sample; the rest is taken to be like them."""
+MOST_SAMPLES, FEWEST_SEGMENTS = 50_000, 20
+"""Of longer data the first samples of every k-th segment are looked at; the rest is taken to be like them."""
 
 
-def integral_covariance(
-    segments: Sequence[Segment], pieces: Sequence[Pieces], estimate: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
-    """Return the covariance of an integral fit's damping and gain, and the noise of the equation.
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearEstimate:
+    """An estimate that is linear in what was measured, and how it answers to the noise.
 
-    Position noise n enters the equation as n + ∫c n dt, so its residuals are coloured although n is white. With the
-    regressors X, nuisances projected out, the least-squares estimate has the covariance
-    ``σ² (XᵀX)⁻¹ WᵀW (XᵀX)⁻¹`` with ``W = X + c·∫ₜ X`` (the adjoint of the colouring). σ² is measured on the whitened
-    residual and grows by its remaining correlation.
-
-    Parameters
+    Attributes
     ----------
-    segments, pieces
-        As given to :func:`servolens.identification.integral.assemble`, without further effects.
-    estimate : ndarray, shape (d + 1,)
-        [c₁ … c_d, β].
-
-    Returns
-    -------
-    covariance : ndarray, shape (d + 1, d + 1)
-    noise : float
-        Root mean square of the whitened residual [m or rad].
+    segments, pieces : tuple
+        Those that are looked at.
+    rows : tuple of ndarray, shape (n, p)
+        Of each segment: weights with which an error of the integral equation enters the estimates.
+    share : float
+        Of all samples that are looked at.
     """
-    p = estimate.size
+
+    segments: tuple[Segment, ...]
+    pieces: tuple[Pieces, ...]
+    rows: tuple[NDArray[np.float64], ...]
+    share: float
+
+    @classmethod
+    def of(
+        cls,
+        segments: Sequence[Segment],
+        pieces: Sequence[Pieces],
+        gain: Sequence[NDArray[np.float64]] | None = None,
+    ) -> LinearEstimate:
+        """Return least squares of damping and gain [c₁ … c_d, β], or of damping beside a gain with rows of its own."""
+        used, shares, share = _looked_at(segments, pieces)
+        size = 2 + max(int(one.groups.max()) for one in shares)
+        columns = [_columns(segment, one, size) for segment, one in zip(used, shares, strict=True)]
+        if gain is None:
+            inverse = _inverse(columns)
+            return cls(used, shares, tuple(x @ inverse for x in columns), share)
+        inverse = _inverse([x[:, :-1] for x in columns])
+        damping = [x[:, :-1] @ inverse for x in columns]
+        moved = sum(x[:, -1] @ rows for x, rows in zip(columns, damping, strict=True))
+        rows = [np.column_stack([c - np.outer(g, moved), g]) for c, g in zip(damping, gain, strict=True)]
+        return cls(used, shares, tuple(rows), share)
+
+    def covariance(self, damping: NDArray[np.float64], noise: NoiseModel, window: int = 21) -> NDArray[np.float64]:
+        """Return the covariance of the estimates, shape (p, p).
+
+        Position noise n enters the integral equation as n + ∫c n dt, and with the position at the edges of the pieces;
+        what shakes the axis enters as the observer's corrections do, integrated twice. The estimates sum all that with
+        their rows; the sum's adjoint gives the weight of each sample of the innovations, whose covariance is known.
+
+        Parameters
+        ----------
+        damping : ndarray, shape (d,)
+            c₁ … c_d [1/s].
+        noise : NoiseModel
+            Of the records.
+        window : int
+            Samples over which the position at a piece's edge is smoothed.
+        """
+        size = self.rows[0].shape[1]
+        found = np.zeros((size, size))
+        for segment, share, rows in zip(self.segments, self.pieces, self.rows, strict=True):
+            weights = _of_innovations(segment, share, rows, damping, noise, window)
+            deviations = Whitener(segment.position, noise).deviations(weights)
+            found += deviations.T @ deviations
+        samples = sum(s.time.size for s in self.segments)
+        return np.asarray(found * self.share * noise.inflation(samples, size + 2 * len(self.segments)))
+
+
+def _looked_at(
+    segments: Sequence[Segment], pieces: Sequence[Pieces]
+) -> tuple[tuple[Segment, ...], tuple[Pieces, ...], float]:
+    """Return segments and pieces that are looked at, and their share of all samples."""
     total = sum(s.time.size for s in segments)
-    used = slice(None, None, max(1, min(total // MOST_SAMPLES, len(segments) // FEWEST_SEGMENTS)))
-    seen = sum(s.time.size for s in segments[used])
-    stride = max(1, seen // MOST_SAMPLES)
-    bread, meat, squares, samples, factor = np.zeros((p, p)), np.zeros((p, p)), 0.0, 0, 1.0
-    for segment, share in zip(segments[used], pieces[used], strict=True):
-        x, y, damping, time = _columns(segment, share, estimate, stride)
-        if time.size < 4:
-            continue
-        q, _ = np.linalg.qr(np.column_stack([np.ones(time.size), time]))
-        x, y = x - q @ (q.T @ x), y - q @ (q.T @ y)
-        noise = whiten(y - x @ estimate, damping, time)
-        steps = np.diff(time, append=2 * time[-1] - time[-2])[:, None]
-        later = np.cumsum((x * steps)[::-1], axis=0)[::-1]
-        w = x + damping[:, None] * later
-        factor = correlation_factor(noise)
-        bread += x.T @ x
-        meat += factor * (noise @ noise) / max(time.size - 2 - p / len(segments), 1.0) * (w.T @ w)
-        squares += float(noise @ noise)
-        samples += time.size
-    scale = 1.0 / np.sqrt(np.diag(bread))
-    inverse = np.linalg.inv(bread * np.outer(scale, scale)) * np.outer(scale, scale)
-    return inverse @ meat @ inverse * (seen / total / stride), float(np.sqrt(squares / max(samples - p, 1)))
+    every = slice(None, None, max(1, min(total // MOST_SAMPLES, len(segments) // FEWEST_SEGMENTS)))
+    used, shares = [], []
+    for segment, share in zip(segments[every], pieces[every], strict=True):
+        count = min(segment.time.size, MOST_SAMPLES)
+        kept = share.edges[:-1] < count
+        signals = {name: getattr(segment, name)[:count] for name in ("time", "position", "voltage")}
+        used.append(replace(segment, **signals))
+        shares.append(Pieces(edges=np.append(share.edges[:-1][kept], count), groups=share.groups[kept]))
+    return tuple(used), tuple(shares), sum(s.time.size for s in used) / total
+
+
+def _inverse(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the inverse of XᵀX of all `columns`, scaled on the way."""
+    information = sum(x.T @ x for x in columns)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
+
+
+def _columns(segment: Segment, share: Pieces, size: int) -> NDArray[np.float64]:
+    """Return the regressors [c₁ … c_d, β], shape (n, size), at right angles to initial position and velocity."""
+    time, y = segment.time, segment.position
+    x = np.zeros((time.size, size))
+    x[:, -1] = held_twice_integrated(time, segment.voltage)
+    for first, stop, group in zip(share.edges[:-1], share.edges[1:], share.groups, strict=True):
+        last = min(int(stop), time.size - 1)
+        travelled = np.zeros(time.size)
+        travelled[first : last + 1] = y[first : last + 1] - y[first]
+        travelled[last:] = y[last] - y[first]
+        steps = 0.5 * np.diff(time) * (travelled[1:] + travelled[:-1])
+        x[1:, group] -= np.cumsum(steps)
+    line, _ = np.linalg.qr(np.column_stack([np.ones(time.size), time]))
+    return np.asarray(x - line @ (line.T @ x))
+
+
+def _of_innovations(
+    segment: Segment,
+    share: Pieces,
+    rows: NDArray[np.float64],
+    damping: NDArray[np.float64],
+    noise: NoiseModel,
+    window: int,
+) -> NDArray[np.float64]:
+    """Return the weights of the innovations where those of the equation's error are `rows`."""
+    time = segment.time
+    steps = np.diff(time, append=2.0 * time[-1] - time[-2])[:, None]
+    rate = np.repeat(damping[share.groups], np.diff(share.edges))[:, None]
+    found = rows + rate * _later(rows * steps)
+    smoothing = value_weights(min(window, time.size))
+    for edge, before, after in zip(share.edges[1:-1], share.groups[:-1], share.groups[1:], strict=True):
+        first = min(max(int(edge) - smoothing.shape[0] // 2, 0), time.size - smoothing.shape[0])
+        lever = (time[edge:] - time[edge]) @ rows[edge:] * (damping[before] - damping[after])
+        found[first : first + smoothing.shape[0]] += np.outer(smoothing[int(edge) - first], lever)
+    position, velocity = observer_gains(noise.rate, float(np.median(steps)))
+    if position == 0.0:
+        return np.asarray(found)
+    lever = _later(rows * time[:, None]) - time[:, None] * _later(rows)
+    return np.asarray(found + position * (_later(found) - found) + velocity * lever)
+
+
+def _later(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sums from each sample to the last."""
+    return np.cumsum(rows[::-1], axis=0)[::-1]
 
 
 def correlation_factor(residual: NDArray[np.float64]) -> float:
@@ -134,23 +220,3 @@ def _bandwidth(score: NDArray[np.float64]) -> int:
         return 0
     alpha = 4.0 * strongest**2 / ((1.0 - strongest) ** 2 * (1.0 + strongest) ** 2)
     return int(min(1.1447 * (alpha * n) ** (1.0 / 3.0), n // 3))
-
-
-def _columns(
-    segment: Segment, share: Pieces, estimate: NDArray[np.float64], stride: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return regressors (n, d + 1), position, damping and time at every `stride`-th sample."""
-    time, y, voltage = segment.time, segment.position, segment.voltage
-    steps = np.diff(time)
-    x = np.zeros((time.size, estimate.size))
-    x[:, -1] = held_twice_integrated(time, voltage)
-    damping = np.empty(time.size)
-    for first, stop, group in zip(share.edges[:-1], share.edges[1:], share.groups, strict=True):
-        damping[first:stop] = estimate[group]
-        last = min(int(stop), time.size - 1)
-        travelled = np.zeros(time.size)
-        travelled[first : last + 1] = y[first : last + 1] - y[first]
-        travelled[last:] = y[last] - y[first]
-        area = np.concatenate([[0.0], np.cumsum(0.5 * steps * (travelled[1:] + travelled[:-1]))])
-        x[:, group] -= area
-    return x[::stride], y[::stride], damping[::stride], time[::stride]

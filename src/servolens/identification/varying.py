@@ -10,9 +10,10 @@ import numpy as np
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces, segment_factors, stacked
+from servolens.identification.noise import NoiseModel
 from servolens.identification.piecewise import CAPACITY
 from servolens.identification.smoothing import slope_noise, smooth, smoothing_window
-from servolens.identification.uncertainty import integral_covariance
+from servolens.identification.uncertainty import LinearEstimate
 from servolens.solving import Constraint, constrained_least_squares
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ class VaryingDamping:
     speed : ndarray, shape (n,)
         Mean |v| of each piece; not the paper's signed mean (eq. 19), which is near zero in a piece with a reversal.
     covariance : ndarray, shape (n + 1, n + 1)
-        Of [c₁ … c_n, β]; for the unconstrained estimate.
+        Of [c₁ … c_n, β], without the constraints on damping.
     active : tuple of str
         Constraints that hold with equality.
     """
@@ -92,6 +93,7 @@ def fit_varying(
     constraints: Sequence[Constraint] = (),
     delta: float | None = None,
     bounds: tuple[float, float] | None = None,
+    noise: NoiseModel | None = None,
 ) -> VaryingDamping:
     """Fit piecewise-constant damping with continuous position and velocity.
 
@@ -107,24 +109,34 @@ def fit_varying(
         δ of eq. 18: damping may fall by at most δ [1/s] from piece to piece.
     bounds : tuple of float, optional
         Least and largest damping of a piece [1/s].
+    noise : NoiseModel, optional
+        Of the records; white, as third differences show it, when None.
 
     Raises
     ------
     InputError
         If the constraints contradict each other or a piece would hold too few samples.
+
+    Notes
+    -----
+    Where damping changes within a piece, what is estimated, and what the covariance is about, is the effective damping
+    of the piece: what the same fit gives on noise-free data.
     """
     length = piece_duration(segments) if duration is None else duration
     shares, edges = _pieces(segments, length)
     count = edges.size - 1
     window = smoothing_window(length, _sample_time(segments))
+    settled = _settled_gain(segments, 0.5 * length, window)
     wanted = [
         *constraints,
-        *_settled_gain(segments, 0.5 * length, count, window),
+        *(() if settled is None else (settled.constraint(count),)),
         *(ordering(count, delta) if delta is not None else ()),
         *(within(count, *bounds) if bounds is not None else ()),
     ]
     fit = fit_pieces(segments, shares, wanted, window)
-    covariance, _ = integral_covariance(segments, shares, np.append(fit.damping, fit.gain))
+    estimate = LinearEstimate.of(segments, shares, None if settled is None else settled.rows(segments))
+    least = NoiseModel.white(max(s.noise for s in segments)) if noise is None else noise
+    covariance = estimate.covariance(fit.damping, least, window)
     return VaryingDamping(
         gain=fit.gain,
         edges=edges,
@@ -135,24 +147,42 @@ def fit_varying(
     )
 
 
-def _settled_gain(segments: Sequence[Segment], length: float, count: int, window: int) -> tuple[Constraint, ...]:
-    """Hold β at its median over eight positions of the nodes, with pieces of half the length.
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class _SettledGain:
+    """β as the mean of that of two ways to place the nodes, the middle ones of several."""
+
+    value: float
+    middle: tuple[list[Pieces], list[Pieces]]
+
+    def constraint(self, count: int) -> Constraint:
+        """Return the constraint that holds β behind `count` dampings."""
+        return Constraint(name=SETTLED_GAIN, coefficients={count: 1.0}, lower=self.value, upper=self.value)
+
+    def rows(self, segments: Sequence[Segment]) -> list[NDArray[np.float64]]:
+        """Return the weights with which errors of the equation enter β, an array a segment."""
+        one, other = (LinearEstimate.of(segments, pieces).rows for pieces in self.middle)
+        return [0.5 * (a[:, -1] + b[:, -1]) for a, b in zip(one, other, strict=True)]
+
+
+def _settled_gain(segments: Sequence[Segment], length: float, window: int) -> _SettledGain | None:
+    """Return β as its median over eight positions of the nodes, with pieces of half the length.
 
     Damping that changes within a piece moves β by a percent or more, one way or the other with where the nodes fall;
-    the median over their positions does not hang on that choice. No constraint where fewer than five positions can be
-    fitted.
+    the median over their positions does not hang on that choice. None where fewer than five positions can be fitted.
     """
-    gains = []
+    found: list[tuple[float, list[Pieces]]] = []
     for position in NODE_POSITIONS:
         try:
             shares, _ = _pieces(segments, length, first=position * length)
-            gains.append(fit_pieces(segments, shares, (), window).gain)
+            found.append((fit_pieces(segments, shares, (), window).gain, shares))
         except ServolensError:
             continue
-    if len(gains) < 5:
-        return ()
-    gain = float(np.median(gains))
-    return (Constraint(name=SETTLED_GAIN, coefficients={count: 1.0}, lower=gain, upper=gain),)
+    if len(found) < 5:
+        return None
+    found.sort(key=lambda fit: fit[0])
+    low, high = found[(len(found) - 1) // 2], found[len(found) // 2]
+    return _SettledGain(0.5 * (low[0] + high[0]), (low[1], high[1]))
 
 
 def fit_pieces(

@@ -3,48 +3,48 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
-from servolens.effects import VelocityDecayDamping
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
-from servolens.identification.damping_law import fit_law, law_from_pieces
+from servolens.identification.constant import fit_constant
+from servolens.identification.damping_law import law_from_pieces
 from servolens.identification.door import check_priors, together
-from servolens.identification.integral import Pieces, assemble, solve_integral
-from servolens.identification.law_in_loop import MOST_CLOSED, best_in_closed_loop, excerpt_of
-from servolens.identification.piecewise import varying_plant
-from servolens.identification.refine import AT_NOISE, Refinement, refine
-from servolens.identification.segments import motion_segments, settled_steps
-from servolens.identification.smoothing import smoothing_window
-from servolens.identification.uncertainty import integral_covariance
-from servolens.identification.varying import fit_varying, piece_duration
+from servolens.identification.piecewise import varying_residual
+from servolens.identification.segments import motion_segments
+from servolens.identification.varying import fit_varying
+from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
 from servolens.model import Model, Quantity
 from servolens.plant import Plant
-from servolens.prediction import RecordError, prediction_error
+from servolens.prediction import RecordError, prediction_residual, record_error
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from servolens.identification.integral import Prior
+    from servolens.identification.noise import NoiseModel
     from servolens.identification.segments import Segment
     from servolens.identification.varying import VaryingDamping
+    from servolens.identification.velocity import VelocityFit
     from servolens.record import Record
 
 __all__ = ["Identification", "identify"]
 
 ModelName = Literal["constant", "varying", "velocity", "all"]
 MOST_SAMPLES = 200_000
-"""The law and its refinement use the first stretches of motion up to this many samples; so do the errors."""
-SIGNIFICANT = 3.0
-"""Standard errors that the extra damping must be away from zero."""
-NEGLIGIBLE = 2e-5
-"""Share of the travel below which a residual is no matter."""
-SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
-BEYOND_THE_LAW = (
-    "damping against speed alone does not bring the residual down to the noise, so the velocity model was fitted to "
-    "the closed-loop response as a whole; its intervals are those of the best law, not of the machine."
+"""The errors of models are those of the first samples of a record, up to this many."""
+BEYOND_THE_LAW = Finding(
+    code="beyond_the_law",
+    severity="note",
+    message=(
+        "this law does not explain the data to noise level: what it leaves depends on the inputs. Do not rely on these "
+        "intervals; run `servolens diagnose`."
+    ),
 )
 
 
@@ -171,14 +171,22 @@ def identify(
     _check(model, delta)
     check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
     segments = motion_segments(runs)
-    doubts = (*_reconstructed(runs), *_contradicted(runs, segments, priors or {}))
-    result = Identification(records=runs, findings=doubts)
+    constant = fit_constant(segments, priors or {})
+    result = Identification(records=runs, findings=(*_reconstructed(runs), *constant.findings))
+    left = constant.left
+    law = fit_velocity(segments, priors or {}, constant.model.plant) if model in ("all", "velocity") else None
+    if law is not None:
+        left = law.left
+    elif model == "varying" and not left.is_enough:
+        left = law_left(segments, priors or {})
     if model in ("all", "constant"):
-        result = replace(result, constant=_constant(runs, segments, priors or {}))
+        result = replace(result, constant=constant.model)
     if model in ("all", "varying"):
-        result = _with_varying(result, segments, (piece, delta, bounds), wanted=model == "varying")
-    if model in ("all", "velocity"):
-        result = _with_velocity(result, segments, priors or {})
+        result = _with_varying(result, segments, (piece, delta, bounds), left.noise, wanted=model == "varying")
+    if law is not None:
+        result = _with_velocity(result, law)
+    if not left.is_enough:
+        result = replace(result, findings=(*result.findings, BEYOND_THE_LAW))
     return _with_errors(result)
 
 
@@ -189,37 +197,18 @@ def _check(model: str, delta: float | None) -> None:
         raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
 
 
-def _constant(runs: tuple[Record, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Model:
-    shares = [Pieces.whole(s.time.size) for s in segments]
-    factor = assemble(segments, shares)
-    estimate = solve_integral(factor).x
-    covariance, noise = integral_covariance(segments, shares, estimate)
-    known = _integral_priors(priors)
-    if known:
-        estimate = solve_integral(factor, known, noise).x
-        information = np.linalg.inv(covariance)
-        for index, prior in known.items():
-            information[index, index] += prior.deviation**-2
-        covariance = np.linalg.inv(information)
-    damping, gain = (float(v) for v in estimate)
-    return Model(
-        plant=_plant(runs, Plant(gain=gain, damping=damping)),
-        covariance=covariance[::-1, ::-1],
-        identified_from=tuple(run.name for run in runs),
-    )
-
-
 def _with_varying(
     result: Identification,
     segments: Sequence[Segment],
     options: tuple[float | None, float | None, tuple[float, float]],
+    noise: NoiseModel,
     *,
     wanted: bool,
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
     piece, delta, bounds = options
     try:
-        varying = fit_varying(segments, duration=piece, delta=delta, bounds=bounds)
+        varying = fit_varying(segments, duration=piece, delta=delta, bounds=bounds, noise=noise)
     except ServolensError as error:
         if wanted or piece is not None or delta is not None:
             raise
@@ -234,84 +223,30 @@ def _with_varying(
     return replace(result, varying=varying, findings=(*result.findings, finding))
 
 
-def _with_velocity(result: Identification, segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Identification:
-    runs = result.records
-    used, findings = _bounded(segments)
-    window = smoothing_window(piece_duration(used), min(run.sample_time for run in runs))
-    start = fit_law(used, window, _integral_priors(priors))
-    refined = refine(start, used, held=[SHAPE], priors=priors, window=window)
-    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
-    if _depends_on_speed(refined):
-        refined = refine(refined.plant, used, priors=priors, window=window)
-    else:
-        reasons[SHAPE] = "damping does not depend on speed within its error, so the rate of decay is not determined"
-    if _is_explained(refined, used) or not _can_close(runs):
-        if not _depends_on_speed(refined):
-            findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{reasons[SHAPE]}."))
-    else:
-        noise = max(s.noise for s in used)
-        starts = (_constant(runs, segments, {}).plant, start, refined.plant)
-        excerpt = excerpt_of(runs)
-        refined = best_in_closed_loop(starts, excerpt, priors, noise)
-        again = refine(refined.plant, used, priors=priors, window=window)
-        if _is_explained(again, used):
-            refined = again
-        else:
-            findings.append(Finding(code="beyond_the_law", severity="note", message=BEYOND_THE_LAW))
-            if sum(map(len, excerpt)) >= MOST_CLOSED:
-                message = f"the closed-loop fit uses the first {sum(map(len, excerpt))} samples of the steps."
-                findings.append(Finding(code="not_all_data_used", severity="note", message=message))
-    if not refined.converged:
-        findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
-    velocity = Model(
-        plant=_plant(runs, refined.plant),
-        covariance=refined.covariance,
-        identified_from=tuple(run.name for run in runs),
-        reasons=reasons,
-    )
-    return replace(
-        result, velocity=velocity, law_from_pieces=_paper_route(result, used), findings=(*result.findings, *findings)
-    )
-
-
-def _is_explained(refined: Refinement, segments: Sequence[Segment]) -> bool:
-    """Tell whether the residual is at the noise, or too small to matter to anyone."""
-    noise = max(s.noise for s in segments)
-    step = max(float(np.ptp(s.position)) for s in segments)
-    return refined.rms_error <= max(AT_NOISE * noise, NEGLIGIBLE * step)
-
-
-def _depends_on_speed(refined: Refinement) -> bool:
-    index = list(refined.plant.parameters).index(SIZE)
-    spread = np.sqrt(refined.covariance[index, index])
-    return bool(refined.plant.values[index] > SIGNIFICANT * spread)
-
-
-def _can_close(runs: tuple[Record, ...]) -> bool:
-    return all(run.reference is not None and run.controller is not None for run in runs)
-
-
-def _paper_route(result: Identification, used: Sequence[Segment]) -> Plant | None:
+def _with_velocity(result: Identification, law: VelocityFit) -> Identification:
+    """Add the damping law, and what the paper's own route would make of it."""
     try:
-        pieces = result.varying or fit_varying(used)
-        return _plant(result.records, law_from_pieces(pieces))
+        pieces = result.varying or fit_varying(law.segments)
+        by_pieces = _in_units(result.records, law_from_pieces(pieces))
     except (InputError, NumericalError):
-        return None
+        by_pieces = None
+    velocity = replace(law.model, plant=_in_units(result.records, law.model.plant))
+    return replace(result, velocity=velocity, law_from_pieces=by_pieces, findings=(*result.findings, *law.findings))
 
 
 def _with_errors(result: Identification) -> Identification:
-    plants: dict[str, Plant] = {}
-    if result.constant is not None:
-        plants["constant"] = result.constant.plant
+    residuals: dict[str, Callable[[Record], NDArray[np.float64]]] = {}
+    for name in ("constant", "velocity"):
+        model: Model | None = getattr(result, name)
+        if model is not None:
+            residuals[name] = partial(prediction_residual, model.plant)
     if result.varying is not None:
-        plants["varying"] = _plant(result.records, varying_plant(result.varying))
-    if result.velocity is not None:
-        plants["velocity"] = result.velocity.plant
+        residuals["varying"] = partial(varying_residual, result.varying)
     shown, findings = _beginnings(result.records)
     errors = {}
-    for name, plant in plants.items():
+    for name, residual in residuals.items():
         try:
-            errors[name] = tuple(_own_error(name, plant, record) for record in shown)
+            errors[name] = tuple(record_error(record, residual(record)) for record in shown)
         except NumericalError as error:
             findings.append(Finding(code="not_simulated", severity="warning", message=f"{name} model: {error}."))
     return replace(result, errors=errors, findings=(*result.findings, *findings))
@@ -330,65 +265,8 @@ def _beginnings(runs: tuple[Record, ...]) -> tuple[list[Record], list[Finding]]:
     return shown, findings
 
 
-def _own_error(name: str, plant: Plant, record: Record) -> RecordError:
-    """Error on a record; time-varying damping counts from each step's beginning."""
-    if name != "varying":
-        return prediction_error(plant, record)
-    parts = settled_steps(record)
-    if len(parts) == 1 and record.edges().size > 1:
-        raise NumericalError("the axis never rests between its steps, so none of them can be simulated by itself")
-    steps = [step.with_({"time": step.time - step.time[0]}) for step in parts]
-    found = [prediction_error(plant, step) for step in steps]
-    weights = np.array([len(step) for step in steps], dtype=np.float64) / sum(len(step) for step in steps)
-    mean = float(weights @ [p.mean_abs_error for p in found])
-    return RecordError(
-        name=record.name,
-        mean_abs_error=mean,
-        rms_error=float(np.sqrt(weights @ [p.rms_error**2 for p in found])),
-        percent_error=100.0 * mean / record.step_size,
-        fit_percent=float(weights @ [p.fit_percent for p in found]),
-    )
-
-
-def _bounded(segments: Sequence[Segment]) -> tuple[list[Segment], list[Finding]]:
-    total = np.cumsum([s.time.size for s in segments])
-    if total[-1] <= MOST_SAMPLES:
-        return list(segments), []
-    count = max(int(np.searchsorted(total, MOST_SAMPLES)), 1)
-    used = [
-        replace(s, time=s.time[:MOST_SAMPLES], position=s.position[:MOST_SAMPLES], voltage=s.voltage[:MOST_SAMPLES])
-        for s in segments[:count]
-    ]
-    message = f"the velocity model uses the first {count} of {len(segments)} stretches of motion."
-    return used, [Finding(code="not_all_data_used", severity="note", message=message)]
-
-
-def _integral_priors(priors: Mapping[str, Prior]) -> dict[int, Prior]:
-    return {index: priors[name] for index, name in enumerate(("damping", "gain")) if name in priors}
-
-
-def _plant(runs: tuple[Record, ...], plant: Plant) -> Plant:
+def _in_units(runs: tuple[Record, ...], plant: Plant) -> Plant:
     return replace(plant, length_unit=runs[0].length_unit, command_unit=runs[0].command_unit)
-
-
-def _contradicted(
-    runs: tuple[Record, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]
-) -> tuple[Finding, ...]:
-    """Name the priors that a fit without them is far from."""
-    known = {name: priors[name] for name in ("gain", "damping") if name in priors}
-    if not known:
-        return ()
-    free = _constant(runs, segments, {}).quantities
-    found = []
-    for name, prior in known.items():
-        value, spread = free[name].value, free[name].stderr or 0.0
-        if abs(value - prior.value) > SIGNIFICANT * np.hypot(spread, prior.deviation):
-            message = (
-                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
-                f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
-            )
-            found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
-    return tuple(found)
 
 
 def _reconstructed(runs: tuple[Record, ...]) -> tuple[Finding, ...]:

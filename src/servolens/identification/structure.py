@@ -1,17 +1,15 @@
-"""Whether what a model leaves depends on the inputs, and how much it is."""
+"""Whether what a model leaves depends on the inputs."""
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.json_values import finite
-from servolens.diagnosis.trials import FALSE_ALARM
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import ServolensError
+from servolens.identification.score import FALSE_ALARM
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -19,14 +17,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.diagnosis.score import ScoreTest
     from servolens.identification.observed import ObservedRun
-    from servolens.record import Record
+    from servolens.identification.score import ScoreTest
 
-__all__ = ["MATERIAL", "Remainder", "depends_on_inputs", "unexplained_acceleration"]
+__all__ = ["depends_on_inputs", "forces_along", "is_chance"]
 
-MATERIAL = 0.005
-"""Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
 TESTS = 3
@@ -43,42 +38,6 @@ PLACES = np.linspace(0.0, 1.0, 7)
 """Knots of a force over the travel and over time."""
 LAGS = 2
 """Ratio of one lag of an instrument to the one before."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Remainder:
-    """What the chosen model misses beyond the noise.
-
-    Attributes
-    ----------
-    rms : float
-        R.m.s. of the simulation's error beyond the noise, in quadrature [m or rad].
-    times_noise : float or None
-        The simulation's error over the noise floor; None without noise.
-    of_travel : float
-        `rms` over the range of the position.
-    acceleration_rms : float
-        R.m.s. of the acceleration that nothing explains [m/s² or rad/s²].
-    of_motor : float
-        The same over the largest acceleration that the motor gives.
-    depends_on_inputs : bool
-        Whether it depends on reference, feedforward or a column of the catalogue; else it is noise or shaking.
-    material : bool
-        Whether `of_travel` exceeds half a percent.
-    """
-
-    rms: float
-    times_noise: float | None
-    of_travel: float
-    acceleration_rms: float
-    of_motor: float
-    depends_on_inputs: bool
-    material: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields; null with a reason for what is not finite."""
-        return finite({name: getattr(self, name) for name in self.__slots__})
 
 
 def depends_on_inputs(test: ScoreTest) -> bool:
@@ -164,6 +123,21 @@ def _block_powers(test: ScoreTest, size: int) -> tuple[list[list[float]], list[l
     return smooth, rough
 
 
+def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: NDArray[np.float64]) -> bool:
+    """Tell whether `columns` explain no more of a whitened residual, beside its `own` directions, than chance does."""
+    from scipy.stats import ncx2
+
+    basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
+    free = columns - basis @ (basis.T @ columns)
+    sizes = np.linalg.norm(free, axis=0)
+    free = free[:, sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
+    if free.shape[1] == 0:
+        return True
+    left, singular, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=False)
+    along = left[:, singular > 1e-4 * singular[0]].T @ (residual - basis @ (basis.T @ residual))
+    return float(along @ along) <= float(ncx2.isf(FALSE_ALARM, along.size, TOLERATED**2 * residual.size))
+
+
 def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return an orthonormal basis of the columns, at right angles to what the hypothesis explains itself."""
     free = test.free_of_own(columns)
@@ -185,7 +159,13 @@ def forced(test: ScoreTest) -> NDArray[np.float64]:
 
 def _laws(test: ScoreTest) -> list[NDArray[np.float64]]:
     """Return, for each record, forces of all kinds along the simulation that knows no noise, shape (k, n)."""
-    found = [_noise_free(test, i) for i in range(len(test.runs))]
+    return forces_along([_noise_free(test, i) for i in range(len(test.runs))])
+
+
+def forces_along(
+    found: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+) -> list[NDArray[np.float64]]:
+    """Return forces of all kinds along position, velocity and voltage of each record, shape (k, n)."""
     fastest = max(float(np.abs(v).max()) for _, v, _ in found)
     low, high = min(float(y.min()) for y, _, _ in found), max(float(y.max()) for y, _, _ in found)
     most = max(float(np.abs(u).max()) for _, _, u in found)
@@ -267,36 +247,3 @@ def _lagged(signal: NDArray[np.float64]) -> list[NDArray[np.float64]]:
 
 def _shifted(signal: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
     return np.concatenate([np.zeros(min(lag, signal.size)), signal[: max(signal.size - lag, 0)]])
-
-
-def unexplained_acceleration(
-    records: Sequence[Record], residuals: Sequence[NDArray[np.float64]], rate: float, noise: float
-) -> float:
-    """Return the r.m.s. acceleration that the residuals of simulations stand for [m/s² or rad/s²].
-
-    Second derivatives of local cubics over the time in which the loop acts, 2/`rate`; the share that sensor noise alone
-    would have is taken off.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        The measurements.
-    residuals : sequence of ndarray, shape (n,)
-        Simulated minus measured position of each [m or rad].
-    rate : float
-        Of the loops [rad/s].
-    noise : float
-        Standard deviation of the sensor's noise [m or rad].
-    """
-    from scipy.signal import savgol_coeffs, savgol_filter
-
-    squares, samples = 0.0, 0
-    for record, residual in zip(records, residuals, strict=True):
-        window = int(min(max(2.0 / rate / record.sample_time, 7), len(record) // 2)) // 2 * 2 + 1
-        if window < 5 or residual.size <= window or not np.isfinite(residual).all():
-            continue
-        curve = savgol_filter(residual, window, 3, deriv=2, delta=record.sample_time)
-        weights = savgol_coeffs(window, 3, deriv=2, delta=record.sample_time)
-        squares += max(float(curve @ curve) - curve.size * noise**2 * float(weights @ weights), 0.0)
-        samples += curve.size
-    return float(np.sqrt(squares / samples)) if samples else 0.0

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.plant import Plant
 
-__all__ = ["ScoreTest"]
+__all__ = ["FALSE_ALARM", "ScoreTest"]
+
+FALSE_ALARM = 1e-3
+"""Familywise error rate: probability that any of all that is tried enters a model that lacks none."""
 
 
 @final

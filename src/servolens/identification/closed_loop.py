@@ -1,0 +1,164 @@
+"""Records simulated from their references, beside the noise of the loop: what feedback does to the noise does no harm.
+
+Driven by its voltage, a simulation is fitted with noise in its regressors, for the controller answers to noise and
+shaking: beside a wrong noise model it is biased (Ljung 1999, section 13.5). From the reference it is not; what the loop
+makes of noise and shaking together is a stationary process, autoregressive here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, descend
+from servolens.identification.error_problem import Problem
+from servolens.identification.noise import NoiseModel, Whitener
+from servolens.identification.observed import InitialState
+from servolens.identification.refine import Refinement, minimise_error
+from servolens.identification.structure import forces_along, is_chance
+from servolens.simulation.circumstances import plant_in
+from servolens.simulation.loop import Simulation, simulate_trial, without_gaps
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.options import FitOptions
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["LoopFit", "fit_loop"]
+
+ROUNDS, ITERATIONS = 3, 15
+"""Times that plant and noise are fitted in turn; iterations of each descent."""
+FOLLOWED = 0.5
+"""Unknowns over samples that are independent of each other, at most: slower noise is not told from structure."""
+SHIFT = 1e-5
+"""Share of the travel by which an initial state is moved for its sensitivity."""
+
+
+class LoopFit(NamedTuple):
+    """The optimum, the noise beside it, and whether nothing else is left."""
+
+    refined: Refinement
+    noise: NoiseModel
+    is_enough: bool
+
+
+@final
+class LoopRun:
+    """A record in closed loop; what is missed is whitened, and the initial state is held to its prior."""
+
+    def __init__(self, record: Record, group: int, noise: NoiseModel) -> None:
+        assert record.reference is not None  # noqa: S101 - fit_loop
+        assert record.controller is not None  # noqa: S101 - fit_loop
+        self.group, self.record, self.measured = group, record, record.position
+        self.samples = record.position.size
+        self.whiten, self._initial = Whitener(record.position, noise), InitialState.of(record, noise.floor)
+        self.time, held, self._index = without_gaps(record.time)
+        self._reference = np.ascontiguousarray(record.reference[held])
+        self._added = None if record.feedforward is None else record.feedforward[held]
+        self._controller = record.controller
+        self.sample_time = float(np.max(np.diff(self.time)))
+        travel = SHIFT * max(float(np.ptp(record.position)), 1e-12)
+        self.start = self._initial.mean
+        self.shifts: tuple[float, ...] = (travel, travel / max(record.duration, 1e-3))
+
+    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> Simulation:
+        """Return the loop on a grid without gaps."""
+        return simulate_trial(
+            plant_in(plant, self.record),
+            self._controller,
+            self.time,
+            self._reference,
+            feedforward=self._added,
+            start=(float(start[0]), float(start[1])),
+            before=self.record.voltage_before,
+            substeps=substeps,
+        )
+
+    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return simulated minus measured position, shape (n,) [m or rad]."""
+        found = self.simulated(plant, start, substeps).measured
+        return np.asarray((found if self._index is None else found[self._index]) - self.measured)
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return the same whitened, and how far the initial state is from its prior, in standard deviations."""
+        away = (start - self._initial.mean) / self._initial.deviation
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
+
+    def answers(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return what forces of general kinds along the simulation would do to the whitened position, shape (n, k).
+
+        By the loop of gain and damping alone, at the median interval between samples.
+        """
+        from scipy.signal import bilinear, lfilter
+
+        run = self.simulated(plant, start, substeps)
+        signals = (run.position, run.velocity, run.voltage)
+        y, v, u = (s if self._index is None else s[self._index] for s in signals)
+        forces = forces_along([(y, v, u)])[0]
+        kp, kd = self._controller.kp, self._controller.kd
+        loop = [1.0, plant.damping + plant.gain * kd, plant.gain * kp]
+        weights = bilinear([1.0], loop, 1.0 / float(np.median(np.diff(self.time))))
+        return self.whiten(np.ascontiguousarray(lfilter(*weights, forces, axis=1).T))
+
+
+def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white: NoiseModel) -> LoopFit | None:
+    """Fit `plant` to whole records in closed loop, and the noise of the loop with it; None where that fails.
+
+    Parameters
+    ----------
+    plant : Plant
+        Start and structure.
+    records : sequence of Record
+        Without a reference or a controller there is no fit.
+    options : FitOptions
+        What is held, and priors.
+    white : NoiseModel
+        The sensor's noise, to begin with.
+    """
+    if any(record.reference is None or record.controller is None for record in records):
+        return None
+    noise = white
+    try:
+        for _ in range(ROUNDS):
+            runs = [LoopRun(record, i, noise) for i, record in enumerate(records)]
+            problem = Problem(plant, runs, options, 1.0)
+            problem.one_sided = True
+            point, _ = descend(problem, problem.start(), ITERATIONS, NEGLIGIBLE_ON_THE_WAY)
+            plant = problem.plant_at(point.values, 0)
+            missed = [
+                run.missed(plant, start, substeps)
+                for run, start, substeps in zip(runs, point.starts, problem.substeps, strict=True)
+            ]
+            noise = white.estimated(missed, [run.whiten for run in runs], for_errors=True)
+        runs = [LoopRun(record, i, noise) for i, record in enumerate(records)]
+        refined = minimise_error(plant, runs, options, noise=1.0)
+        unknowns = problem.free.size + sum(start.size for start in point.starts)
+        refined = replace(refined, covariance=refined.covariance * noise.inflation(problem.samples, unknowns))
+        is_known = unknowns * noise.memory() <= FOLLOWED * problem.samples
+        return LoopFit(refined, noise, is_known and _is_enough(refined.plant, runs, options))
+    except (InputError, NumericalError):
+        return None
+
+
+def _is_enough(plant: Plant, runs: Sequence[LoopRun], options: FitOptions) -> bool:
+    """Tell whether forces along the simulation explain no more of the whitened residual than chance."""
+    problem = Problem(plant, runs, options, 1.0)
+    point, _ = descend(problem, problem.start(), ITERATIONS)
+    own: list[NDArray[np.float64]] = []
+    other: list[NDArray[np.float64]] = []
+    left: list[NDArray[np.float64]] = []
+    for i, (residual, jacobian, initial) in enumerate(problem.differences(point)):
+        run, start = runs[i], point.starts[i]
+        basis, _ = np.linalg.qr(initial)
+        answers = run.answers(plant, start, problem.substeps[i])
+        columns = np.vstack([answers, np.zeros((residual.size - run.samples, answers.shape[1]))])
+        for rows, found in ((own, jacobian), (other, columns), (left, residual[:, None])):
+            rows.append(found - basis @ (basis.T @ found))
+    return is_chance(np.vstack(other), np.vstack(own), np.vstack(left)[:, 0])

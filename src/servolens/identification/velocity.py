@@ -1,0 +1,170 @@
+"""Damping against speed, from start to error bars: the law in the integral equation, then its likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.effects import VelocityDecayDamping
+from servolens.findings import Finding
+from servolens.identification.damping_law import fit_law
+from servolens.identification.explained import Explained, excerpt_of, explained
+from servolens.identification.refine import refine, refine_closed_loop
+from servolens.identification.segments import motion_segments, settled_steps
+from servolens.identification.smoothing import smoothing_window
+from servolens.identification.varying import piece_duration
+from servolens.model import Model
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from servolens.identification.integral import Prior
+    from servolens.identification.refine import Refinement
+    from servolens.identification.segments import Segment
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["SHAPE", "SIZE", "VelocityFit", "fit_velocity", "law_left"]
+
+SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
+SIGNIFICANT = 3.0
+"""Standard errors that the extra damping must be away from zero."""
+MOST_SAMPLES, MOST_CLOSED, FEWEST = 64_000, 20_000, 20
+"""Samples of the last descent of the likelihood, and of a fit to the closed loop, which take seconds; the fewest of a
+part that still counts."""
+EXTRA, DECAY = 10.0, 10.0
+"""Another start of the closed-loop fit: an extra damping at rest of so many times γ, e^−10 of it at top speed."""
+NO_DEPENDENCE = "damping does not depend on speed within its error, so the rate of decay is not determined"
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class VelocityFit:
+    """The model, the stretches of motion it began from, what is left beside it, and doubts."""
+
+    model: Model
+    segments: tuple[Segment, ...]
+    left: Explained
+    findings: tuple[Finding, ...]
+
+
+def fit_velocity(segments: Sequence[Segment], priors: Mapping[str, Prior], constant: Plant) -> VelocityFit:
+    """Fit the law of eq. 20 by the likelihood of the records, from its solution in the integral equation.
+
+    Where it does not explain the records, it is fitted to the closed loop as a whole: then it describes them as well as
+    such a law can.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Stretches of motion.
+    priors : mapping of str to Prior
+        Knowledge from elsewhere.
+    constant : Plant
+        The axis with constant damping.
+    """
+    used, is_all = _first_samples(segments)
+    start = _start(used, priors)
+    left, refined = _by_likelihood(start, used, priors)
+    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
+    depends = _depends_on_speed(refined)
+    if not depends:
+        reasons[SHAPE] = NO_DEPENDENCE
+    findings = [] if is_all else [_shortened(used)]
+    if not left.is_enough and all(s.record.reference is not None and s.record.controller is not None for s in used):
+        refined = _in_closed_loop((constant, start, refined.plant), used, priors)
+    elif not depends:
+        findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{NO_DEPENDENCE}."))
+    if not refined.converged:
+        findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
+    names = tuple(dict.fromkeys(s.record.name for s in segments))
+    model = Model(plant=refined.plant, covariance=refined.covariance, identified_from=names, reasons=reasons)
+    return VelocityFit(model, used, left, tuple(findings))
+
+
+def law_left(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Explained:
+    """Return what the law leaves of the records, without error bars."""
+    used, _ = _first_samples(segments)
+    return explained(_start(used, priors), excerpt_of(used)[0], priors=priors)
+
+
+def _start(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Plant:
+    """Return the law as it solves the integral equation."""
+    window = smoothing_window(piece_duration(segments), min(s.record.sample_time for s in segments))
+    known = {index: priors[name] for index, name in enumerate(("damping", "gain")) if name in priors}
+    return fit_law(segments, window, known)
+
+
+def _by_likelihood(
+    start: Plant, segments: Sequence[Segment], priors: Mapping[str, Prior]
+) -> tuple[Explained, Refinement]:
+    """Return what the law leaves and its optimum; its rate of decay is free if damping depends on speed at all."""
+    excerpt, _ = excerpt_of(segments)
+    held = explained(start, excerpt, held=[SHAPE], priors=priors)
+    refined = _optimum(held, start, segments)
+    if held.is_enough and not _depends_on_speed(refined):
+        return held, refined
+    free = explained(refined.plant, excerpt, priors=priors, like=held)
+    found = _optimum(free, refined.plant, segments)
+    return (free, found) if _depends_on_speed(found) else (held, refined)
+
+
+def _optimum(left: Explained, start: Plant, segments: Sequence[Segment]) -> Refinement:
+    """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
+    if left.hypothesis is None and left.loop is None:
+        return refine(start, segments, held=[SHAPE])
+    return left.optimum(tuple({id(s.record): s.record for s in segments}.values()))
+
+
+def _depends_on_speed(refined: Refinement) -> bool:
+    index = list(refined.plant.parameters).index(SIZE)
+    return bool(refined.plant.values[index] > SIGNIFICANT * np.sqrt(refined.covariance[index, index]))
+
+
+def _in_closed_loop(starts: tuple[Plant, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Refinement:
+    """Fit the law to whole steps in closed loop, from where it errs least."""
+    records = _first_steps({id(s.record): s.record for s in segments}.values())
+    noise = max(s.noise for s in segments)
+    fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
+    steep = VelocityDecayDamping(alpha1=EXTRA * abs(starts[0].damping), alpha2=DECAY / max(fastest, 1e-12))
+    trials = [*starts[1:], replace(starts[0], damping=abs(starts[0].damping), effects=(steep,))]
+    found = [refine_closed_loop(trial, records, noise=noise, priors=priors) for trial in trials]
+    return min(found, key=lambda refined: refined.rms_error)
+
+
+def _first_samples(segments: Sequence[Segment]) -> tuple[tuple[Segment, ...], bool]:
+    """Return `segments` up to so many samples that the likelihood takes seconds, and whether that is all of them."""
+    records = tuple({id(s.record): s.record for s in segments}.values())
+    if sum(map(len, records)) <= MOST_SAMPLES:
+        return tuple(segments), True
+    kept, left = [], MOST_SAMPLES
+    for record in records:
+        count = min(len(record), left)
+        if count < FEWEST:
+            break
+        first = next(s.first for s in segments if s.record is record)
+        begin = 0 if count == len(record) else min(first, len(record) - count)
+        kept.append(record.slice(float(record.time[begin]), float(record.time[begin + count - 1])))
+        left -= count
+    return motion_segments(kept), False
+
+
+def _first_steps(records: Iterable[Record]) -> tuple[Record, ...]:
+    """Return the steps up to so many samples that a fit by simulation takes seconds."""
+    kept: list[Record] = []
+    left = MOST_CLOSED
+    for step in (step for record in records for step in settled_steps(record)):
+        count = min(len(step), left)
+        if count < FEWEST:
+            break
+        kept.append(step if count == len(step) else step.slice(step.time[0], step.time[count - 1]))
+        left -= count
+    return tuple(kept)
+
+
+def _shortened(segments: Sequence[Segment]) -> Finding:
+    seconds = sum(record.duration for record in {id(s.record): s.record for s in segments}.values())
+    message = f"the velocity model uses the first {seconds:.4g} s of motion."
+    return Finding(code="not_all_data_used", severity="note", message=message)
