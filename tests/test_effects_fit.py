@@ -34,9 +34,9 @@ from servolens.effects import (
 from servolens.effects import _offered as offered
 from servolens.errors import InputError, NumericalError
 from servolens.identification.doubts import doubts
-from servolens.identification.effects_fit import last_word
-from servolens.identification.refine import lead, minimise_error
-from servolens.identification.runs import closed_runs, voltage_runs
+
+from servolens.identification.refine import minimise_error
+from servolens.identification.runs import closed_runs
 from servolens.lab import LM1, Truth, hidden_campaign, step_record, step_records
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
