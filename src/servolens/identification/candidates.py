@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.fitting import INERTIAS
 from servolens.identification.likelihood import FEW
 from servolens.identification.refine import DOWN_TO_NOISE
 from servolens.identification.regressors import regressor
@@ -26,8 +27,6 @@ __all__ = ["Candidates"]
 
 STARTS, FOLLOWED = 3, 2
 """Values of each effect that are tried by simulation; of all starts together, those that are followed to their end."""
-INERTIAS = (0.5, 2.0, 4.0, 8.0)
-"""Shares of the inertia that the integral equation finds: dry friction that holds an axis passes for inertia."""
 
 
 @final
@@ -77,7 +76,7 @@ class Candidates:
         return noise.rate == 0.0 and noise.spread <= DOWN_TO_NOISE * self._likelihood.floor
 
     def _at_once(self, _: Sequence[Hypothesis]) -> list[Plant]:
-        """Return the plant with all effects as given, as the integral equation has them, and as the priors have them."""
+        """Return the plant with its effects as given, as the integral equation has them, and as priors have them."""
         given = self._given
         starts = [given, *_solved(given, self._screen)]
         names = list(given.parameters)
@@ -87,7 +86,7 @@ class Candidates:
         return starts
 
     def _one_by_one(self, _: Sequence[Hypothesis]) -> list[Plant]:
-        """Return the plant if its effects take their best starts one after the other, and each anew beside the others."""
+        """Return the plant if its effects take their best starts one after the other, and each anew beside all."""
         plant = replace(self._given, effects=())
         for effect in self._given.effects:
             plant = self._with(plant, effect)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.error_problem import Problem
 
-__all__ = ["NEGLIGIBLE_ON_THE_WAY", "lowest_minimum", "by_way_of", "descend", "beside"]
+__all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_minimum"]
 
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
@@ -30,8 +30,8 @@ looked along; iterations of the first descents."""
 BESIDE = (-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1)
 """How far beside the end of a search its neighbours are looked for, in sizes of the parameter that changes most."""
 ALIKE, DEEPER = 1.02, 1.0 - 1e-3
-"""Times the least error up to which a local minimum explains as much, for no simulation of contacts is more exact; below which
-it explains more."""
+"""Times the least error up to which a local minimum explains as much, for no simulation of contacts is more exact;
+below which it explains more."""
 
 
 def descend(problem: Problem, point: Point, iterations: int, negligible: float = NEGLIGIBLE) -> tuple[Point, bool]:

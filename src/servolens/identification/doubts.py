@@ -45,8 +45,8 @@ def _non_smooth(refined: Refinement) -> list[Finding]:
     if refined.is_smooth:
         return []
     message = (
-        "contacts give the error many local minima close together: how far the load swings back decides what comes next."
-        " Errors of these parameters may be several times their error bars."
+        "contacts give the error many local minima close together: how far the load swings back decides what comes"
+        " next. Errors of these parameters may be several times their error bars."
     )
     return [Finding(code="non_smooth_error", severity="note", message=message)]
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-import numpy as np
-
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError
+from servolens.identification.candidates import Candidates
 from servolens.identification.door import check_names, together
 from servolens.identification.doubts import above_noise, doubts
-from servolens.identification.candidates import Candidates
 from servolens.identification.fitting import (
-    driven_by,
+    check_loops,
     final_fit,
     level_of,
     likelihood_of,
@@ -109,7 +107,8 @@ def fit_effects(
     gains; parameters in which a force is linear are solved for in the integral equation. What is minimised are the
     prediction errors of an observer under the applied voltage, whitened: its rate, and the colour of the sensor's
     noise, are those that make the records likeliest. Error bars follow from the curvature there and allow for what
-    colour is left.
+    colour is left. A model that does not reach the noise is fitted in closed loop instead, where that can be simulated:
+    what it lacks moves the measured voltage as well.
 
     Parameters
     ----------
@@ -153,7 +152,7 @@ def fit_effects(
     _check_free(plant, asked)
     held = [f"{effect.name}.{name}" for effect in effects for name in fixed(type(effect))]
     asked = replace(asked, held=tuple(dict.fromkeys([*asked.held, *held])))
-    driven = driven_by(runs, asked)
+    check_loops(runs, asked)
     screen = Screen.of(moving_parts(motion_segments(runs)))
     likelihood = likelihood_of(runs, screen.solve(())[0], asked)
     found = final_fit(likelihood, Candidates(plant, screen, likelihood, asked).found(), asked)
@@ -166,7 +165,7 @@ def fit_effects(
             reasons=_reasons(refined, asked),
         ),
         refinement=refined,
-        driven=driven,
+        driven=found.driven,
         noise_model=found.noise,
         noise=level,
         findings=(*above_noise(simulation_error(found, asked), level), *doubts(refined)),

@@ -30,8 +30,8 @@ FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
 on a small scale."""
 NON_SMOOTH, WIDER = 1.5, 1e-2
-"""Ratio of standard errors by wide and by narrow differences that betrays an error that is not smooth on a small scale; the share
-of a parameter that is wide."""
+"""Ratio of standard errors by wide and by narrow differences that betrays an error that is not smooth on a small scale;
+the share of a parameter that is wide."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 WORST, PART = 1e14, 1e-3
 """Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
@@ -375,8 +375,8 @@ class Problem:
     def linearised_widely(self, point: Point) -> tuple[Linearised, bool]:
         """Linearise over a standard error of each parameter; and tell whether contacts leave the error smooth.
 
-        Then standard errors depend on how far one looks, and small local minima would count as information. What contacts
-        disturb is looked at as widely as the way was found; else the width is approached from above, for such an error
+        Then standard errors depend on how far one looks, and small local minima would count as information. What
+        contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such an error
         has many small widths that confirm themselves.
         """
         found = self.linearise(point)

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import RATES, Likelihood, begins_with_its_step
+from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_with_its_step
 from servolens.identification.noise import NoiseModel, Whitener, observer_gains
-from servolens.identification.refine import AT_NOISE, Refinement, minimise_error
+from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.segments import noise_level, white_noise
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,10 +27,21 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FinalFit", "driven_by", "final_fit", "level_of", "likelihood_of", "runs_of", "simulation_error"]
+__all__ = [
+    "INERTIAS",
+    "FinalFit",
+    "check_loops",
+    "final_fit",
+    "level_of",
+    "likelihood_of",
+    "runs_of",
+    "simulation_error",
+]
 
 ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
+INERTIAS = (0.5, 2.0, 4.0, 8.0)
+"""Shares of an inertia that are tried: dry friction that holds an axis passes for inertia."""
 LAST = 0.1
 """Share of a step in which a settled axis shows the sensor's noise."""
 
@@ -42,22 +54,23 @@ class FinalFit:
     refinement: Refinement
     noise: NoiseModel
     records: tuple[Record, ...]
+    driven: Literal["closed_loop", "voltage"]
 
 
-def driven_by(records: Sequence[Record], options: FitOptions) -> Literal["closed_loop", "voltage"]:
-    """Return how the runs are simulated.
+def check_loops(records: Sequence[Record], options: FitOptions) -> None:
+    """Refuse a closed loop of records of which it is not known.
 
     Raises
     ------
     InputError
-        If a closed loop is asked for and a record has no reference or no gains.
+        If a closed loop is asked for and a record has no reference or no gains, or no voltage that is to be compared.
     """
     if options.driven != "closed_loop" and options.compared != "voltage":
-        return "voltage"
-    lacking = [record.name for record in records if not _can_close(record)]
-    if lacking:
-        raise InputError(f"{lacking[0]}: closing the loop needs reference, kp and kd")
-    return "closed_loop"
+        return
+    for record in records:
+        if not _can_close(record):
+            raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
+    closed_runs(records, options)
 
 
 def likelihood_of(records: Sequence[Record], plant: Plant, options: FitOptions) -> Likelihood:
@@ -69,9 +82,9 @@ def likelihood_of(records: Sequence[Record], plant: Plant, options: FitOptions) 
     return Likelihood(records, plant, options, rates=RATES if is_free else RATES[:1], are_phases_own=False)
 
 
-def runs_of(records: Sequence[Record], plant: Plant, options: FitOptions, noise: NoiseModel) -> list[Run]:
-    """Return the runs that a fit with these `options` compares, their residuals whitened."""
-    if driven_by(records, options) == "closed_loop":
+def runs_of(records: Sequence[Record], plant: Plant, options: FitOptions, noise: NoiseModel, driven: str) -> list[Run]:
+    """Return the runs of a final fit, their residuals whitened."""
+    if driven == "closed_loop":
         return [*closed_runs(records, options, noise)]
     return [*likelihood_of(records, plant, options).runs(noise)]
 
@@ -79,64 +92,94 @@ def runs_of(records: Sequence[Record], plant: Plant, options: FitOptions, noise:
 def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitOptions) -> FinalFit:
     """Fit to the end what the search has found, the likeliest first.
 
+    A model that is wrong makes the measured voltage depend on what it lacks, which biases what the voltage drives: it
+    is fitted in closed loop, where that is possible and nothing else was asked for.
+
     Raises
     ------
     NumericalError
         If none can be simulated as the `options` ask.
     """
-    if driven_by(likelihood.records, options) == "closed_loop":
-        return _closed(likelihood.records, [h.plant for h in found], options)
-    best = found[0]
     records = likelihood.records
+    if options.driven == "closed_loop" or options.compared == "voltage":
+        return _closed(records, [h.plant for h in found], options)
+    best = found[0]
     if best.unpowered:
         records = tuple(replace(r, voltage_before=0.0) if begins_with_its_step(r) else r for r in records)
         likelihood = likelihood.on(records)
     if options.loss == "huber":
-        return _robust(likelihood, best, records)
-    refined = minimise_error(
-        best.plant,
-        likelihood.runs(best.noise),
-        likelihood.options(best.plant),
-        noise=1.0,
-        coarse=best.plant.has_contacts,
-        local_minima=True,
-    )
-    return FinalFit(refined, best.noise, records)
+        return _robust(likelihood, best.plant, records)
+    noise = best.noise
+    if options.driven == "voltage" and noise.spread > AT_NOISE * sensor_noise(records, options):
+        noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
+    observed = FinalFit(_observed(likelihood, best.plant, noise), noise, records, "voltage")
+    if options.driven == "voltage" or best.noise.rate == 0.0 or not all(_can_close(record) for record in records):
+        return observed
+    if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
+        return observed
+    try:
+        return _closed(records, [h.plant for h in found], options)
+    except NumericalError:
+        return observed
 
 
-def _robust(likelihood: Likelihood, best: Hypothesis, records: tuple[Record, ...]) -> FinalFit:
+def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
+    """Return the fit driven by the voltage, corrected by an observer as the noise model has it."""
+    runs, options = likelihood.runs(noise), likelihood.options(plant)
+    return minimise_error(plant, runs, options, noise=1.0, coarse=plant.has_contacts, local_minima=True)
+
+
+def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -> FinalFit:
     """Return the fit with the robust loss, beside white noise: outliers have no colour."""
-    noise, plant = likelihood.white, best.plant
+    noise = likelihood.white
     for _ in range(ROUNDS):
-        refined = minimise_error(
-            plant, likelihood.runs(noise), likelihood.options(plant), noise=1.0, coarse=True, local_minima=True
-        )
+        refined = _observed(likelihood, plant, noise)
         plant, size = refined.plant, np.abs(np.concatenate(refined.residuals))
         noise = NoiseModel.white(float(1.4826 * np.median(size)), likelihood.white.rounding)  # of a normal distribution
-    return FinalFit(refined, noise, records)
+    return FinalFit(refined, noise, records, "voltage")
 
 
 def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOptions) -> FinalFit:
-    """Return the fit in closed loop, whitened by what it leaves; begun where the error is least."""
-    noise = NoiseModel.white(sensor_noise(records, options))
+    """Return the fit in closed loop; whitened by what it leaves, where that is noise."""
+    level = sensor_noise(records, options)
+    noise = NoiseModel.white(level)
     runs = closed_runs(records, options, noise)
-    start = min(plants, key=lambda plant: _misfit(plant, runs))
-    refined = minimise_error(start, runs, options, noise=1.0, coarse=True)
-    for _ in range(ROUNDS if options.loss == "squares" else 0):
-        whiteners = [Whitener(run.measured, noise) for run in runs]
-        noise = NoiseModel.white(1.0).estimated(refined.residuals, whiteners)
-        noise = replace(noise, floor=sensor_noise(records, options))
+    refined = minimise_error(_best_closed(plants, runs, options), runs, options, noise=1.0, coarse=True)
+    for _ in range(ROUNDS if options.loss == "squares" and refined.rms_error <= AT_NOISE * level else 0):
+        noise = noise.estimated(refined.residuals, [Whitener(run.measured, noise) for run in runs])
         runs = closed_runs(records, options, noise)
         refined = minimise_error(refined.plant, runs, options, noise=1.0)
-    return FinalFit(refined, noise, records)
+    return FinalFit(refined, noise, records, "closed_loop")
 
 
-def _misfit(plant: Plant, runs: Sequence[ClosedRun]) -> float:
-    try:
-        parts = [run.residual(plant, run.start, substeps_for(plant, run.sample_time)) for run in runs]
-    except (InputError, NumericalError):
-        return float(np.inf)
-    return sum(float(part @ part) for part in parts)
+def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: FitOptions) -> Plant:
+    """Return the plant from which the search in closed loop begins: of other inertias too, where noise is not reached.
+
+    Raises
+    ------
+    NumericalError
+        If none of the `plants` can be simulated.
+    """
+    enough = DOWN_TO_NOISE**2 * sum(run.samples for run in runs)
+    ends: list[tuple[float, Plant]] = []
+    for plant in (*plants[:2], *(plants[0].scaled(share) for share in INERTIAS)):
+        with suppress(InputError, NumericalError):
+            held = _with(plant, {n: v for n, v in _values(plants[0]).items() if n in options.held})
+            end, misfit = followed(held, runs, options, noise=1.0, iterations=SOME)
+            ends.append((misfit, end))
+            if misfit <= enough:
+                break
+    if not ends:
+        raise NumericalError("no start of this model can be simulated in closed loop on these records")
+    return min(ends, key=lambda pair: pair[0])[1]
+
+
+def _values(plant: Plant) -> dict[str, float]:
+    return dict(zip(plant.parameters, plant.values, strict=True))
+
+
+def _with(plant: Plant, values: Mapping[str, float]) -> Plant:
+    return plant.with_values(list({**_values(plant), **values}.values()))
 
 
 def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
@@ -173,7 +216,11 @@ def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) 
 def simulation_error(found: FinalFit, options: FitOptions) -> float:
     """Return the root mean square error in closed loop, where all loops can be closed; else of what was compared."""
     refined = found.refinement
-    if found.noise.rate == 0.0 or not all(_can_close(record) for record in found.records):
+    if (
+        found.driven == "closed_loop"
+        or found.noise.rate == 0.0
+        or not all(_can_close(record) for record in found.records)
+    ):
         return refined.rms_error
     runs = closed_runs(found.records, replace(options, compared="position"))
     plants = [refined.plant_of(i) for i in range(len(runs))]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import NumericalError
-from servolens.identification.descent import beside, by_way_of, descend, lowest_minimum
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.error_problem import COARSE, FINE, Point, Problem, determined, open_directions
 from servolens.identification.options import FitOptions
 from servolens.identification.runs import ClosedRun, VoltageRun
@@ -34,6 +34,7 @@ __all__ = [
     "Refinement",
     "Weights",
     "closed_loop_rms",
+    "followed",
     "minimise_error",
     "refine",
     "refine_closed_loop",
@@ -255,6 +256,23 @@ def minimise_error(
     if searched:
         point, converged, others = beside(problem, point, iterations, converged=converged)
     return _finished(problem, point, others, converged=converged and not problem.too_stiff(point, NEARLY))
+
+
+def followed(
+    plant: Plant, runs: Sequence[Run], options: FitOptions, *, noise: float, iterations: int
+) -> tuple[Plant, float]:
+    """Return where a few iterations from `plant` lead, with sensitivities over a twentieth, and the misfit there.
+
+    Raises
+    ------
+    NumericalError
+        If `plant` cannot be simulated on the runs.
+    """
+    problem = Problem(plant, runs, options, noise)
+    start = problem.start()
+    problem.weigh_priors(start)
+    point, _ = by_way_of(problem, start, ((COARSE, iterations), (FINE, iterations)), NEGLIGIBLE_ON_THE_WAY)
+    return problem.plant_at(point.values, 0), point.cost
 
 
 def _lowest(problem: Problem, begun: Point, iterations: int, *, coarse: bool, searched: bool) -> tuple[Point, bool]:

@@ -88,8 +88,8 @@ class Bootstrap:
 def profile(fit: EffectsFit, name: str) -> Profile:
     """Follow the likelihood of one parameter to both sides until it leaves the 95 % interval.
 
-    What is followed is what the fit minimised: the whitened residual, or its robust loss, with the priors. It is counted
-    in units of the residual's variance, enlarged by as much as colour that is left enlarges the parameter's variance
+    What is followed is what the fit minimised: the whitened residual, or its robust loss, with the priors. It counts in
+    units of the residual's variance, enlarged by as much as colour that is left enlarges the parameter's variance
     (the ratio of the sandwich to the plain one; Pace and Salvan, doi:10.1111/insr.12131).
 
     Parameters
@@ -161,7 +161,7 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
 
 
 def _runs(fit: EffectsFit) -> list[Run]:
-    return runs_of(fit.records, fit.plant, fit.options, fit.noise_model)
+    return runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
 
 
 def _ends(fit: EffectsFit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:

@@ -1,4 +1,4 @@
-"""Simulations to be compared with measurements: in closed loop from the reference, or of stretches under the voltage."""
+"""Simulations to be compared with measurements: in closed loop, or of stretches of motion under the voltage."""
 
 from __future__ import annotations
 
