@@ -16,7 +16,7 @@ from servolens.diagnosis.trials import Trials
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
-from servolens.identification.ripple import mains_ripple
+from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Case"]
 
+RIPPLES = 3
+"""Times that a ripple of the mains is looked for: the strongest lines hide others."""
 RESTING = 0.1
 """Last share of each step over which an axis that has settled shows its noise."""
 
@@ -65,20 +67,29 @@ class Case:
         self.trials = Trials(records, priors, candidates)
         self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
-        self.ripple = mains_ripple(self.likelihood.signals, self._missed(self.base))
-        if self.ripple:
+        self.ripple = Ripple((), 0.0, tuple(np.zeros(s.time.size) for s in self.likelihood.signals))
+        for _ in range(RIPPLES):
+            found = self._ripple(self.base)
+            if not found:
+                break
+            self.ripple = self.ripple.with_more(found)
             self.likelihood.signals = tuple(
-                replace(signals, position=signals.position - ripple)
-                for signals, ripple in zip(self.likelihood.signals, self.ripple.waves, strict=True)
+                replace(signals, position=signals.position - wave)
+                for signals, wave in zip(self.likelihood.signals, found.waves, strict=True)
             )
             self.base = self.trials.base()
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
 
-    def _missed(self, hypothesis: Hypothesis) -> list[np.ndarray]:
+    def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
+        """Return the ripple of the mains: what was taken out, and what shows only beside `hypothesis`."""
+        found = self._ripple(hypothesis)
+        return self.ripple.with_more(found) if found else self.ripple
+
+    def _ripple(self, hypothesis: Hypothesis) -> Ripple:
         test = ScoreTest(self.likelihood, hypothesis)
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
-        return np.split(test.left, ends)
+        return mains_ripple(test.runs, np.split(test.left, ends))
 
     def is_enough(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""

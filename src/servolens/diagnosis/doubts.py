@@ -35,11 +35,12 @@ def said(
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
     told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, gains)]
-    if case.ripple:
-        lines = ", ".join(f"{f:g}" for f in case.ripple.frequencies)
+    ripple = case.ripple_beside(chosen)
+    if ripple:
+        lines = ", ".join(f"{f:g}" for f in ripple.frequencies)
         message = (
-            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude {case.ripple.amplitude:.2g}"
-            f" {case.records[0].length_unit}; it is counted as noise and taken out. Check shielding and grounding."
+            f"the sensor shows a ripple of the mains at {lines} Hz, amplitude {ripple.amplitude:.2g}"
+            f" {case.records[0].length_unit}; it counts as noise. Check shielding and grounding."
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:

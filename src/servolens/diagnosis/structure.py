@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.diagnosis.trials import FALSE_ALARM
+from servolens.effects import DryFriction, Presliding
 from servolens.errors import ServolensError
 from servolens.simulation.loop import simulate
 
@@ -27,6 +28,12 @@ MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
+TESTS = 3
+"""Among which the familywise error rate is shared: forces, changes of the reference, and rest against motion."""
+BLOCKS, FEWEST_BLOCKS = (8, 32), 20
+"""Samples of a block: a few, and as many as the slowest motion that a loop of 5 Hz corrects; blocks that an F test needs."""
+SLOW = 1e-2
+"""Share of the top speed below which the axis rests."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -83,7 +90,8 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11).
     """
-    return any(statistic > limit for statistic, limit in statistics(test))
+    tests = statistics(test)
+    return any(statistic > limit for statistic, limit in tests) or _is_smoother_in_motion(test)
 
 
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
@@ -94,10 +102,65 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     for columns in (forced(test), _instruments(test)):
         basis = _basis(test, columns)
         if basis.shape[1]:
-            along = basis.T @ test.left
-            limit = float(ncx2.isf(0.5 * FALSE_ALARM, basis.shape[1], TOLERATED**2 * test.left.size))
-            found.append((float(along @ along), limit))
+            limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], TOLERATED**2 * test.left.size))
+            found.append((_explained(test, basis), limit))
     return found
+
+
+def _explained(test: ScoreTest, basis: NDArray[np.float64]) -> float:
+    """Return the score statistic of the columns of `basis`, shape (n, k).
+
+    Rounding is no Gaussian noise: where it dominates, the scores' variance is that of their own products (White 1980,
+    doi:10.2307/1912934).
+    """
+    along = basis.T @ test.left
+    if test.hypothesis.noise.share < 0.5:
+        return float(along @ along)
+    scores = basis * test.left[:, None]
+    return float(along @ np.linalg.solve(scores.T @ scores, along))
+
+
+def _is_smoother_in_motion(test: ScoreTest) -> bool:
+    """Tell whether the whitened residual goes on from sample to sample while the axis moves more than while it rests.
+
+    Noise of a sensor, ripple and shaking are the same at rest; what a model lacks shows in motion. Compared are the
+    mean squares of block means, in units of the squared differences within the blocks (which a jittering clock
+    enlarges in motion), by an F test. A shaken axis that dry friction holds at rest is shaken in motion only: there
+    the test says nothing.
+    """
+    from scipy.stats import f
+
+    hypothesis = test.hypothesis
+    if hypothesis.noise.rate > 0.0 and any(isinstance(e, DryFriction | Presliding) for e in hypothesis.plant.effects):
+        return False
+    level = FALSE_ALARM / TESTS / len(BLOCKS)
+    for size in BLOCKS:
+        smooth, rough = _block_powers(test, size)
+        if min(len(values) for values in smooth) < FEWEST_BLOCKS:
+            continue
+        rest, motion = (float(np.mean(a) / max(np.mean(b), 1e-300)) for a, b in zip(smooth, rough, strict=True))
+        if f.sf(motion / max(rest, 1e-300), len(smooth[1]), len(smooth[0])) < level:
+            return True
+    return False
+
+
+def _block_powers(test: ScoreTest, size: int) -> tuple[list[list[float]], list[list[float]]]:
+    """Return the powers of block means and of differences in blocks of `size` samples, at rest and in motion."""
+    found = [_noise_free(test, i) for i in range(len(test.runs))]
+    fastest = max(float(np.abs(v).max()) for _, v, _ in found)
+    smooth: list[list[float]] = [[], []]
+    rough: list[list[float]] = [[], []]
+    first = 0
+    for run, (_, velocity, _) in zip(test.runs, found, strict=True):
+        residual = test.left[first : first + run.samples]
+        first += run.samples
+        moves = np.abs(velocity[: run.samples]) > SLOW * fastest
+        for begin in range(0, min(residual.size, moves.size) - size + 1, size):
+            block, moving = residual[begin : begin + size], moves[begin : begin + size]
+            if moving.all() or not moving.any():
+                smooth[int(moving[0])].append(size * float(np.mean(block)) ** 2)
+                rough[int(moving[0])].append(0.5 * float(np.mean(np.diff(block) ** 2)))
+    return smooth, rough
 
 
 def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:

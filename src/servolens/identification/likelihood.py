@@ -34,6 +34,8 @@ __all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "begins_with_its_s
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
+ROUNDED = 0.5
+"""Share of rounding in the noise from which on nothing tells shaking from it: the axis is simulated."""
 FEW, SOME, FULL = 4, 10, 30
 """Iterations to see where a start leads, to compare effects, and to end at the optimum."""
 MOST_SUBSTEPS = 12
@@ -248,7 +250,7 @@ class Likelihood:
         noise, misfit = min(found, key=lambda pair: pair[1])
         misfit += problem.prior_cost(point.values)
         plant = plants[0]
-        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(sum(r.samples for r in problem.runs)))
+        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(self.samples))
         return Hypothesis(
             plant,
             noise,
@@ -263,29 +265,45 @@ class Likelihood:
         self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], *, unpowered: bool
     ) -> list[tuple[NoiseModel, float]]:
         """Return a noise model for each rate of the observer, with −2 log-likelihood beside it."""
-        found = []
-        for rate in self._rates:
-            first = replace(self.white, rate=rate * self.rate)
-            runs = self.runs(first, unpowered=unpowered)
-            begun = starts if rate == 0.0 else [run.start for run in runs]
-            try:
-                missed = [
-                    run.missed(plant, start, substeps_for(plant, run.sample_time))
-                    for run, plant, start in zip(runs, plants, begun, strict=True)
-                ]
-            except (InputError, NumericalError):
-                continue
-            noise = first.estimated(missed, [run.whiten for run in runs])
-            if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
-                continue
-            misfit = 0.0
-            for run, error, start in zip(self.runs(noise, unpowered=unpowered), missed, begun, strict=True):
-                white, initial = run.whiten(error), run.signals.initial
-                misfit += run.whiten.log_determinant + float(white @ white)
-                misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2))
-            parameters = noise.order + (rate > 0.0)
-            found.append((noise, misfit + parameters * float(np.log(sum(run.samples for run in runs)))))
-        return found
+        found: dict[float, tuple[NoiseModel, float]] = {}
+
+        def look(rate: float) -> None:
+            one = self._noise(rate, plants, starts, unpowered=unpowered)
+            if one is not None:
+                found[rate] = one
+
+        for rate in self._rates[:1] if self.white.share > ROUNDED else self._rates:
+            look(rate)
+        if found:
+            best = min(found, key=lambda rate: found[rate][1])
+            for rate in (0.5 * best, 2.0 * best) if best > 0.0 else ():
+                look(rate)
+        return list(found.values())
+
+    def _noise(
+        self, rate: float, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], *, unpowered: bool
+    ) -> tuple[NoiseModel, float] | None:
+        """Return the noise beside an observer of this `rate`, in units of the loops', and −2 log-likelihood."""
+        first = replace(self.white, rate=rate * self.rate)
+        runs = self.runs(first, unpowered=unpowered)
+        begun = starts if rate == 0.0 else [run.start for run in runs]
+        try:
+            missed = [
+                run.missed(plant, start, substeps_for(plant, run.sample_time))
+                for run, plant, start in zip(runs, plants, begun, strict=True)
+            ]
+        except (InputError, NumericalError):
+            return None
+        noise = first.estimated(missed, [run.whiten for run in runs])
+        if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
+            return None
+        misfit = 0.0
+        for run, error, start in zip(self.runs(noise, unpowered=unpowered), missed, begun, strict=True):
+            white, initial = run.whiten(error), run.signals.initial
+            misfit += run.whiten.log_determinant + float(white @ white)
+            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2))
+        parameters = noise.order + (rate > 0.0) + (noise.jitter > 0.0)
+        return noise, misfit + parameters * float(np.log(self.samples))
 
     def on(self, records: Sequence[Record]) -> Likelihood:
         """Return the likelihood of other `records` of the same axis, with what is known of it."""

@@ -23,6 +23,8 @@ __all__ = ["NoiseModel", "Whitener", "burg", "observer_gains"]
 
 SHORT_RUN = 2
 """Samples that an encoder shows the same, on average, up to which noise smears its rounding to noise of its own."""
+SEEN = 5.0
+"""Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -46,6 +48,8 @@ class NoiseModel:
         Of the noise's variance that is rounding, 0 to 1: within a run of equal readings it does not average out.
     spread : float
         Standard deviation of the noise [m or rad].
+    jitter : float
+        Standard deviation of the sampling instants about those that are stated [s].
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
     """
@@ -57,6 +61,7 @@ class NoiseModel:
     share: float
     spread: float
     floor: float
+    jitter: float = 0.0
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
@@ -90,6 +95,12 @@ class NoiseModel:
 
     def estimated(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
         """Return the model whose autoregressive part suits `residuals`, one array a record."""
+        timed = replace(self, jitter=_jitter(residuals, [whitener.speed for whitener in whiteners]))
+        if timed.jitter > 0.0:
+            return timed._coloured(residuals, [Whitener(w.position, w.speed, timed) for w in whiteners])
+        return self._coloured(residuals, whiteners)
+
+    def _coloured(self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener]) -> NoiseModel:
         evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
         filters, scales = burg(evened, MOST_ORDER)
         samples = sum(r.size for r in residuals)
@@ -105,13 +116,19 @@ class Whitener:
     ----------
     position : ndarray, shape (n,)
         As measured: it tells how long the encoder shows the same.
+    speed : ndarray, shape (n,)
+        Of the axis [m/s or rad/s]: by it a jitter of the sampling instants matters.
     noise : NoiseModel
         What to whiten.
     """
 
-    def __init__(self, position: NDArray[np.float64], noise: NoiseModel) -> None:
+    def __init__(self, position: NDArray[np.float64], speed: NDArray[np.float64], noise: NoiseModel) -> None:
+        self.position, self.speed = position, speed
+        self._weight: NDArray[np.float64] | None = None
+        if noise.jitter > 0.0:
+            self._weight = 1.0 / np.sqrt(1.0 + (noise.jitter * speed / max(noise.floor, 1e-300)) ** 2)
         self.noise, self.samples, self._first = noise, position.size, np.empty(0, dtype=np.intp)
-        first = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1])
+        first = _steady_runs(position) if noise.share > 0.0 else self._first
         if noise.share > 0.0 and position.size > SHORT_RUN * first.size:  # else its own noise smears the rounding
             self._first, self._counts = first, np.diff(first, append=position.size)
             self._kept = 1.0 / np.sqrt(1.0 + self._counts * noise.share)
@@ -126,6 +143,8 @@ class Whitener:
 
         Rounding is the same error all through such a run: its mean counts as few samples, not as many.
         """
+        if self._weight is not None:
+            rows = (rows.T * self._weight).T
         if self._first.size == 0:
             return rows
         weight = (1.0 - self._kept) / self._counts
@@ -152,7 +171,38 @@ class Whitener:
         noise, samples = self.noise, self.samples
         begun = min(noise.order, samples)
         found = float(np.sum(np.log(noise.scales[:begun]))) + (samples - begun) * float(np.log(noise.innovation))
+        if self._weight is not None:
+            found -= float(np.sum(np.log(self._weight)))
         return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0))
+
+
+def _jitter(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> float:
+    """Return the standard deviation of the sampling instants [s] that the residuals show; 0 where it may be chance.
+
+    Third differences, to which what is smooth adds nothing, grow with the speed: their squares are regressed on its.
+    """
+    third = np.concatenate([np.diff(r, 3) ** 2 / 20.0 for r in residuals])
+    squares = np.concatenate([v[1:-2] ** 2 for v in speeds])
+    centred = squares - squares.mean()
+    energy = float(centred @ centred)
+    if energy <= 0.0:
+        return 0.0
+    slope = float(centred @ third) / energy
+    level = float(third.mean()) - slope * float(squares.mean())
+    error = float(np.sqrt(np.sum((centred * (third - level - slope * squares)) ** 2))) / energy
+    if slope < SEEN * error or slope * float(squares.mean()) < 0.1 * float(third.mean()):
+        return 0.0
+    return float(np.sqrt(slope))
+
+
+def _steady_runs(position: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return where runs of equal readings begin; a reading that goes to a neighbour and back is one run."""
+    first = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1])
+    values = position[first]
+    returns = np.flatnonzero(values[2:] == values[:-2])
+    kept = np.ones(first.size, dtype=bool)
+    kept[returns + 1] = kept[returns + 2] = False
+    return first[kept]
 
 
 def burg(

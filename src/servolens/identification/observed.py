@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from servolens.identification.noise import NoiseModel, Whitener, observer_gains
 from servolens.identification.runs import rest
 from servolens.identification.segments import applied_before, applied_voltage
+from servolens.identification.smoothing import smooth
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_observed, without_gaps
@@ -63,7 +65,7 @@ def _slope(record: Record, count: int) -> float:
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Signals:
     """What of a record is simulated: possibly every few samples only, the voltage averaged between them.
 
@@ -100,6 +102,12 @@ class Signals:
         signals = (np.ascontiguousarray(signal) for signal in (time, voltage, position))
         return cls(record, *signals, index, InitialState.of(record, noise))
 
+    @cached_property
+    def speed(self) -> NDArray[np.float64]:
+        """Of the axis at the samples that were measured [m/s or rad/s]."""
+        time = self.time if self.index is None else self.time[self.index]
+        return np.abs(smooth(time, self.measured, min(21, time.size))[1])
+
     @property
     def measured(self) -> NDArray[np.float64]:
         """Positions that were measured."""
@@ -124,7 +132,7 @@ class ObservedRun:
 
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
         self.group, self.signals, self.noise = group, signals, noise
-        self.whiten = Whitener(signals.measured, noise)
+        self.whiten = Whitener(signals.measured, signals.speed, noise)
         self.samples = signals.measured.size
         self.sample_time = float(np.max(np.diff(signals.time)))
         self.start = signals.initial.mean

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.observed import Signals
+    from servolens.identification.observed import ObservedRun, Signals
 
 __all__ = ["Ripple", "mains_ripple"]
 
@@ -42,30 +42,38 @@ class Ripple:
     amplitude: float
     waves: tuple[NDArray[np.float64], ...]
 
+    def with_more(self, other: Ripple) -> Ripple:
+        """Return both ripples together."""
+        return Ripple(
+            tuple(dict.fromkeys([*self.frequencies, *other.frequencies])),
+            max(self.amplitude, other.amplitude),
+            tuple(a + b for a, b in zip(self.waves, other.waves, strict=True)),
+        )
+
     def __bool__(self) -> bool:
         return bool(self.frequencies)
 
 
-def mains_ripple(signals: Sequence[Signals], white: Sequence[NDArray[np.float64]]) -> Ripple:
+def mains_ripple(runs: Sequence[ObservedRun], white: Sequence[NDArray[np.float64]]) -> Ripple:
     """Return the ripple that the whitened residuals show beyond chance.
 
     White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency). The waves
-    are then fitted to the third differences of the position, in which the motion is small.
+    are then fitted to what is whitened, record by record: the mains do not know when a record begins.
 
     Parameters
     ----------
-    signals : sequence of Signals
+    runs : sequence of ObservedRun
         The records.
     white : sequence of ndarray
-        Whitened residual of each, of variance about 1.
+        Whitened residual of each, predicted minus measured, of variance about 1.
     """
     from scipy.stats import chi2
 
-    fastest = 0.5 / max(float(np.median(np.diff(s.time[:64]))) for s in signals)
+    fastest = 0.5 / max(float(np.median(np.diff(run.signals.time[:64]))) for run in runs)
     lines = sorted({f * k for f in MAINS for k in range(1, MULTIPLES + 1) if f * k < 0.9 * fastest})
-    limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(signals)))
-    shown = [f for f in lines if sum(_power(s, r, f) for s, r in zip(signals, white, strict=True)) > limit]
-    fits = [_fitted(s, shown) for s in signals]
+    limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(runs)))
+    shown = [f for f in lines if sum(_power(run.signals, r, f) for run, r in zip(runs, white, strict=True)) > limit]
+    fits = [_fitted(run, residual, shown) for run, residual in zip(runs, white, strict=True)]
     amplitude = max((a for amplitudes, _ in fits for a in amplitudes), default=0.0)
     return Ripple(tuple(shown), amplitude, tuple(wave for _, wave in fits))
 
@@ -84,10 +92,14 @@ def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) ->
     return sizes[0] / max(float(np.mean(sizes[1:])) / 2.0, 1.0)
 
 
-def _fitted(signals: Signals, frequencies: Sequence[float]) -> tuple[list[float], NDArray[np.float64]]:
-    """Return amplitude of each frequency and the sum of the waves."""
+def _fitted(
+    run: ObservedRun, residual: NDArray[np.float64], frequencies: Sequence[float]
+) -> tuple[list[float], NDArray[np.float64]]:
+    """Return amplitude of each frequency and the sum of the waves in the measured position."""
+    signals = run.signals
     if not frequencies:
         return [], np.zeros(signals.time.size)
     waves = np.column_stack([w(2.0 * np.pi * f * signals.time) for f in frequencies for w in (np.cos, np.sin)])
-    sizes, *_ = np.linalg.lstsq(np.diff(waves, 3, axis=0), np.diff(signals.position, 3), rcond=None)
+    seen = waves if signals.index is None else waves[signals.index]
+    sizes, *_ = np.linalg.lstsq(run.whiten(seen), -residual, rcond=None)
     return [float(np.hypot(*pair)) for pair in sizes.reshape(-1, 2)], waves @ sizes

@@ -103,7 +103,9 @@ class ClosedRun:
             record = with_history(record)
         self.group, self._record, self._compared = group, record, compared
         self.measured = applied_voltage(record) if compared == "voltage" else record.position
-        self.samples, self.whiten = self.measured.size, Whitener(self.measured, noise)
+        self.samples, self.noise = self.measured.size, noise
+        speed = np.abs(smooth(record.time, self.measured, min(21, self.samples))[1])
+        self.whiten = Whitener(self.measured, speed, noise)
         self._time, held, self._index = without_gaps(record.time)
         assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - closed_runs
         self._reference = np.ascontiguousarray(record.reference[held])

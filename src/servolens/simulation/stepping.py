@@ -34,7 +34,7 @@ from servolens.simulation import elementary
 from servolens.simulation.elementary import OPTIONS, exponential
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
-SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
+SLIVER, SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1e-9, 1.2e-4, 1e-3, 1e-7, 4096, 100
 Y, V, T, U, D, MOVING, STATES = 0, 1, 2, 3, 4, 5, 6
 FARTHEST = 1e6
 
@@ -298,16 +298,6 @@ def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any
 
 
 @njit(**OPTIONS)
-def lateness(delay: float, time: Any, n: int) -> tuple[int, float]:
-    """Return by how many whole samples the input comes late, and by what share of one more."""
-    if not (delay > 0.0 and n > 1):
-        return 0, 0.0
-    samples = delay / ((time[n - 1] - time[0]) / (n - 1))
-    late = int(samples * (1.0 + 1e-12))
-    return late, max(samples - late, 0.0)
-
-
-@njit(**OPTIONS)
 def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop: Any, derivative: Any) -> float:
     """Return what the digital PD asks for at sample `k`, and carry its filtered derivative along."""
     window, ratio, period = int(loop[4]), int(loop[7]), loop[8]
@@ -341,35 +331,15 @@ def sent(results: Any, n: int, k: int, before: float) -> float:
 
 
 @njit(**OPTIONS)
-def hold(
-    x: Any,
-    p: Any,
-    room: Any,
-    begin: float,
-    span: float,
-    first: float,
-    old: float,
-    new: float,
-    substeps: int,
-    coarse: float,
-) -> int:
-    """Carry the axis over one sample of `span` seconds; the input is `old` for its `first` seconds, then `new`.
-
-    Returns in how many pieces.
-    """
+def hold(x: Any, p: Any, room: Any, begin: float, length: float, span: float, substeps: int, coarse: float) -> int:
+    """Carry the axis over `length` seconds of a sample of `span` seconds under one input; return in how many pieces."""
     pieces = 0
-    length = first if first > 0.0 else span
-    x[U] = old if first > 0.0 else new
-    while True:
-        steps = substeps if length == span else math.ceil(length / span * substeps - 1e-9)
-        h = length / steps
-        for i in range(steps):
-            x[T] = begin + i * h
-            pieces += advance(x, p, room, h, coarse)
-        if first == 0.0:
-            return pieces
-        begin, length, first = begin + first, span - first, 0.0
-        x[U] = new
+    steps = substeps if length == span else math.ceil(length / span * substeps - 1e-9)
+    h = length / steps
+    for i in range(steps):
+        x[T] = begin + i * h
+        pieces += advance(x, p, room, h, coarse)
+    return pieces
 
 
 def run(
@@ -406,8 +376,7 @@ def run(
     before = loop[12] if loop[11] != 0.0 else held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0)
     set_out(x, p, states, time[0], before, start)
     derivative[0], voltage, wait = 0.0, 0.0, 0
-    late, due = lateness(delay, time, n)
-    pieces = 0
+    pieces, arrived = 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
@@ -424,14 +393,22 @@ def run(
             correct(x, loop, ns, nz, reference[k] - seen)
         if k == 0 and loop[11] == 0.0:
             before = results[2 * n]
+            x[U] = before
         if not abs(x[Y]) < FARTHEST:
             return k
         if k + 1 == n:
             break
-        span = time[k + 1] - time[k]
-        new = sent(results, n, k - late, before)
-        old = sent(results, n, k - late - 1, before) if due > 0.0 else new
-        pieces += hold(x, p, room, time[k], span, due * span if old != new else 0.0, old, new, substeps, loop[14])
+        begin, end = time[k], time[k + 1]
+        span = end - begin
+        while arrived < k and time[arrived + 1] + delay < end - SLIVER * span:
+            due = time[arrived + 1] + delay
+            new = sent(results, n, arrived + 1, before)
+            if due > begin + SLIVER * span and new != x[U]:
+                pieces += hold(x, p, room, begin, due - begin, span, substeps, loop[14])
+                begin = due
+            x[U] = new
+            arrived += 1
+        pieces += hold(x, p, room, begin, end - begin, span, substeps, loop[14])
         if pieces > granted > 0.0:
             return -1
     return n
