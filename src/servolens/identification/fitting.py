@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_with_its_step
-from servolens.identification.noise import NoiseModel, Whitener, observer_gains
+from servolens.identification.noise import NoiseModel, observer_gains
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.segments import noise_level, white_noise
@@ -142,11 +142,12 @@ def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -
 def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOptions) -> FinalFit:
     """Return the fit in closed loop; whitened by what it leaves, where that is noise."""
     level = sensor_noise(records, options)
-    noise = NoiseModel.white(level)
+    rounding = 0.0 if options.compared == "voltage" else max(r.encoder_resolution or 0.0 for r in records)
+    noise = NoiseModel.white(level, rounding)
     runs = closed_runs(records, options, noise)
     refined = minimise_error(_best_closed(plants, runs, options), runs, options, noise=1.0, coarse=True)
     for _ in range(ROUNDS if options.loss == "squares" and refined.rms_error <= AT_NOISE * level else 0):
-        noise = noise.estimated(refined.residuals, [Whitener(run.measured, noise) for run in runs])
+        noise = noise.estimated(refined.residuals, [run.whiten for run in runs])
         runs = closed_runs(records, options, noise)
         refined = minimise_error(refined.plant, runs, options, noise=1.0)
     return FinalFit(refined, noise, records, "closed_loop")

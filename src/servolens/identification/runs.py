@@ -103,7 +103,7 @@ class ClosedRun:
             record = with_history(record)
         self.group, self._record, self._compared = group, record, compared
         self.measured = applied_voltage(record) if compared == "voltage" else record.position
-        self.samples, self.noise = self.measured.size, noise
+        self.samples = self.measured.size
         speed = np.abs(smooth(record.time, self.measured, min(21, self.samples))[1])
         self.whiten = Whitener(self.measured, speed, noise)
         self._time, held, self._index = without_gaps(record.time)
