@@ -376,8 +376,8 @@ class Problem:
         """Linearise over a standard error of each parameter; and tell whether contacts leave the error smooth.
 
         Then standard errors depend on how far one looks, and small local minima would count as information. What
-        contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such an error
-        has many small widths that confirm themselves.
+        contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such
+        an error has many small widths that confirm themselves.
         """
         found = self.linearise(point)
         fine = self._widths(point, found.information)

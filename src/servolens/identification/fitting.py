@@ -132,10 +132,11 @@ def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refine
 def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -> FinalFit:
     """Return the fit with the robust loss, beside white noise: outliers have no colour."""
     noise = likelihood.white
+    refined = _observed(likelihood, plant, noise)
     for _ in range(ROUNDS):
-        refined = _observed(likelihood, plant, noise)
-        plant, size = refined.plant, np.abs(np.concatenate(refined.residuals))
-        noise = NoiseModel.white(float(1.4826 * np.median(size)), likelihood.white.rounding)  # of a normal distribution
+        middle = float(np.median(np.abs(np.concatenate(refined.residuals))))
+        noise = NoiseModel.white(1.4826 * middle, noise.rounding)  # 1.4826: of a normal distribution
+        refined = _observed(likelihood, refined.plant, noise)
     return FinalFit(refined, noise, records, "voltage")
 
 
