@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -185,7 +186,7 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
 def _simulated(
     case: Case, found: Search, path: list[Hypothesis], doubts: list[Finding], effort: Effort
 ) -> tuple[Case, Search, list[Hypothesis], list[Finding]]:
-    """Return what a search by simulations finds instead, where that predicts records better to which nothing was fitted.
+    """Return what a search by simulations finds instead, where that predicts records better that were not fitted.
 
     A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
     who tunes wants the step.

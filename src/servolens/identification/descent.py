@@ -1,4 +1,4 @@
-"""The descent to the least error, and what to do where contacts fold that error into many valleys."""
+"""The minimiser, and what it does where contacts give the error many local minima."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 
     from servolens.identification.error_problem import Problem
 
-__all__ = ["NEGLIGIBLE_ON_THE_WAY", "along_the_valley", "by_way_of", "descend", "folds_beside"]
+__all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_minimum"]
 
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
 error; of hypotheses that are compared, a tenth."""
 ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
-"""How far a long valley is looked along, in sizes of the parameter that changes most."""
+"""How far to look along the least-determined direction, in sizes of the parameter that changes most."""
 LOWEST, APART, LOOKS, SHORT = 3, 0.1, 3, 20
-"""Places in the valley from which the search goes on, and how far they are apart at least; times at most that it is
+"""Places along it from which the search goes on, and how far they are apart at least; times at most that it is
 looked along; iterations of the first descents."""
 BESIDE = (-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1)
 """How far beside the end of a search its neighbours are looked for, in sizes of the parameter that changes most."""
 ALIKE, DEEPER = 1.02, 1.0 - 1e-3
-"""Times the least error up to which a fold explains as much, for no simulation of contacts is more exact; below which
-it explains more."""
+"""Times the least error up to which a local minimum explains as much, for no simulation of contacts is more exact;
+below which it explains more."""
 
 
 def descend(problem: Problem, point: Point, iterations: int, negligible: float = NEGLIGIBLE) -> tuple[Point, bool]:
@@ -53,16 +53,16 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
     return point, False
 
 
-def along_the_valley(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:
+def lowest_minimum(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:
     """Return where the search ends if it is begun again along the direction that the data know least.
 
-    Contacts crumple the error, so a descent ends in the first fold of a long valley; the valley itself is wide. The
-    fold may be smooth: that is no sign of its being the deepest.
+    Contacts give the error many local minima along that direction, and a minimisation ends in the first. A smooth
+    error there is no sign that the minimum is the lowest.
     """
     way = ((COARSE, SHORT), (0.2 * COARSE, SHORT), (FINE, iterations))
     for _ in range(LOOKS):
         found, _ = problem.linearised_widely(point)
-        direction = problem.softest(point, found.information)
+        direction = problem.least_determined(point, found.information)
         if not direction.any():
             break
         trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
@@ -76,28 +76,28 @@ def along_the_valley(problem: Problem, point: Point, iterations: int, *, converg
     return point, converged
 
 
-def folds_beside(
+def beside(
     problem: Problem, point: Point, iterations: int, *, converged: bool
 ) -> tuple[Point, bool, list[NDArray[np.float64]]]:
-    """Return where the search ends if deeper folds beside its end are followed, and those that explain as much.
+    """Return where the search ends if lower minima beside its end are followed, and those that explain as much.
 
-    Of the folds the values of the parameters, shape (k,); the deepest is among them as often as a look beside it leads
-    back. Where contacts do not crumple the error there are none.
+    Of the minima the values of the parameters, shape (k,); the lowest is among them as often as a look beside it leads
+    back. Where the error is smooth there are none.
     """
     seen: list[Point] = []
     for _ in range(LOOKS):
-        found, crumpled = problem.linearised_widely(point)
-        direction = problem.softest(point, found.information)
-        if not (crumpled and direction.any()):
+        found, is_smooth = problem.linearised_widely(point)
+        direction = problem.least_determined(point, found.information)
+        if is_smooth or not direction.any():
             break
         starts = [trial for share in BESIDE if (trial := problem.moved(point, share * direction)) is not None]
         ends = [by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
         seen += [point, *ends]
-        deepest = min(seen, key=lambda fold: fold.cost)
-        if deepest.cost > DEEPER**2 * point.cost:
+        lowest = min(seen, key=lambda minimum: minimum.cost)
+        if lowest.cost > DEEPER**2 * point.cost:
             break
-        point, converged = by_way_of(problem, deepest, ((FINE, iterations),))
-    return point, converged, [fold.values for fold in seen if fold.cost <= ALIKE**2 * point.cost]
+        point, converged = by_way_of(problem, lowest, ((FINE, iterations),))
+    return point, converged, [minimum.values for minimum in seen if minimum.cost <= ALIKE**2 * point.cost]
 
 
 def by_way_of(

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.findings import Finding
+from servolens.identification.refine import AT_NOISE
 
 if TYPE_CHECKING:
     from servolens.identification.refine import Refinement
 
-__all__ = ["doubts"]
+__all__ = ["above_noise", "doubts"]
 
 ALIKE = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
@@ -19,7 +20,19 @@ ALIKE = 0.98
 
 def doubts(refined: Refinement) -> tuple[Finding, ...]:
     """Return what the search itself says against its result."""
-    return (*_unfinished(refined), *_crumpled(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
+    return (*_unfinished(refined), *_non_smooth(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
+
+
+def above_noise(error: float, noise: float) -> tuple[Finding, ...]:
+    """Say that the simulation's `error` is far above the `noise`, if it is."""
+    if error <= AT_NOISE * noise:
+        return ()
+    times = f"{error / noise:.3g} times the noise" if noise > 0.0 else "not noise"
+    message = (
+        f"the simulation's error is {times}: this model does not explain the data to noise level; its intervals are"
+        " those of the best such model. Run servolens diagnose."
+    )
+    return (Finding(code="above_noise", severity="warning", message=message),)
 
 
 def _unfinished(refined: Refinement) -> list[Finding]:
@@ -28,14 +41,14 @@ def _unfinished(refined: Refinement) -> list[Finding]:
     return [Finding(code="not_converged", severity="warning", message=f"{refined.status}.")]
 
 
-def _crumpled(refined: Refinement) -> list[Finding]:
-    if not refined.crumpled:
+def _non_smooth(refined: Refinement) -> list[Finding]:
+    if refined.is_smooth:
         return []
     message = (
-        "contacts crumple the error, which has many valleys close together: how far the load swings back decides what"
-        " comes next. Errors of these parameters may be several times their error bars."
+        "contacts give the error many local minima close together: how far the load swings back decides what comes"
+        " next. Errors of these parameters may be several times their error bars."
     )
-    return [Finding(code="crumpled_error", severity="note", message=message)]
+    return [Finding(code="non_smooth_error", severity="note", message=message)]
 
 
 def _at_bounds(refined: Refinement) -> list[Finding]:

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "open_directions", "well_conditioned"]
+__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "determined", "open_directions"]
 
 FINE, COARSE = 1e-4, 5e-2
-"""Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking
-crumple."""
-CRUMPLED, WIDER = 1.5, 1e-2
-"""Ratio of standard errors by wide and by narrow differences that betrays an error crumpled on a small scale; the share
-of a parameter that is wide."""
+"""Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
+on a small scale."""
+NON_SMOOTH, WIDER = 1.5, 1e-2
+"""Ratio of standard errors by wide and by narrow differences that betrays an error that is not smooth on a small scale;
+the share of a parameter that is wide."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 WORST, PART = 1e14, 1e-3
 """Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
@@ -311,7 +311,7 @@ class Problem:
         """Return the square root of the weights with which least squares follow the loss."""
         return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
 
-    def softest(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64]:
+    def least_determined(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the direction of which the data say least among what contacts touch, shape (k,).
 
         As long as one parameter changes by its size. What is at the end of its range stays there.
@@ -321,7 +321,7 @@ class Problem:
         point : Point
             From where.
         information : ndarray, shape (k, k)
-            Of wide differences there: where contacts crumple the error, its long valleys still show in them.
+            Of wide differences there: where contacts make the error non-smooth, its long directions still show in them.
         """
         direction = np.zeros(self.free.size)
         index = np.flatnonzero(self.touched & (point.values > self.low) & (point.values < self.high))
@@ -373,25 +373,25 @@ class Problem:
         return trial
 
     def linearised_widely(self, point: Point) -> tuple[Linearised, bool]:
-        """Linearise over a standard error of each parameter; and tell whether contacts crumple the error.
+        """Linearise over a standard error of each parameter; and tell whether contacts leave the error smooth.
 
-        Then standard errors depend on how far one looks, and small folds would count as information. What contacts
-        crumple is looked at as widely as the way was found; else the width is approached from above, for such an error
-        has many small widths that confirm themselves.
+        Then standard errors depend on how far one looks, and small local minima would count as information. What
+        contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such
+        an error has many small widths that confirm themselves.
         """
         found = self.linearise(point)
         fine = self._widths(point, found.information)
         if fine is None:
-            return found, False
+            return found, True
         narrow = np.minimum(fine, 0.1 * np.abs(point.values))
         found = self._over(point, narrow)
         if self.touched.any():
             wide = self._over(point, np.where(self.touched, self._share_of(point, WIDER), narrow))
             if not any(self._is_wider(point, seen, fine) for seen in (found, wide)):
-                return found, False
-            return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), True
+                return found, True
+            return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), False
         if not self._is_wider(point, found, fine):
-            return found, False
+            return found, True
         widths = self._share_of(point, COARSE)
         for _ in range(4):
             found = self._over(point, widths)
@@ -399,13 +399,13 @@ class Problem:
             if errors is None or (errors > 0.5 * widths).all():
                 break
             widths = np.minimum(widths, errors)
-        return found, False
+        return found, True
 
     def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64]) -> bool:
         """Tell whether standard errors are wider than the fine ones: of what contacts touch, if there are any."""
         wide = self._widths(point, found.information)
         judged = self.touched if self.touched.any() else np.full_like(self.touched, True)
-        return wide is not None and not (wide < CRUMPLED * fine)[judged].all()
+        return wide is not None and not (wide < NON_SMOOTH * fine)[judged].all()
 
     def _share_of(self, point: Point, share: float) -> NDArray[np.float64]:
         return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))
@@ -420,9 +420,13 @@ class Problem:
         """Return the standard errors if the noise were white; None where the data do not determine all parameters."""
         if not ((np.diag(information) > 0).all() and well_conditioned(information)):
             return None
-        unknowns = point.values.size + sum(start.size for start in point.starts)
-        variance = point.cost / max(self.samples - unknowns, 1) * np.diag(np.linalg.inv(information))
+        variance = self.variance(point) * np.diag(np.linalg.inv(information))
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def variance(self, point: Point) -> float:
+        """Return the variance of the residuals at `point`, the more the fewer samples there are for the unknowns."""
+        unknowns = point.values.size + sum(start.size for start in point.starts)
+        return point.cost / max(self.samples - unknowns, 1)
 
     def local_values(self, point: Point) -> dict[str, NDArray[np.float64]]:
         """Return the parameters that each record has of its own."""
@@ -446,7 +450,7 @@ class Problem:
 
 
 def _is_touched(plant: Plant, name: str) -> bool:
-    """Tell whether contacts crumple how the error depends on the parameter: their own, and those of the whole axis."""
+    """Tell whether contacts disturb how the error depends on the parameter: their own, and those of the whole axis."""
     effect = plant.effect(name.rpartition(".")[0])
     return effect is None or isinstance(effect, Transmission)
 
@@ -455,6 +459,13 @@ def well_conditioned(information: NDArray[np.float64]) -> bool:
     """Tell whether the data determine all parameters: no column depends on the others."""
     scale = np.sqrt(np.diag(information))
     return bool(np.linalg.cond(information / np.outer(scale, scale)) < WORST)
+
+
+def determined(information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a basis of the directions that the data determine, shape (k, m); none of the diagonal may be 0."""
+    scale = np.sqrt(np.diag(information))
+    sizes, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    return np.asarray(directions[:, sizes >= sizes.max() / WORST] / scale[:, None])
 
 
 def open_directions(information: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -44,7 +44,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis) -> Fitted:
     """
     runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
     plant = hypothesis.plant
-    refined = minimise_error(plant, runs, likelihood.options(plant), noise=1.0, valleys=plant.has_contacts)
+    refined = minimise_error(plant, runs, likelihood.options(plant), noise=1.0, local_minima=plant.has_contacts)
     names = dict.fromkeys(refined.undetermined, "the data do not determine it")
     names |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
     names |= dict.fromkeys(likelihood.options(plant).held, "it is held")

@@ -111,6 +111,10 @@ class Likelihood:
         Of a plant: what its effects add to −2 log-likelihood.
     is_admissible : callable, optional
         Tells whether a plant may be the answer.
+    rates : sequence of float
+        Of the observer that are compared, in units of the loops' own; ``(0.0,)`` where nothing shakes the axis.
+    are_phases_own : bool
+        Whether each record has phases of its own, of waves that do not know when a record begins.
     """
 
     def __init__(
@@ -121,8 +125,11 @@ class Likelihood:
         *,
         price: Callable[[Plant], float] = lambda _: 0.0,
         is_admissible: Callable[[Plant], bool] = lambda _: True,
+        rates: Sequence[float] = RATES,
+        are_phases_own: bool = True,
     ) -> None:
         self.records, self._options = tuple(records), options
+        self._rates, self._are_phases_own = tuple(rates), are_phases_own and len(self.records) > 1
         self._price, self._is_admissible = price, is_admissible
         self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
         self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
@@ -168,7 +175,7 @@ class Likelihood:
         """Return how `plant` is fitted: options on its own parameters, and phases of each record's own."""
         names, asked = plant.parameters, self._options
         held = [f"{effect.name}.{name}" for effect in plant.effects for name in fixed(type(effect))]
-        local = own_phases(plant) if len(self.records) > 1 else ()
+        local = own_phases(plant) if self._are_phases_own else ()
         return replace(
             asked,
             held=tuple(dict.fromkeys([*(name for name in asked.held if name in names), *held])),
@@ -211,8 +218,15 @@ class Likelihood:
             waiting = [found.noise] if found.noise.rate == 0.0 else [self.white, found.noise]
         return best if best is not None and self._is_admissible(best.plant) else None
 
-    def tried(self, plant: Plant, noise: NoiseModel, iterations: int, *, unpowered: bool = False) -> Hypothesis | None:
-        """Return where a few iterations beside `noise` lead, judged by its own noise; None where that fails."""
+    def tried(
+        self, plant: Plant, noise: NoiseModel | None, iterations: int, *, unpowered: bool = False
+    ) -> Hypothesis | None:
+        """Return where a few iterations beside `noise` lead, judged by its own noise; None where that fails.
+
+        Without a `noise` beside the likeliest for this start.
+        """
+        if noise is None:
+            noise = self._first_noise(plant, unpowered=unpowered)
         try:
             problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True)
         except (InputError, NumericalError):
@@ -287,7 +301,7 @@ class Likelihood:
             closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
             look(0.0 if closed else SLOW_RATE)
             return list(found.values())
-        for rate in RATES[:1] if self.white.share > ROUNDED else RATES:
+        for rate in self._rates[:1] if self.white.share > ROUNDED else self._rates:
             look(rate)
         if found:
             best = min(found, key=lambda rate: found[rate][1])

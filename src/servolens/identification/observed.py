@@ -27,7 +27,7 @@ __all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun"]
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
 WIDE = 3.0
-"""Standard errors of what the first samples show that the initial state may be away: it is a prior, not a measurement."""
+"""Standard errors of what the first samples show that the initial state may be away: that is a prior."""
 COARSE = 1e-4
 """Share of the noise by which a simulated sample may be wrong."""
 MOVED = 1e-5
@@ -61,8 +61,16 @@ class InitialState:
         floor = 1e-6 * max(float(np.ptp(record.position)), 1e-12)
         slope_error = np.sqrt(12.0 / count) * max(noise, floor) / duration
         velocity = 0.0 if still > 1 else initial_motion(record)
+        if still == 1:  # cubics disagree: at rest and pushed off at once, or cut out of a motion
+            slope_error += abs(_slope(record, count) - velocity) / WIDE
         level = float(np.mean(record.position[:still]))
         return cls(np.array([level, velocity]), WIDE * np.array([max(noise, floor), slope_error]))
+
+
+def _slope(record: Record, count: int) -> float:
+    """Return the velocity at the first sample, of a parabola through the first `count`."""
+    span = record.time[:count] - record.time[0]
+    return float(np.polyfit(span, record.position[:count], min(2, count - 1))[-2])
 
 
 @final

@@ -1,43 +1,27 @@
-"""Output-error refinement: simulated minus measured position, minimised over the parameters.
-
-Two kinds of run. Driven by the voltage the axis really got, the residual is the position's noise itself, for that
-voltage contains what the controller made of the noise; each stretch then has an initial state of its own, eliminated
-stretch by stretch. In closed loop from the reference the controller holds the simulation near the measurement, which
-bears what the model lacks (sticking above all) without drifting away.
-"""
+"""A plant refined by simulation: what it misses of the records, minimised over the parameters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, NumericalError
-from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, along_the_valley, by_way_of, descend, folds_beside
-from servolens.identification.error_problem import (
-    COARSE,
-    FINE,
-    Block,
-    Point,
-    Problem,
-    open_directions,
-    well_conditioned,
-)
+from servolens.errors import NumericalError
+from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
+from servolens.identification.error_problem import COARSE, FINE, Point, Problem, determined, open_directions
 from servolens.identification.options import FitOptions
-from servolens.identification.phases import synchronised
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
 from servolens.simulation.loop import simulate
-from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from servolens.identification.error_problem import Block
     from servolens.identification.integral import Prior
     from servolens.identification.runs import Run
     from servolens.identification.segments import Segment
@@ -47,15 +31,13 @@ if TYPE_CHECKING:
 __all__ = [
     "AT_NOISE",
     "DOWN_TO_NOISE",
-    "Lead",
     "Refinement",
+    "Weights",
     "closed_loop_rms",
-    "error_of",
-    "lead",
+    "followed",
     "minimise_error",
     "refine",
     "refine_closed_loop",
-    "square_error",
 ]
 
 MOST_ITERATIONS = 60
@@ -65,6 +47,23 @@ AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Weights:
+    """What a misfit is measured by beside the residuals: the noise that priors are weighed against, and outliers.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of white noise that says as little of a mean as the residual does.
+    outlier : float
+        Size from which on a residual counts linearly.
+    """
+
+    noise: float
+    outlier: float
 
 
 @final
@@ -89,14 +88,22 @@ class Refinement:
     undetermined : tuple of str
         Parameters that were searched for and of which the data say nothing, or nothing of each alone.
     rms_error : float
-        Root mean square of the residual [m or rad].
+        Root mean square of the residuals [m or rad, or the command's unit].
     residuals : tuple of ndarray
-        Simulated minus measured position of each run.
+        Simulated minus measured of each run.
+    starts : tuple of ndarray
+        Initial state of each run, as far as it is free.
+    misfit : float
+        What was minimised: squares of the whitened residuals, or their robust loss, with priors.
+    weights : Weights
+        With which.
+    variance : float
+        Of what was minimised, for each degree of freedom.
     converged : bool
-        Whether no step lowered the residual any more.
-    crumpled : bool
-        Whether contacts crumple the error: then it has many valleys; error bars are those of wide differences; driven
-        by the voltage, they allow for the valleys nearby that explain as much.
+        Whether no step lowered the misfit any more.
+    is_smooth : bool
+        False where contacts give the error many local minima close together: error bars are those of wide differences
+        and, driven by the voltage, allow for the minima nearby that explain as much.
     status : str
         One sentence.
     """
@@ -110,17 +117,19 @@ class Refinement:
     undetermined: tuple[str, ...]
     rms_error: float
     residuals: tuple[NDArray[np.float64], ...]
+    starts: tuple[NDArray[np.float64], ...]
+    misfit: float
+    weights: Weights
+    variance: float
     converged: bool
-    crumpled: bool
+    is_smooth: bool
     status: str
 
-
-class Lead(NamedTuple):
-    """Where a search leads: the plant, its root mean square error, and simulated minus measured of each run."""
-
-    plant: Plant
-    error: float
-    residuals: tuple[NDArray[np.float64], ...]
+    def plant_of(self, group: int) -> Plant:
+        """Return the plant of one record, with the parameters of its own."""
+        values = dict(zip(self.plant.parameters, self.plant.values, strict=True))
+        own = {name: float(found[group]) for name, found in self.local.items()}
+        return self.plant.with_values(list({**values, **own}.values()))
 
 
 def refine(
@@ -185,27 +194,6 @@ def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
     return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
 
 
-def error_of(plant: Plant, runs: Sequence[Run], *, fine: bool = True) -> float:
-    """Return the root mean square error of `plant` on `runs` [m or rad]; infinite if it cannot be simulated.
-
-    Phases that are each record's own are chosen for each run; not `fine`, nearly the best.
-    """
-    squares = 0.0
-    for run in runs:
-        missed = partial(square_error, run, substeps_for(plant, run.sample_time))
-        squares += missed(synchronised(plant, missed, fine=fine))
-    return float(np.sqrt(squares / sum(run.samples for run in runs)))
-
-
-def square_error(run: Run, substeps: int, plant: Plant) -> float:
-    """Return the sum of the squared differences between `plant` and what was measured; infinite where it fails."""
-    try:
-        residual = run.residual(plant, run.start, substeps)
-    except (InputError, NumericalError):
-        return float(np.inf)
-    return float(residual @ residual)
-
-
 def minimise_error(
     plant: Plant,
     runs: Sequence[Run],
@@ -214,7 +202,8 @@ def minimise_error(
     noise: float,
     iterations: int = MOST_ITERATIONS,
     coarse: bool = False,
-    valleys: bool = False,
+    local_minima: bool = False,
+    like: Weights | None = None,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
 
@@ -228,15 +217,17 @@ def minimise_error(
         What is held, what each record has of its own, priors, and the loss: with ``"huber"`` residuals beyond 2.5
         robust standard deviations count linearly (Huber 1964, doi:10.1214/aoms/1177703732).
     noise : float
-        Standard deviation of the position's noise, against which the priors are weighed.
+        Standard deviation of the residual's noise, against which the priors are weighed; 1 of whitened ones.
     iterations : int
-        Of each descent at most.
+        Of each minimisation at most.
     coarse : bool
         Where that does not reach the noise, or there are contacts, begin once more with sensitivities over a twentieth
-        of each parameter: for errors that are crumpled on a small scale.
-    valleys : bool
-        Where there are contacts, look along the direction that the data know least for deeper folds of the error, and
-        for others as deep, for which the error bars have to allow.
+        of each parameter: for errors that are not smooth on a small scale.
+    local_minima : bool
+        Where there are contacts, look along the least-determined direction for lower minima of the error, and for
+        others as low, for which the error bars have to allow.
+    like : Weights, optional
+        Of another fit, with which the misfit of this one is to be compared.
 
     Raises
     ------
@@ -244,91 +235,87 @@ def minimise_error(
         If `plant` cannot be simulated on the runs.
     """
     problem = Problem(plant, runs, options, noise)
+    if like is not None:
+        problem.noise, problem.outlier = like.noise, like.outlier
     point = problem.start()
     if problem.too_stiff(point):  # what begins so is followed as it is; nothing else becomes so
         problem.most_substeps = np.inf
+    searched = local_minima and plant.has_contacts
+    if like is not None:
+        point, converged = _lowest(problem, point, iterations, coarse=coarse, searched=searched)
+        return _finished(problem, point, [], converged=converged)
     problem.weigh_priors(point)
-    begun = point
-    point, converged = descend(problem, begun, iterations)
-    if coarse and (plant.has_contacts or point.cost > (DOWN_TO_NOISE * noise) ** 2 * problem.samples):
-        other, reached = by_way_of(problem, begun, ((COARSE, iterations), (FINE, iterations)))
-        if other.cost < point.cost:
-            point, converged = other, reached
-    if valleys and plant.has_contacts:
-        problem.weigh_priors(point)
-        point, converged = along_the_valley(problem, point, iterations, converged=converged)
+    point, converged = _lowest(problem, point, iterations, coarse=coarse, searched=searched)
     if problem.weigh_priors(point):
         point, converged = descend(problem, point, iterations)
     for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
         point, converged = descend(problem, point, iterations)
-    folds: list[NDArray[np.float64]] = []
-    if valleys and plant.has_contacts:
-        point, converged, folds = folds_beside(problem, point, iterations, converged=converged)
-    return _finished(problem, point, folds, converged=converged and not problem.too_stiff(point, NEARLY))
+    others: list[NDArray[np.float64]] = []
+    if searched:
+        point, converged, others = beside(problem, point, iterations, converged=converged)
+    return _finished(problem, point, others, converged=converged and not problem.too_stiff(point, NEARLY))
 
 
-def lead(
-    plant: Plant,
-    runs: Sequence[Run],
-    options: FitOptions,
-    *,
-    noise: float,
-    iterations: int,
-    coarse: bool,
-    most_substeps: float = np.inf,
-    valleys: bool = False,
-) -> Lead:
-    """Return where a few iterations lead; parameters as :func:`minimise_error`.
-
-    Differences are one-sided unless `plant` has contacts. Plants that need more than `most_substeps` in a sample are
-    left out.
+def followed(
+    plant: Plant, runs: Sequence[Run], options: FitOptions, *, noise: float, iterations: int
+) -> tuple[Plant, float]:
+    """Return where a few iterations from `plant` lead, with sensitivities over a twentieth, and the misfit there.
 
     Raises
     ------
     NumericalError
-        If `plant` cannot be simulated on the runs, or only so.
+        If `plant` cannot be simulated on the runs.
     """
     problem = Problem(plant, runs, options, noise)
-    problem.share, problem.most_substeps = (COARSE if coarse else FINE), most_substeps
-    problem.one_sided = not plant.has_contacts
     start = problem.start()
-    if problem.too_stiff(start):
-        raise NumericalError("the plant to start from is too stiff to be worth its time")
     problem.weigh_priors(start)
-    point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
-    if valleys:
-        point, _ = along_the_valley(problem, point, iterations, converged=True)
-    problem.choose_substeps(point)
-    residuals = tuple(problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs)))
-    return Lead(problem.plant_at(point.values, 0), float(np.sqrt(point.cost / problem.samples)), residuals)
+    point, _ = by_way_of(problem, start, ((COARSE, iterations), (FINE, iterations)), NEGLIGIBLE_ON_THE_WAY)
+    return problem.plant_at(point.values, 0), point.cost
 
 
-def _finished(problem: Problem, point: Point, folds: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
-    """Return the result of a search that ended at `point`; at the values of `folds` as much is explained."""
-    (blocks, _, information), crumpled = problem.linearised_widely(point)
+def _lowest(problem: Problem, begun: Point, iterations: int, *, coarse: bool, searched: bool) -> tuple[Point, bool]:
+    """Return where minimisation from `begun` ends, and whether that is an optimum."""
+    plant, enough = problem.plant, (DOWN_TO_NOISE * problem.least_noise) ** 2 * problem.samples
+    point, converged = descend(problem, begun, iterations)
+    if coarse and (plant.has_contacts or point.cost > enough):
+        other, reached = by_way_of(problem, begun, ((COARSE, iterations), (FINE, iterations)))
+        if other.cost < point.cost:
+            point, converged = other, reached
+    if searched:
+        problem.weigh_priors(point)
+        point, converged = lowest_minimum(problem, point, iterations, converged=converged)
+    return point, converged
+
+
+def _finished(problem: Problem, point: Point, others: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
+    """Return the result of a search that ended at `point`; at the values of `others` as much is explained."""
+    (blocks, _, information), is_smooth = problem.linearised_widely(point)
     within = (point.values > problem.low) & (point.values < problem.high)
-    inside = within & (np.diag(information) > 0)
-    covariance = np.full((len(problem.names), len(problem.names)), np.nan)
-    correlation, colour = covariance.copy(), np.full(len(problem.names), np.nan)
-    shared = [k for k, (_, group) in enumerate(problem.slots) if group == problem.slots[0][1] or group == 0]
-    if inside.any() and well_conditioned(information[np.ix_(inside, inside)]):
-        index = np.flatnonzero(inside)
-        inner = _covariance(problem, point, blocks, information, index)
-        white = np.linalg.inv(information[np.ix_(index, index)])
-        spread = np.sqrt(np.diag(white))
-        kept = [i for i, k in enumerate(index) if k in shared]
-        place = np.ix_(problem.free[index[kept]], problem.free[index[kept]])
-        scatter = np.zeros_like(inner)
-        if crumpled and folds:
-            away = (np.array(folds) - point.values)[:, index]
-            scatter = away.T @ away / len(folds)
-        covariance[place] = (inner + scatter)[np.ix_(kept, kept)]
+    undetermined = within & open_directions(information)
+    count = len(problem.names)
+    covariance, correlation, colour = (
+        np.full((count, count), np.nan),
+        np.full((count, count), np.nan),
+        np.full(count, np.nan),
+    )
+    index = np.flatnonzero(within & (np.diag(information) > 0))
+    if index.size:
+        inner, white = _covariances(problem, point, blocks, information, index)
+        if not is_smooth and others:
+            away = (np.array(others) - point.values)[:, index]
+            inner = inner + away.T @ away / len(others)
+        first = problem.slots[0][1]
+        kept = [i for i, k in enumerate(index) if problem.slots[k][1] in (0, first) and not undetermined[k]]
+        chosen = problem.free[index[kept]]
+        place, spread = np.ix_(chosen, chosen), np.sqrt(np.diag(white))
+        covariance[place] = inner[np.ix_(kept, kept)]
         correlation[place] = (white / np.outer(spread, spread))[np.ix_(kept, kept)]
-        plain = point.cost / max(problem.samples - point.values.size, 1) * np.diag(white)
-        colour[problem.free[index[kept]]] = (np.diag(inner) / np.maximum(plain, 1e-300))[kept]
-    residuals = [problem.residual(point.values, i, point.starts[i]) for i in range(len(problem.runs))]
+        plain = problem.variance(point) * np.diag(white)
+        colour[chosen] = (np.diag(inner) / np.maximum(plain, 1e-300))[kept]
+    states = list(enumerate(point.starts))
+    residuals = [problem.runs[i].missed(problem.plant_at(point.values, i), s, problem.substeps[i]) for i, s in states]
     return Refinement(
         plant=problem.plant_at(point.values, 0),
         covariance=covariance,
@@ -336,22 +323,33 @@ def _finished(problem: Problem, point: Point, folds: Sequence[NDArray[np.float64
         colour=colour,
         local=problem.local_values(point),
         at_bound=problem.at_bound(point),
-        undetermined=problem.names_of(within & open_directions(information)),
+        undetermined=problem.names_of(undetermined),
         rms_error=float(np.sqrt(sum(float(r @ r) for r in residuals) / problem.samples)),
         residuals=tuple(residuals),
+        misfit=point.cost,
+        starts=tuple(point.starts),
+        weights=Weights(noise=problem.noise, outlier=problem.outlier),
+        variance=problem.variance(point),
         converged=converged,
-        crumpled=crumpled,
+        is_smooth=is_smooth,
         status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
     )
 
 
-def _covariance(
+def _covariances(
     problem: Problem, point: Point, blocks: list[Block], information: NDArray[np.float64], index: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    scores = [(b.jacobian * b.residual[:, None])[:, index] for b in blocks]
-    unknowns = point.values.size + sum(start.size for start in point.starts)
-    degrees = problem.samples / max(problem.samples - unknowns, 1)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the covariance of the parameters of this `index`, and what it would be of white residuals.
+
+    In the directions that the data determine; what is not of them has no error of its own, and costs the others none.
+    """
+    basis = determined(information[np.ix_(index, index)])
+    scores = [(b.jacobian * b.residual[:, None])[:, index] @ basis for b in blocks]
     known = np.zeros(point.values.size)
     for k, prior in problem.priors:
         known[k] = (problem.noise / prior.deviation * problem.noise) ** 2
-    return degrees * robust_covariance(scores, information[np.ix_(index, index)], np.diag(known[index]))
+    unknowns = point.values.size + sum(start.size for start in point.starts)
+    degrees = problem.samples / max(problem.samples - unknowns, 1)
+    inner = basis.T @ information[np.ix_(index, index)] @ basis
+    robust = degrees * robust_covariance(scores, inner, (basis.T * known[index]) @ basis)
+    return basis @ robust @ basis.T, basis @ np.linalg.inv(inner) @ basis.T

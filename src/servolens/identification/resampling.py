@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.effects_fit import fit_runs
-from servolens.identification.refine import Refinement, minimise_error
+from servolens.identification.fitting import runs_of
+from servolens.identification.refine import minimise_error
+from servolens.identification.runs import Resampled
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.effects_fit import EffectsFit
+    from servolens.identification.refine import Refinement
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
@@ -85,8 +88,9 @@ class Bootstrap:
 def profile(fit: EffectsFit, name: str) -> Profile:
     """Follow the likelihood of one parameter to both sides until it leaves the 95 % interval.
 
-    The log-likelihood is counted in units of the residual's variance, enlarged by as much as coloured residuals enlarge
-    the parameter's variance (the ratio of the sandwich to the plain one; Pace and Salvan, doi:10.1111/insr.12131).
+    What is followed is what the fit minimised: the whitened residual, or its robust loss, with the priors. It counts in
+    units of the residual's variance, enlarged by as much as colour that is left enlarges the parameter's variance
+    (the ratio of the sandwich to the plain one; Pace and Salvan, doi:10.1111/insr.12131).
 
     Parameters
     ----------
@@ -103,7 +107,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
         If the fit itself cannot be repeated.
     """
     index = _fitted(fit, name)
-    runs = fit_runs(fit.records, fit.driven, fit.options)
+    runs = _runs(fit)
     best = fit.plant.values[index]
     width = np.sqrt(fit.model.covariance[index, index]) if fit.model.covariance is not None else np.nan
     width = float(width) if np.isfinite(width) and width > 0 else 0.05 * max(abs(best), 1e-3)
@@ -114,10 +118,11 @@ def profile(fit: EffectsFit, name: str) -> Profile:
 
 
 def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
-    """Fit data made of the fitted response and blocks of its own residuals, `repeats` times.
+    """Fit data made of the fitted response and innovations like its own, `repeats` times.
 
-    Blocks keep the residuals' correlation (moving blocks; Künsch 1989, doi:10.1214/aos/1176347265); their length is
-    several times that over which the residuals are correlated.
+    Innovations are the residual whitened by the fit's noise model; they are drawn in blocks, which keep what colour is
+    left (moving blocks; Künsch 1989, doi:10.1214/aos/1176347265). What an observer is corrected by stays as measured
+    (the fixed design of Gonçalves and Kilian 2004, doi:10.1016/j.jeconom.2003.10.030).
 
     Parameters
     ----------
@@ -137,16 +142,15 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
     """
     if repeats < 2:
         raise InputError(f"repeats must be at least 2, got {repeats}")
-    runs = fit_runs(fit.records, fit.driven, fit.options)
+    runs = _runs(fit)
+    left = [run.residual(*where) for run, where in zip(runs, _ends(fit, runs), strict=True)]
     names = [name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived)]
     index = [list(fit.plant.parameters).index(name) for name in names]
-    measured = [run.measured for run in runs]
     found, failed = [], 0
     for stream in np.random.default_rng(seed).spawn(repeats):
-        for run, data, residual in zip(runs, measured, fit.refinement.residuals, strict=True):
-            run.measured = data + residual - _drawn(residual, stream)
+        again = [Resampled(run, r, _drawn(r, run.samples, stream)) for run, r in zip(runs, left, strict=True)]
         try:
-            refined = _minimised(fit, runs, fit.plant)
+            refined = minimise_error(fit.plant, again, fit.options, noise=1.0)
         except (InputError, NumericalError):
             failed += 1
             continue
@@ -154,6 +158,17 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
     if failed > repeats // 2:
         raise NumericalError(f"{failed} of {repeats} repeats could not be fitted; the model is too fragile to resample")
     return Bootstrap(names=tuple(names), values=np.array(found), failed=failed)
+
+
+def _runs(fit: EffectsFit) -> list[Run]:
+    return runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
+
+
+def _ends(fit: EffectsFit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:
+    """Return plant, initial state and substeps of each run at the fit's end."""
+    plants = [fit.refinement.plant_of(run.group) for run in runs]
+    pairs = zip(plants, fit.refinement.starts, runs, strict=True)
+    return [(plant, start, substeps_for(plant, run.sample_time)) for plant, start, run in pairs]
 
 
 def _fitted(fit: EffectsFit, name: str) -> int:
@@ -174,7 +189,7 @@ def _followed(
     likelihood, for beyond an end the likelihood may fall off as steeply as from a step.
     """
     index, spec = _fitted(fit, name), fit.plant.parameters[name]
-    unit, least = _variance_unit(fit, index), _squares(fit.refinement)
+    unit, least = _variance_unit(fit, index), fit.refinement.misfit
     plant, here, before = fit.plant, *found[0]
     beyond: tuple[float, float] | None = None
     for _ in range(MOST_STEPS):
@@ -182,7 +197,7 @@ def _followed(
         if value == here:
             break
         refined = _with_value(fit, runs, plant, name, value)
-        lost = np.inf if refined is None else (_squares(refined) - least) / unit
+        lost = np.inf if refined is None else (refined.misfit - least) / unit
         found.append((value, lost))
         if refined is not None and lost < CHI_SQUARE_95:
             plant, here, before = refined.plant, value, lost
@@ -198,39 +213,38 @@ def _followed(
 
 
 def _variance_unit(fit: EffectsFit, index: int) -> float:
-    """Return the residual variance that one degree of freedom counts as."""
+    """Return the misfit that one degree of freedom counts as."""
     refined = fit.refinement
-    samples = sum(r.size for r in refined.residuals)
-    plain = _squares(refined) / max(samples - len(fit.plant.values), 1)
     colour = refined.colour[index]  # NaN where the data do not determine the parameter
-    return max(plain * (float(colour) if np.isfinite(colour) else 1.0), 1e-300)
-
-
-def _squares(refined: Refinement) -> float:
-    return float(sum(r @ r for r in refined.residuals))
+    return max(refined.variance * (float(colour) if np.isfinite(colour) else 1.0), 1e-300)
 
 
 def _with_value(fit: EffectsFit, runs: Sequence[Run], plant: Plant, name: str, value: float) -> Refinement | None:
     values = list(plant.values)
     values[list(plant.parameters).index(name)] = value
+    options = replace(fit.options, held=(*fit.options.held, name))
+    priors = dict(fit.options.priors)
+    known = priors.pop(name, None)
     try:
-        return _minimised(fit, runs, plant.with_values(values), name)
+        found = minimise_error(
+            plant.with_values(values), runs, replace(options, priors=priors), noise=1.0, like=fit.refinement.weights
+        )
     except (InputError, NumericalError):
         return None
+    if known is None:
+        return found
+    away = fit.refinement.weights.noise * (value - known.value) / known.deviation
+    return replace(found, misfit=found.misfit + away**2)
 
 
-def _minimised(fit: EffectsFit, runs: Sequence[Run], plant: Plant, *more: str) -> Refinement:
-    options = replace(fit.options, held=(*fit.options.held, *more))
-    return minimise_error(plant, runs, options, noise=fit.noise)
-
-
-def _drawn(residual: NDArray[np.float64], stream: np.random.Generator) -> NDArray[np.float64]:
-    """Return a series like `residual`, of blocks drawn from it."""
-    n = residual.size
+def _drawn(left: NDArray[np.float64], samples: int, stream: np.random.Generator) -> NDArray[np.float64]:
+    """Return `left` with its first `samples` replaced by blocks drawn from them; the rest is of the initial state."""
+    residual = left[:samples]
     centred = residual - residual.mean()
     energy = float(centred @ centred)
     rho = float(centred[1:] @ centred[:-1]) / energy if energy > 0 else 0.0
-    memory = (1.0 + rho) / max(1.0 - rho, 1e-3) if rho > 3.0 / np.sqrt(n) else 1.0
-    length = int(np.clip(BLOCK * memory, 1, max(n // 4, 1)))
-    begins = stream.integers(0, n - length + 1, size=-(-n // length))
-    return np.concatenate([centred[b : b + length] for b in begins])[:n]
+    memory = (1.0 + rho) / max(1.0 - rho, 1e-3) if rho > 3.0 / np.sqrt(samples) else 1.0
+    length = int(np.clip(BLOCK * memory, 1, max(samples // 4, 1)))
+    begins = stream.integers(0, samples - length + 1, size=-(-samples // length))
+    drawn = np.concatenate([centred[b : b + length] for b in begins])[:samples]
+    return np.concatenate([drawn, left[samples:]])

@@ -1,4 +1,4 @@
-"""Simulations to be compared with measurements: in closed loop from the reference, or driven by the voltage."""
+"""Simulations to be compared with measurements: in closed loop, or of stretches of motion under the voltage."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from servolens.control_law import with_history
 from servolens.errors import InputError
-from servolens.identification.segments import Segment, applied_before, applied_voltage, motion_segments, noise_level
+from servolens.identification.noise import NoiseModel, Whitener
+from servolens.identification.segments import applied_before, applied_voltage, noise_level
 from servolens.identification.smoothing import smooth
-from servolens.quality.beginning import initial_motion
-from servolens.record import Controller
+from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_trial, simulate_voltage, without_gaps
 
 if TYPE_CHECKING:
@@ -20,28 +20,18 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.options import FitOptions
+    from servolens.identification.segments import Segment
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = [
-    "ClosedRun",
-    "Run",
-    "TetheredRun",
-    "VoltageRun",
-    "closed_runs",
-    "tether",
-    "voltage_runs",
-]
+__all__ = ["ClosedRun", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
 
-_NO_SHIFTS: tuple[float, ...] = ()
-LEAD, AT_ONCE = 40, 3
-"""Most samples of rest before a step that a window begins with; up to how many the reference moves at once."""
-AWAITED = 0.1
-"""Share of the reference's span up to which an axis that waits for it is off its reference."""
-VISIBLE = 20
-"""Samples over which a velocity that is tried moves the axis by its noise."""
+LONGEST_REST = 40
+"""Most samples of rest before a step that are looked at."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
+AS_IT_IS = NoiseModel.white(1.0)
+"""Whitens nothing."""
 
 
 class Run(Protocol):
@@ -51,8 +41,8 @@ class Run(Protocol):
     ----------
     group : int
         Number of the record it stems from.
-    measured : ndarray, shape (n,)
-        Position [m or rad], or voltage where that is compared.
+    samples : int
+        How many samples are compared.
     sample_time : float
         Longest interval between samples [s].
     start : ndarray, shape (s,)
@@ -61,23 +51,30 @@ class Run(Protocol):
         Their steps for finite differences.
     """
 
-    group: int
-    measured: NDArray[np.float64]
-    sample_time: float
-    start: NDArray[np.float64]
-    shifts: tuple[float, ...]
+    @property
+    def group(self) -> int: ...  # noqa: D102
+    @property
+    def samples(self) -> int: ...  # noqa: D102
+    @property
+    def sample_time(self) -> float: ...  # noqa: D102
+    @property
+    def start(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def shifts(self) -> tuple[float, ...]: ...  # noqa: D102
 
-    samples: int
+    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """Return simulated minus measured, shape (samples,)."""
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """Return what `plant` misses of the run."""
+        """Return what a fit minimises: the same whitened, and what is known of the initial state, if anything."""
 
 
 @final
 class ClosedRun:
-    """A record in closed loop from the reference.
+    """A record in closed loop from the reference, behind the amplifier's limit.
 
-    The sensor's rounding is left out, so that the response is smooth in the parameters.
+    The sensor's rounding is left out, so that the response is smooth in the parameters. A record that begins at rest
+    begins about where its first samples are; one that begins in motion, anywhere and with any velocity.
 
     Parameters
     ----------
@@ -88,137 +85,113 @@ class ClosedRun:
     compared : {"position", "voltage"}
         What is compared.
     in_motion : bool
-        Whether the record begins in motion; else at rest at the mean of the samples before its first edge.
+        Whether the record begins in motion.
+    noise : NoiseModel
+        Whitens the residual.
     """
 
-    def __init__(self, record: Record, group: int, *, compared: str = "position", in_motion: bool = False) -> None:
+    def __init__(
+        self,
+        record: Record,
+        group: int,
+        *,
+        compared: str = "position",
+        in_motion: bool = False,
+        noise: NoiseModel = AS_IT_IS,
+    ) -> None:
         if in_motion:
             record = with_history(record)
-        self.group, self._compared = group, compared
-        self.measured = _needed(record.voltage) if compared == "voltage" else record.position
+        self.group, self._record, self._compared = group, record, compared
+        self.measured = applied_voltage(record) if compared == "voltage" else record.position
+        self.samples = self.measured.size
+        speed = np.abs(smooth(record.time, self.measured, min(21, self.samples))[1])
+        self.whiten = Whitener(self.measured, speed, noise)
         self._time, held, self._index = without_gaps(record.time)
-        self._reference = np.ascontiguousarray(_needed(record.reference)[held])
+        assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - closed_runs
+        self._reference = np.ascontiguousarray(record.reference[held])
         self._added = None if record.feedforward is None else record.feedforward[held]
-        assert record.controller is not None  # noqa: S101 - closed_runs
         self._controller, self._before = record.controller, applied_before(record)
         self.sample_time = float(np.max(np.diff(self._time)))
-        self._begin = (float(np.mean(record.position[: rest(record)])), 0.0)
-        self.start, self.shifts = np.empty(0), _NO_SHIFTS
-        if in_motion:
-            self.start, self.shifts = _moving(record.time, record.position)
+        self.start, self.shifts = _moving(record.time, record.position)
+        self._deviation = np.inf
+        if not in_motion:
+            still = rest(record)
+            self.start, self.shifts = np.array([float(np.mean(record.position[:still]))]), self.shifts[:1]
+            self._deviation = max(noise_level(record) / np.sqrt(still), self.shifts[0])
+        self._begun = self.start
 
-    @property
-    def samples(self) -> int:
-        """How many samples are compared."""
-        return self.measured.size
-
-    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
-        return self.simulated(plant, start, substeps) - self.measured
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """See :class:`Run`."""
+        limit = self._record.voltage_limit
         run = simulate_trial(
-            plant,
+            _as_it_was(plant, self._record),
             self._controller,
             self._time,
             self._reference,
             feedforward=self._added,
-            start=(float(start[0]), float(start[1])) if start.size else self._begin,
-            before=self._before,
-            substeps=substeps,
-        )
-        seen = run.voltage if self._compared == "voltage" else run.measured
-        return seen if self._index is None else seen[self._index]
-
-
-@final
-class VoltageRun:
-    """A stretch of a record driven by its voltage.
-
-    Its initial position is free, its velocity too if the axis already moves.
-    """
-
-    def __init__(self, segment: Segment, group: int, window: int = 21, *, rest: int = 0) -> None:
-        self.group, self.measured, self.segment = group, segment.position, segment
-        self.sample_time = float(np.max(np.diff(segment.time)))
-        self.start, self.shifts = _moving(segment.time, segment.position, window)
-        if rest:
-            self.start, self.shifts = np.array([np.mean(segment.position[:rest])]), self.shifts[:1]
-
-    @property
-    def samples(self) -> int:
-        """How many samples are compared."""
-        return self.measured.size
-
-    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """See :class:`Run`."""
-        return self.simulated(plant, start, substeps) - self.measured
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """See :class:`Run`."""
-        begin = (float(start[0]), float(start[1]) if start.size > 1 else 0.0)
-        before = applied_before(self.segment.record) if self.segment.first == 0 else None
-        run = simulate_voltage(
-            plant, self.segment.time, self.segment.voltage, start=begin, before=before, substeps=substeps
-        )
-        return run.measured
-
-
-@final
-class TetheredRun:
-    """A record driven by its voltage and weakly tied to its measured position.
-
-    The tether is a PD loop on the difference, slow beside what is to be seen, so that errors do not grow over a whole
-    record; what it makes of the noise is negligible.
-    """
-
-    def __init__(self, record: Record, group: int, tether: Controller) -> None:
-        self.group, self.measured = group, record.position
-        self._time, held, self._index = without_gaps(record.time)
-        self._voltage = np.ascontiguousarray(applied_voltage(record)[held])
-        self._position = np.ascontiguousarray(record.position[held])
-        self._tether, self._before = tether, applied_before(record)
-        self.sample_time = float(np.max(np.diff(self._time)))
-        self.start, self.shifts = _moving(record.time, record.position)
-        if _begins_at_rest(record):
-            still, slow = rest(record), noise_level(record) / (VISIBLE * self.sample_time)
-            self.start = np.array([np.mean(self.measured[:still]), 0.0])
-            self.shifts = (self.shifts[0], max(self.shifts[1], slow))
-            if still > 1:
-                self.start, self.shifts = self.start[:1], self.shifts[:1]
-
-    @property
-    def samples(self) -> int:
-        """How many samples are compared."""
-        return self.measured.size
-
-    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """See :class:`Run`."""
-        return self.simulated(plant, start, substeps) - self.measured
-
-    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
-        """See :class:`Run`."""
-        run = simulate_trial(
-            plant,
-            self._tether,
-            self._time,
-            self._position,
-            feedforward=self._voltage,
             start=(float(start[0]), float(start[1]) if start.size > 1 else 0.0),
             before=self._before,
             substeps=substeps,
         )
-        return run.measured if self._index is None else run.measured[self._index]
+        seen = run.measured
+        if self._compared == "voltage":
+            seen = run.voltage if limit is None else np.clip(run.voltage, -limit, limit)
+        return (seen if self._index is None else seen[self._index]) - self.measured
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        away = (start - self._begun) / self._deviation
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
 
 
-def tether(plant: Plant, rate: float) -> Controller:
-    """Return a tether of `rate` [rad/s] for an axis about like `plant`."""
-    return Controller(kp=rate * rate / plant.gain)
+@final
+class VoltageRun:
+    """A stretch of motion driven by its voltage, from an initial state of its own."""
+
+    def __init__(self, segment: Segment, group: int, window: int = 21) -> None:
+        self.group, self.samples, self.segment = group, segment.time.size, segment
+        self.sample_time = float(np.max(np.diff(segment.time)))
+        self.start, self.shifts = _moving(segment.time, segment.position, window)
+
+    def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        segment = self.segment
+        before = applied_before(segment.record) if segment.first == 0 else None
+        begin = (float(start[0]), float(start[1]))
+        run = simulate_voltage(plant, segment.time, segment.voltage, start=begin, before=before, substeps=substeps)
+        return run.measured - segment.position
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        return self.missed(plant, start, substeps)
 
 
-def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRun]:
-    """Return each record in closed loop.
+@final
+class Resampled:
+    """A run with other noise: what `run` leaves at its best fit is replaced by `innovations`.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    left : ndarray
+        Its residual at the best fit.
+    innovations : ndarray
+        Of the same size.
+    """
+
+    def __init__(self, run: Run, left: NDArray[np.float64], innovations: NDArray[np.float64]) -> None:
+        self.group, self.samples, self.sample_time = run.group, run.samples, run.sample_time
+        self.start, self.shifts, self.missed = run.start, run.shifts, run.missed
+        self._run, self._added = run, innovations - left
+
+    def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        return self._run.residual(plant, start, substeps) + self._added
+
+
+def closed_runs(records: Sequence[Record], options: FitOptions, noise: NoiseModel = AS_IT_IS) -> list[ClosedRun]:
+    """Return each record in closed loop, its residual whitened.
 
     Raises
     ------
@@ -230,26 +203,9 @@ def closed_runs(records: Sequence[Record], options: FitOptions) -> list[ClosedRu
             raise InputError(f"{record.name}: no voltage is logged, so it cannot be compared; compare the position")
     in_motion = options.begin == "motion"
     return [
-        ClosedRun(record, group, compared=options.compared, in_motion=in_motion) for group, record in enumerate(records)
+        ClosedRun(record, group, compared=options.compared, in_motion=in_motion, noise=noise)
+        for group, record in enumerate(records)
     ]
-
-
-def voltage_runs(records: Sequence[Record], *, stretches: bool = False, window: int = 21) -> list[VoltageRun]:
-    """Return each record driven by its voltage; or, as of one that begins in motion, in stretches of motion.
-
-    Where the reference moves at once, the record may have been cut out of a motion, and where the loop works before
-    its step, the sensor's noise shakes the axis: its initial velocity is free.
-    Stretches suit an axis that is unstable by itself, in which a small error grows over a whole record.
-    """
-    runs: list[VoltageRun] = []
-    for group, record in enumerate(records):
-        if not stretches and _begins_at_rest(record):
-            whole = _segment(record, applied_voltage(record), 0, len(record))
-            still = 0 if _may_be_cut(record) or _is_shaken(record) else rest(record)
-            runs.append(VoltageRun(whole, group, window, rest=still))
-        else:
-            runs += [VoltageRun(_absolute(segment), group, window) for segment in motion_segments([record])]
-    return runs
 
 
 def rest(record: Record) -> int:
@@ -258,7 +214,7 @@ def rest(record: Record) -> int:
     At rest: the position stays within six standard deviations of its noise and two encoder steps.
     """
     edges = record.edges()
-    count = min(int(edges[0]), LEAD) if edges.size else 1
+    count = min(int(edges[0]), LONGEST_REST) if edges.size else 1
     still = 6.0 * noise_level(record) + 2.0 * (record.encoder_resolution or 0.0)
     return count if float(np.ptp(record.position[:count])) <= still else 1
 
@@ -272,50 +228,8 @@ def _moving(
     return np.array([value[0], slope[0]]), (travel, travel / max(float(time[-1] - time[0]), 1e-3))
 
 
-def _needed(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    assert signal is not None  # noqa: S101 - checked where the runs are made
-    return signal
-
-
-def _may_be_cut(record: Record) -> bool:
-    """Tell whether the record may have been cut out of a motion: nothing says when its reference sets out."""
-    edges = record.edges()
-    return record.reference is None or (edges.size > 1 and int(edges[0]) < AT_ONCE and int(edges[1]) < 2 * AT_ONCE)
-
-
-def _is_shaken(record: Record) -> bool:
-    """Tell whether the loop works before its step: what it makes of the sensor's noise may shake the axis.
-
-    How much is not known without the plant. A lead of a few samples tells no velocity from a late start.
-    """
-    edges, reference = record.edges(), record.reference
-    if reference is None or edges.size == 0 or edges[0] <= AT_ONCE:
-        return False
-    lead = slice(min(int(edges[0]), LEAD))
-    away = abs(float(reference[0]) - float(np.mean(record.position[lead])))
-    waits = away <= AWAITED * float(np.ptp(reference))
-    return waits and float(np.ptp(applied_voltage(record)[lead])) > 0.0
-
-
-def _begins_at_rest(record: Record) -> bool:
-    """Tell whether the record does not begin in motion that can be seen."""
-    return initial_motion(record) == 0.0
-
-
-def _segment(record: Record, voltage: NDArray[np.float64], first: int, stop: int) -> Segment:
-    return Segment(
-        record=record,
-        first=first,
-        stop=stop,
-        time=record.time[first:stop],
-        position=record.position[first:stop],
-        voltage=voltage[first:stop],
-        noise=0.0,
-    )
-
-
-def _absolute(segment: Segment) -> Segment:
-    """Return the segment with the record's own time, which drifts and disturbances go by."""
-    from dataclasses import replace
-
-    return replace(segment, time=segment.record.time[segment.first : segment.stop])
+def _as_it_was(plant: Plant, record: Record) -> Plant:
+    """Return `plant` as it was in `record`: :func:`plant_in`, but for what costs time where nothing changes."""
+    if record.inertia is None and record.enabled is None and record.voltage_limit is None:
+        return plant
+    return plant_in(plant, record)

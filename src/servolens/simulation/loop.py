@@ -250,7 +250,7 @@ def simulate_voltage(
     )
 
 
-def simulate_observed(
+def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     plant: Plant,
     time: NDArray[np.float64],
     voltage: NDArray[np.float64],

@@ -1,0 +1,240 @@
+"""The final fit of a plant with given effects: the run that was asked for, whitened, with error bars."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_with_its_step
+from servolens.identification.noise import NoiseModel, observer_gains
+from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
+from servolens.identification.runs import ClosedRun, closed_runs
+from servolens.identification.segments import noise_level, white_noise
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.options import FitOptions
+    from servolens.identification.runs import Run
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = [
+    "INERTIAS",
+    "FinalFit",
+    "check_loops",
+    "final_fit",
+    "level_of",
+    "likelihood_of",
+    "runs_of",
+    "simulation_error",
+]
+
+ROUNDS = 2
+"""Times that a residual in closed loop is whitened by what it is found to be."""
+INERTIAS = (0.5, 2.0, 4.0, 8.0)
+"""Shares of an inertia that are tried: dry friction that holds an axis passes for inertia."""
+LAST = 0.1
+"""Share of a step in which a settled axis shows the sensor's noise."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class FinalFit:
+    """Where the fit ended, the noise beside it, and the records with what was found of their beginning."""
+
+    refinement: Refinement
+    noise: NoiseModel
+    records: tuple[Record, ...]
+    driven: Literal["closed_loop", "voltage"]
+
+
+def check_loops(records: Sequence[Record], options: FitOptions) -> None:
+    """Refuse a closed loop of records of which it is not known.
+
+    Raises
+    ------
+    InputError
+        If a closed loop is asked for and a record has no reference or no gains, or no voltage that is to be compared.
+    """
+    if options.driven != "closed_loop" and options.compared != "voltage":
+        return
+    for record in records:
+        if not _can_close(record):
+            raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
+    closed_runs(records, options)
+
+
+def likelihood_of(records: Sequence[Record], plant: Plant, options: FitOptions) -> Likelihood:
+    """Return the likelihood of `records`, of an axis about like `plant`.
+
+    An observer is none where the voltage alone is to drive, and where outliers would move it.
+    """
+    is_free = options.driven != "voltage" and options.loss == "squares"
+    return Likelihood(records, plant, options, rates=RATES if is_free else RATES[:1], are_phases_own=False)
+
+
+def runs_of(records: Sequence[Record], plant: Plant, options: FitOptions, noise: NoiseModel, driven: str) -> list[Run]:
+    """Return the runs of a final fit, their residuals whitened."""
+    if driven == "closed_loop":
+        return [*closed_runs(records, options, noise)]
+    return [*likelihood_of(records, plant, options).runs(noise)]
+
+
+def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitOptions) -> FinalFit:
+    """Fit to the end what the search has found, the likeliest first.
+
+    A model that is wrong makes the measured voltage depend on what it lacks, which biases what the voltage drives: it
+    is fitted in closed loop, where that is possible and nothing else was asked for.
+
+    Raises
+    ------
+    NumericalError
+        If none can be simulated as the `options` ask.
+    """
+    records = likelihood.records
+    if options.driven == "closed_loop" or options.compared == "voltage":
+        return _closed(records, [h.plant for h in found], options)
+    best = found[0]
+    if best.unpowered:
+        records = tuple(replace(r, voltage_before=0.0) if begins_with_its_step(r) else r for r in records)
+        likelihood = likelihood.on(records)
+    if options.loss == "huber":
+        return _robust(likelihood, best.plant, records)
+    noise = best.noise
+    if options.driven == "voltage" and noise.spread > AT_NOISE * sensor_noise(records, options):
+        noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
+    observed = FinalFit(_observed(likelihood, best.plant, noise), noise, records, "voltage")
+    if options.driven == "voltage" or best.noise.rate == 0.0 or not all(_can_close(record) for record in records):
+        return observed
+    if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
+        return observed
+    try:
+        return _closed(records, [h.plant for h in found], options)
+    except NumericalError:
+        return observed
+
+
+def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
+    """Return the fit driven by the voltage, corrected by an observer as the noise model has it."""
+    runs, options = likelihood.runs(noise), likelihood.options(plant)
+    return minimise_error(plant, runs, options, noise=1.0, coarse=plant.has_contacts, local_minima=True)
+
+
+def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -> FinalFit:
+    """Return the fit with the robust loss, beside white noise: outliers have no colour."""
+    noise = likelihood.white
+    refined = _observed(likelihood, plant, noise)
+    for _ in range(ROUNDS):
+        middle = float(np.median(np.abs(np.concatenate(refined.residuals))))
+        noise = NoiseModel.white(1.4826 * middle, noise.rounding)  # 1.4826: of a normal distribution
+        refined = _observed(likelihood, refined.plant, noise)
+    return FinalFit(refined, noise, records, "voltage")
+
+
+def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOptions) -> FinalFit:
+    """Return the fit in closed loop; whitened by what it leaves, where that is noise."""
+    level = sensor_noise(records, options)
+    rounding = 0.0 if options.compared == "voltage" else max(r.encoder_resolution or 0.0 for r in records)
+    noise = NoiseModel.white(level, rounding)
+    runs = closed_runs(records, options, noise)
+    refined = minimise_error(_best_closed(plants, runs, options), runs, options, noise=1.0, coarse=True)
+    for _ in range(ROUNDS if options.loss == "squares" and refined.rms_error <= AT_NOISE * level else 0):
+        noise = noise.estimated(refined.residuals, [run.whiten for run in runs])
+        runs = closed_runs(records, options, noise)
+        refined = minimise_error(refined.plant, runs, options, noise=1.0)
+    return FinalFit(refined, noise, records, "closed_loop")
+
+
+def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: FitOptions) -> Plant:
+    """Return the plant from which the search in closed loop begins: of other inertias too, where noise is not reached.
+
+    Raises
+    ------
+    NumericalError
+        If none of the `plants` can be simulated.
+    """
+    enough = DOWN_TO_NOISE**2 * sum(run.samples for run in runs)
+    ends: list[tuple[float, Plant]] = []
+    for plant in (*plants[:2], *(plants[0].scaled(share) for share in INERTIAS)):
+        with suppress(InputError, NumericalError):
+            held = _with(plant, {n: v for n, v in _values(plants[0]).items() if n in options.held})
+            end, misfit = followed(held, runs, options, noise=1.0, iterations=SOME)
+            ends.append((misfit, end))
+            if misfit <= enough:
+                break
+    if not ends:
+        raise NumericalError("no start of this model can be simulated in closed loop on these records")
+    return min(ends, key=lambda pair: pair[0])[1]
+
+
+def _values(plant: Plant) -> dict[str, float]:
+    return dict(zip(plant.parameters, plant.values, strict=True))
+
+
+def _with(plant: Plant, values: Mapping[str, float]) -> Plant:
+    return plant.with_values(list({**_values(plant), **values}.values()))
+
+
+def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
+    """Return the noise in what is compared, as the records show it without any model.
+
+    Of a position no less than a settled axis shows at the end of its steps, which contains what changes slowly.
+    """
+    if options.compared == "voltage":
+        return max((white_noise(r.voltage) for r in records if r.voltage is not None), default=0.0)
+    fast = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
+    resting = [spread for record in records for step in record.steps() if (spread := _resting(step)) > 0.0]
+    return max(fast, float(np.median(resting)) if resting else 0.0)
+
+
+def _resting(step: Record) -> float:
+    """Return the standard deviation of the end of a step about a straight line; 0 where it is short, or no rest."""
+    count = int(LAST * len(step))
+    if count < 20:
+        return 0.0
+    time, end = step.time[-count:] - step.time[-1], step.position[-count:]
+    if abs(float(end[-1] - end[0])) > 10.0 * noise_level(step):
+        return 0.0
+    return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))
+
+
+def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) -> float:
+    """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise."""
+    shown = sensor_noise(records, options)
+    alpha, _ = observer_gains(noise.rate, float(np.median(np.diff(records[0].time[:64]))))
+    modelled = noise.spread * float(np.sqrt(1.0 - alpha))  # an observer's prediction errors contain its own
+    return modelled if options.loss == "huber" or modelled <= AT_NOISE * shown else shown
+
+
+def simulation_error(found: FinalFit, options: FitOptions) -> float:
+    """Return the root mean square error in closed loop, where all loops can be closed; else of what was compared."""
+    refined = found.refinement
+    if (
+        found.driven == "closed_loop"
+        or found.noise.rate == 0.0
+        or not all(_can_close(record) for record in found.records)
+    ):
+        return refined.rms_error
+    runs = closed_runs(found.records, replace(options, compared="position"))
+    plants = [refined.plant_of(i) for i in range(len(runs))]
+    try:
+        missed: list[NDArray[np.float64]] = [
+            run.missed(plant, run.start, substeps_for(plant, run.sample_time))
+            for run, plant in zip(runs, plants, strict=True)
+        ]
+    except NumericalError:
+        return float(np.inf)
+    return max(refined.rms_error, float(np.sqrt(np.mean(np.concatenate(missed) ** 2))))
+
+
+def _can_close(record: Record) -> bool:
+    return record.reference is not None and record.controller is not None
