@@ -18,6 +18,7 @@ from servolens.identification.error_problem import Problem
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import InitialState
 from servolens.identification.refine import Refinement, minimise_error
+from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import forces_along, is_chance
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import Simulation, simulate_trial, without_gaps
@@ -58,7 +59,9 @@ class LoopRun:
         assert record.controller is not None  # noqa: S101 - fit_loop
         self.group, self.record, self.measured = group, record, record.position
         self.samples = record.position.size
-        self.whiten, self._initial = Whitener(record.position, noise), InitialState.of(record, noise.floor)
+        speed = speed_of(record.time, record.position)
+        self.whiten = Whitener(record.position, speed, noise)
+        self._initial = InitialState.of(record, noise.floor)
         self.time, held, self._index = without_gaps(record.time)
         self._reference = np.ascontiguousarray(record.reference[held])
         self._added = None if record.feedforward is None else record.feedforward[held]

@@ -354,13 +354,13 @@ class Likelihood:
         ):
             begin = cut // self.every
 
-            def missed(plant: Plant, run: ObservedRun = run, begin: int = begin) -> float:
+            def missed(plant: Plant, run: ObservedRun | SimulatedRun = run, begin: int = begin) -> float:
                 return self._least(run, plant, begin)
 
             total += missed(synchronised(plant, missed)) + run.whiten.log_determinant
         return total
 
-    def _least(self, run: ObservedRun, plant: Plant, begin: int) -> float:
+    def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
         """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
         substeps, start = substeps_for(plant, run.sample_time), run.start
         least = np.inf

@@ -11,7 +11,7 @@ import numpy as np
 from servolens.identification.noise import NoiseModel, Whitener, observer_gains
 from servolens.identification.runs import rest
 from servolens.identification.segments import applied_before, applied_voltage
-from servolens.identification.smoothing import smooth
+from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_observed, simulate_trial, without_gaps
@@ -108,14 +108,20 @@ class Signals:
             whole = time.size // every * every
             voltage = voltage[:whole].reshape(-1, every).mean(axis=1)
             time, position, index = time[:whole:every], position[:whole:every], None
-        signals = (np.ascontiguousarray(signal) for signal in (time, voltage, position))
-        return cls(record, *signals, index, InitialState.of(record, noise))
+        return cls(
+            record,
+            np.ascontiguousarray(time),
+            np.ascontiguousarray(voltage),
+            np.ascontiguousarray(position),
+            index,
+            InitialState.of(record, noise),
+        )
 
     @cached_property
     def speed(self) -> NDArray[np.float64]:
         """Of the axis at the samples that were measured [m/s or rad/s]."""
         time = self.time if self.index is None else self.time[self.index]
-        return np.abs(smooth(time, self.measured, min(21, time.size))[1])
+        return speed_of(time, self.measured)
 
     @property
     def measured(self) -> NDArray[np.float64]:

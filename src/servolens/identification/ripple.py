@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.observed import ObservedRun, Signals
+    from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
 
 __all__ = ["Ripple", "mains_ripple"]
 
@@ -59,7 +59,7 @@ class Ripple:
         return float(np.sqrt(np.mean(np.concatenate(self.waves) ** 2)))
 
 
-def mains_ripple(runs: Sequence[ObservedRun], white: Sequence[NDArray[np.float64]]) -> Ripple:
+def mains_ripple(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDArray[np.float64]]) -> Ripple:
     """Return the ripple that the whitened residuals show beyond chance.
 
     White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency). The waves
@@ -98,7 +98,7 @@ def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) ->
 
 
 def _fitted(
-    run: ObservedRun, residual: NDArray[np.float64], frequencies: Sequence[float]
+    run: ObservedRun | SimulatedRun, residual: NDArray[np.float64], frequencies: Sequence[float]
 ) -> tuple[list[float], NDArray[np.float64]]:
     """Return amplitude of each frequency and the sum of the waves in the measured position."""
     signals = run.signals

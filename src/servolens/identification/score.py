@@ -125,7 +125,7 @@ class ScoreTest:
         names = own_phases(plant)
         new = [name for name in names if name not in own_phases(self.hypothesis.plant)]
         if not new or len(self.runs) == 1:
-            return (self._missed(plant) - self.residual)[:, None]
+            return np.asarray((self._missed(plant) - self.residual)[:, None])
         index = list(plant.parameters).index(new[0])
         turned = list(plant.values)
         turned[index] += 0.5 * np.pi if turned[index] < 0.0 else -0.5 * np.pi

@@ -10,7 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["slope_noise", "smooth", "smoothing_window", "value_weights"]
+__all__ = ["slope_noise", "smooth", "smoothing_window", "speed_of", "value_weights"]
+
+SPEED_WINDOW = 21
+"""Samples of the derivative by which the jitter of sampling instants is weighed."""
 
 
 def smooth(
@@ -42,6 +45,11 @@ def smooth(
     tail = signal[n - window :]
     value[n - half :], slope[n - half :] = value_weights[half + 1 :] @ tail, slope_weights[half + 1 :] @ tail
     return value, slope / np.gradient(time)
+
+
+def speed_of(time: NDArray[np.float64], position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return |velocity|, shape (n,) [m/s or rad/s]."""
+    return np.abs(smooth(time, position, min(SPEED_WINDOW, time.size))[1])
 
 
 def smoothing_window(duration: float, sample_time: float) -> int:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.observed import ObservedRun
+    from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.identification.score import ScoreTest
 
 __all__ = ["depends_on_inputs", "forces_along", "is_chance"]
@@ -98,7 +98,7 @@ def _is_smoother_in_motion(test: ScoreTest) -> bool:
         smooth, rough = _block_powers(test, size)
         if min(len(values) for values in smooth) < FEWEST_BLOCKS:
             continue
-        rest, motion = (float(np.mean(a) / max(np.mean(b), 1e-300)) for a, b in zip(smooth, rough, strict=True))
+        rest, motion = (float(np.mean(a)) / max(float(np.mean(b)), 1e-300) for a, b in zip(smooth, rough, strict=True))
         if f.sf(motion / max(rest, 1e-300), len(smooth[1]), len(smooth[0])) < level:
             return True
     return False
@@ -211,7 +211,7 @@ def _instruments(test: ScoreTest) -> NDArray[np.float64]:
     return columns
 
 
-def _of_run(run: ObservedRun) -> NDArray[np.float64]:
+def _of_run(run: ObservedRun | SimulatedRun) -> NDArray[np.float64]:
     signals = _driving(run)
     found = []
     for signal in signals:
@@ -221,7 +221,7 @@ def _of_run(run: ObservedRun) -> NDArray[np.float64]:
     return np.column_stack(found) if found else np.empty((run.samples, 0))
 
 
-def _driving(run: ObservedRun) -> list[NDArray[np.float64]]:
+def _driving(run: ObservedRun | SimulatedRun) -> list[NDArray[np.float64]]:
     """Return what drives the record and knows nothing of the noise, on the samples that are simulated."""
     record, signals = run.signals.record, run.signals
     at = np.searchsorted(record.time, signals.time[slice(None) if signals.index is None else signals.index] + 1e-12)

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.identification.integral import Pieces, held_twice_integrated
 from servolens.identification.noise import NoiseModel, Whitener, observer_gains
-from servolens.identification.smoothing import value_weights
+from servolens.identification.smoothing import speed_of, value_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -84,7 +84,7 @@ class LinearEstimate:
         found = np.zeros((size, size))
         for segment, share, rows in zip(self.segments, self.pieces, self.rows, strict=True):
             weights = _of_innovations(segment, share, rows, damping, noise, window)
-            deviations = Whitener(segment.position, noise).deviations(weights)
+            deviations = Whitener(segment.position, speed_of(segment.time, segment.position), noise).deviations(weights)
             found += deviations.T @ deviations
         samples = sum(s.time.size for s in self.segments)
         return np.asarray(found * self.share * noise.inflation(samples, size + 2 * len(self.segments)))
