@@ -11,6 +11,7 @@ import numpy as np
 
 from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
+from servolens.identification.conditioning import well_conditioned
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Point", "Problem", "determined", "open_directions"]
+__all__ = ["COARSE", "FINE", "Block", "Point", "Problem"]
 
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
@@ -33,8 +34,6 @@ NON_SMOOTH, WIDER = 1.5, 1e-2
 """Ratio of standard errors by wide and by narrow differences that betrays an error that is not smooth on a small scale;
 the share of a parameter that is wide."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
-WORST, PART = 1e14, 1e-3
-"""Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
 MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
@@ -453,27 +452,3 @@ def _is_touched(plant: Plant, name: str) -> bool:
     """Tell whether contacts disturb how the error depends on the parameter: their own, and those of the whole axis."""
     effect = plant.effect(name.rpartition(".")[0])
     return effect is None or isinstance(effect, Transmission)
-
-
-def well_conditioned(information: NDArray[np.float64]) -> bool:
-    """Tell whether the data determine all parameters: no column depends on the others."""
-    scale = np.sqrt(np.diag(information))
-    return bool(np.linalg.cond(information / np.outer(scale, scale)) < WORST)
-
-
-def determined(information: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a basis of the directions that the data determine, shape (k, m); none of the diagonal may be 0."""
-    scale = np.sqrt(np.diag(information))
-    sizes, directions = np.linalg.eigh(information / np.outer(scale, scale))
-    return np.asarray(directions[:, sizes >= sizes.max() / WORST] / scale[:, None])
-
-
-def open_directions(information: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which parameters can be moved, alone or with others, without a trace in the data, shape (k,)."""
-    seen = np.diag(information) > 0
-    scale = np.sqrt(np.diag(information)[seen])
-    sizes, directions = np.linalg.eigh(information[np.ix_(seen, seen)] / np.outer(scale, scale))
-    free = sizes < sizes.max(initial=0.0) / WORST
-    found = ~seen
-    found[seen] = np.sum(directions[:, free] ** 2, axis=1) > PART
-    return found

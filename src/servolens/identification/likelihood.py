@@ -44,7 +44,7 @@ FEW, SOME, FULL = 4, 10, 30
 MOST_SUBSTEPS = 12
 """In a millisecond; plants that need more are left out: what is so fast cannot be told from what is rigid."""
 MOST_SAMPLES = 16_000
-"""Of all records together; longer ones are simulated every few samples only."""
+"""Of all records together; of longer ones every few samples are compared."""
 MOST_ROUNDS, NO_BETTER = 6, 0.5
 """Times that plant and noise are fitted in turn; fall of −2 log-likelihood below which they agree."""
 
@@ -345,7 +345,7 @@ class Likelihood:
     def misfit(self, hypothesis: Hypothesis, plants: Sequence[Plant], cuts: Sequence[int] | None = None) -> float:
         """Return −2 log-likelihood of the records, each by its own of the `plants`, but for samples before its cut.
 
-        Initial states and phases of each record's own are fitted; nothing else is.
+        Initial states, phases of each record's own and the size of its noise are fitted; nothing else is.
         """
         total = 0.0
         first = cuts or [0] * len(self.signals)
@@ -357,7 +357,9 @@ class Likelihood:
             def missed(plant: Plant, run: ObservedRun | SimulatedRun = run, begin: int = begin) -> float:
                 return self._least(run, plant, begin)
 
-            total += missed(synchronised(plant, missed)) + run.whiten.log_determinant
+            compared = max(run.samples - begin, 1)
+            size = missed(synchronised(plant, missed)) / compared
+            total += compared * float(np.log(max(size, 1e-300))) + run.whiten.log_determinant * compared / run.samples
         return total
 
     def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:

@@ -76,7 +76,7 @@ def _slope(record: Record, count: int) -> float:
 @final
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What of a record is simulated: possibly every few samples only, the voltage averaged between them.
+    """What of a record is simulated, and which of its samples are compared: every few of a long one.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class Signals:
     time, voltage, position : ndarray, shape (n,)
         On a grid without gaps.
     index : ndarray of int or None
-        Where the samples that were measured stand in the grid; None if none are lost.
+        Where the samples that are compared stand in the grid; None if all are.
     initial : InitialState
         Of the first sample.
     """
@@ -105,9 +105,7 @@ class Signals:
         if index is not None:
             position = np.interp(time, record.time, record.position)
         if every > 1:
-            whole = time.size // every * every
-            voltage = voltage[:whole].reshape(-1, every).mean(axis=1)
-            time, position, index = time[:whole:every], position[:whole:every], None
+            index = (np.arange(time.size) if index is None else index)[::every]
         return cls(
             record,
             np.ascontiguousarray(time),

@@ -114,7 +114,8 @@ def _block_powers(test: ScoreTest, size: int) -> tuple[list[list[float]], list[l
     for run, (_, velocity, _) in zip(test.runs, found, strict=True):
         residual = test.left[first : first + run.samples]
         first += run.samples
-        moves = np.abs(velocity[: run.samples]) > SLOW * fastest
+        compared = velocity if run.signals.index is None else velocity[run.signals.index]
+        moves = np.abs(compared) > SLOW * fastest
         for begin in range(0, min(residual.size, moves.size) - size + 1, size):
             block, moving = residual[begin : begin + size], moves[begin : begin + size]
             if moving.all() or not moving.any():

@@ -342,6 +342,38 @@ def hold(x: Any, p: Any, room: Any, begin: float, length: float, span: float, su
     return pieces
 
 
+@njit(**OPTIONS)
+def carry(
+    x: Any,
+    p: Any,
+    room: Any,
+    time: Any,
+    results: Any,
+    n: int,
+    k: int,
+    arrived: int,
+    delay: float,
+    before: float,
+    substeps: int,
+    coarse: float,
+) -> tuple[int, int]:
+    """Carry the axis from sample `k` to the next; return in how many pieces, and the last sample whose input arrived.
+
+    An input arrives `delay` seconds after the instant of its sample, wherever in a later sample that is.
+    """
+    pieces, begin, end = 0, time[k], time[k + 1]
+    span = end - begin
+    while arrived < k and time[arrived + 1] + delay < end - SLIVER * span:
+        due = time[arrived + 1] + delay
+        new = sent(results, n, arrived + 1, before)
+        if due > begin + SLIVER * span and new != x[U]:
+            pieces += hold(x, p, room, begin, due - begin, span, substeps, coarse)
+            begin = due
+        x[U] = new
+        arrived += 1
+    return pieces + hold(x, p, room, begin, end - begin, span, substeps, coarse), arrived
+
+
 def run(
     n: int,
     substeps: int,
@@ -398,17 +430,8 @@ def run(
             return k
         if k + 1 == n:
             break
-        begin, end = time[k], time[k + 1]
-        span = end - begin
-        while arrived < k and time[arrived + 1] + delay < end - SLIVER * span:
-            due = time[arrived + 1] + delay
-            new = sent(results, n, arrived + 1, before)
-            if due > begin + SLIVER * span and new != x[U]:
-                pieces += hold(x, p, room, begin, due - begin, span, substeps, loop[14])
-                begin = due
-            x[U] = new
-            arrived += 1
-        pieces += hold(x, p, room, begin, end - begin, span, substeps, loop[14])
+        more, arrived = carry(x, p, room, time, results, n, k, arrived, delay, before, substeps, loop[14])
+        pieces += more
         if pieces > granted > 0.0:
             return -1
     return n
