@@ -20,7 +20,7 @@ from servolens.identification.noise import observer_gains
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import noise_level
-from servolens.identification.structure import depends_on_inputs
+from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -124,11 +124,29 @@ class Case:
             return False
         known = self._dependent.get(id(hypothesis))
         if known is None:
-            noise = hypothesis.noise
-            wanders = noise.rate == 0.0 and noise.spread > WANDERS * noise.innovation
-            known = hypothesis, wanders or depends_on_inputs(ScoreTest(self.likelihood, hypothesis))
+            known = hypothesis, self._depends(hypothesis)
             self._dependent[id(hypothesis)] = known
         return not known[1]
+
+    def _depends(self, hypothesis: Hypothesis) -> bool:
+        """Ask the innovations; and the loops where the noise may have taken up what the model lacks.
+
+        An observer that follows a shaken axis is an approximation: what it leaves is whitened as well as can be.
+        """
+        noise = hypothesis.noise
+        closed = all(record.reference is not None and record.controller is not None for record in self.records)
+        wanders = noise.rate == 0.0 and noise.spread > WANDERS * noise.innovation
+        asked = hypothesis if noise.rate == 0.0 else self.likelihood.whitened_well(hypothesis)
+        if wanders or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+            return True
+        if not closed or (noise.rate == 0.0 and noise.order == 0):
+            return False
+        errors = [residual(hypothesis.plant_of(i), record) for i, record in enumerate(self.records)]
+        if not all(np.isfinite(error).all() for error in errors):
+            return True
+        remembered = noise.memory() * self.records[0].sample_time
+        rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
+        return loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate)
 
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.

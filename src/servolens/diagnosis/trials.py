@@ -120,7 +120,7 @@ class Trials:
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
     def _is_admissible(self, plant: Plant) -> bool:
-        """Tell whether the records show the effects as a whole, and no prior is contradicted.
+        """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
 
         Gain and damping alone may: what they lack may be why.
         """
@@ -132,7 +132,7 @@ class Trials:
             for name, prior in self.priors.items()
             if name in values
         )
-        return not contradicted and all(effect.is_whole(self.seen) for effect in plant.effects)
+        return not contradicted and all(e.is_whole(self.seen) and not e.absent for e in plant.effects)
 
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter.

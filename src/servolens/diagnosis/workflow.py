@@ -111,14 +111,7 @@ def _diagnosed(
         furthest = max(furthest, min(round(90 * share), 90))
         progress(what, furthest, 100)
 
-    is_one = case.contradiction() is None
-    if is_one:
-        found = search(case.trials, case.base, EFFORT[effort], tell)
-    else:  # no effect makes one axis of two
-        found = Search((case.base,), (case.base,), (), ended_early=False)
-    path, doubts = _confirmed(found, case)
-    if is_one and not case.is_enough(path[-1]):
-        case, found, path, doubts = _simulated(case, found, path, doubts, EFFORT[effort])
+    case, found, path, doubts = _searched(case, EFFORT[effort], tell)
     progress("measuring the gain", 90, 100)
     gains = case.gains(path)
     verdict = _verdict(case, path, gains)
@@ -181,6 +174,19 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
         doubts.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
     return path, doubts
+
+
+def _searched(
+    case: Case, effort: Effort, tell: Callable[[str, float], None]
+) -> tuple[Case, Search, list[Hypothesis], list[Finding]]:
+    """Return what was found and confirmed, and on which case: by prediction errors, or by simulations."""
+    if case.contradiction() is not None:  # no effect makes one axis of two
+        return case, Search((case.base,), (case.base,), (), ended_early=False), [case.base], []
+    found = search(case.trials, case.base, effort, tell)
+    path, doubts = _confirmed(found, case)
+    if case.is_enough(path[-1]):
+        return case, found, path, doubts
+    return _simulated(case, found, path, doubts, effort)
 
 
 def _simulated(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import copysign, cos
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -16,8 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PendulumGravity"]
 
-LEAST_TRAVEL = 0.5
-"""[rad] Within less a weight is a constant force and a spring: sin φ differs from φ by 1 % at half of it."""
+LEAST_TRAVEL, STANDS = 0.5, 0.1
+"""[rad] Within less a weight is a constant force and a spring: sin φ differs from φ by 1 % at half of it. Unless it
+stands, which no spring does: cosine of the angle from there on."""
 
 
 @final
@@ -55,7 +57,8 @@ class PendulumGravity(Force):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        return seen.travel >= LEAST_TRAVEL
+        spring = copysign(1.0, self.amplitude) * cos(0.5 * (seen.low + seen.high) + self.phase)
+        return seen.travel >= LEAST_TRAVEL or spring < -STANDS
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:

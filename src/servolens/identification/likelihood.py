@@ -334,6 +334,16 @@ class Likelihood:
         parameters = noise.order + (rate > 0.0) + (noise.jitter > 0.0)
         return noise, misfit + parameters * float(np.log(self.counted))
 
+    def whitened_well(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` beside noise of the order that Akaike's criterion chooses: nothing of it is left out."""
+        runs = self.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+        missed = []
+        for i, (run, start) in enumerate(zip(runs, hypothesis.starts, strict=True)):
+            plant = hypothesis.plant_of(i)
+            missed.append(run.missed(plant, start, substeps_for(plant, run.sample_time)))
+        noise = hypothesis.noise.estimated(missed, [run.whiten for run in runs], for_errors=True)
+        return replace(hypothesis, noise=noise)
+
     def on(self, records: Sequence[Record]) -> Likelihood:
         """Return the likelihood of other `records` of the same axis, with what is known of it."""
         other = copy(self)

@@ -19,8 +19,10 @@ if TYPE_CHECKING:
 
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.identification.score import ScoreTest
+    from servolens.plant import Plant
+    from servolens.record import Record
 
-__all__ = ["depends_on_inputs", "forces_along", "is_chance"]
+__all__ = ["depends_on_inputs", "forces_along", "is_chance", "loop_depends_on_inputs"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -30,6 +32,10 @@ BLOCKS, FEWEST_BLOCKS = (8, 32), 20
 """Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
 SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
+TOGETHER = 16
+"""Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
+LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
+"""Lags of the reference in time constants of the loop."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -54,6 +60,48 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     return any(statistic > limit for statistic, limit in tests) or _is_smoother_in_motion(test)
 
 
+def loop_depends_on_inputs(
+    records: Sequence[Record], residuals: Sequence[NDArray[np.float64]], plant: Plant, rate: float
+) -> bool:
+    """Tell whether the error of simulations in closed loop depends on the inputs.
+
+    An observer that follows an axis which something seems to shake follows what the model lacks as well; the loop
+    simulated from the reference does not. Its error is regressed on what the simulation itself does, and on the
+    reference at several lags; samples count once in two time constants of the loop, 2/ω, as long as a loop remembers.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With reference and controller.
+    residuals : sequence of ndarray, shape (n,)
+        Simulated minus measured position of each [m or rad].
+    plant : Plant
+        That was simulated.
+    rate : float
+        ω of the loops [rad/s].
+    """
+    from scipy.stats import f
+
+    columns, errors = [], []
+    for record, residual in zip(records, residuals, strict=True):
+        run = simulate(plant, record)
+        reference = np.asarray(record.reference)
+        lags = [int(share / rate / record.sample_time) for share in LOOP_LAGS]
+        moved = [_shifted(reference - reference[0], lag) - _shifted(reference - reference[0], 2 * lag) for lag in lags]
+        own = [run.velocity, np.sign(run.velocity), run.velocity * np.abs(run.velocity), run.position - reference]
+        columns.append(np.column_stack([np.ones(len(record)), *own, run.voltage, *moved]))
+        errors.append(residual)
+    rows, error = np.concatenate(columns), np.concatenate(errors)
+    counted = sum(record.duration for record in records) * rate / 2.0
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    explained = error - rows @ np.linalg.lstsq(rows, error, rcond=1e-9)[0]
+    left, free = float(explained @ explained), counted - rows.shape[1]
+    if free < 2.0 or left <= 0.0:
+        return False
+    ratio = (float(error @ error) - left) / rows.shape[1] / (left / free)
+    return bool(f.sf(ratio, rows.shape[1], free) < FALSE_ALARM)
+
+
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     """Return what forces and what the reference explain of the residual's squares, each with its limit."""
     from scipy.stats import ncx2
@@ -70,14 +118,17 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
 def _explained(test: ScoreTest, basis: NDArray[np.float64]) -> float:
     """Return the score statistic of the columns of `basis`, shape (n, k).
 
-    Rounding is no Gaussian noise: where it dominates, the scores' variance is that of their own products (White 1980,
-    doi:10.2307/1912934).
+    Rounding is no Gaussian noise, and an observer whose rate is one of a few leaves no quite white innovations: there
+    the scores' variance is that of their own products, summed over a few samples (White 1980, doi:10.2307/1912934).
     """
     along = basis.T @ test.left
-    if test.hypothesis.noise.share < 0.5:
+    noise = test.hypothesis.noise
+    if noise.share < 0.5 and noise.rate == 0.0:
         return float(along @ along)
-    scores = basis * test.left[:, None]
-    return float(along @ np.linalg.solve(scores.T @ scores, along))
+    size = TOGETHER if noise.rate > 0.0 else 1
+    count = test.left.size // size
+    scores = (basis * test.left[:, None])[: count * size].reshape(count, size, -1).sum(axis=1)
+    return float(along @ np.linalg.lstsq(scores.T @ scores, along, rcond=1e-12)[0])
 
 
 def _is_smoother_in_motion(test: ScoreTest) -> bool:
