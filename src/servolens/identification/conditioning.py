@@ -6,10 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.effects import Transmission
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["determined", "open_directions", "well_conditioned"]
+    from servolens.plant import Plant
+
+__all__ = ["determined", "is_touched", "open_directions", "well_conditioned"]
 
 WORST, PART = 1e14, 1e-3
 """Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""
@@ -37,3 +41,9 @@ def open_directions(information: NDArray[np.float64]) -> NDArray[np.bool_]:
     found = ~seen
     found[seen] = np.sum(directions[:, free] ** 2, axis=1) > PART
     return found
+
+
+def is_touched(plant: Plant, name: str) -> bool:
+    """Tell whether contacts disturb how the error depends on the parameter: their own, and those of the whole axis."""
+    effect = plant.effect(name.rpartition(".")[0])
+    return effect is None or isinstance(effect, Transmission)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
-from servolens.effects import Transmission
 from servolens.errors import InputError, NumericalError
-from servolens.identification.conditioning import well_conditioned
+from servolens.identification.conditioning import is_touched, well_conditioned
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
@@ -111,7 +110,7 @@ class Problem:
         self.high = np.array([specs[i].high for i in self.free])
         self.signed = (self.low < 0) & (self.high > 0) & (self.free > 1)
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
-        self.touched = np.array([plant.has_contacts and _is_touched(plant, names[i]) for i in self.free], dtype=bool)
+        self.touched = np.array([plant.has_contacts and is_touched(plant, names[i]) for i in self.free], dtype=bool)
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.samples for run in runs)
         self.noise = self.least_noise = max(noise, 1e-12)
@@ -446,9 +445,3 @@ class Problem:
     def prior_cost(self, values: NDArray[np.float64]) -> float:
         """Return what the priors add to the cost."""
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
-
-
-def _is_touched(plant: Plant, name: str) -> bool:
-    """Tell whether contacts disturb how the error depends on the parameter: their own, and those of the whole axis."""
-    effect = plant.effect(name.rpartition(".")[0])
-    return effect is None or isinstance(effect, Transmission)

@@ -52,15 +52,15 @@ class Run(Protocol):
     """
 
     @property
-    def group(self) -> int: ...  # noqa: D102
+    def group(self) -> int: ...  # noqa: D102 - told above
     @property
-    def samples(self) -> int: ...  # noqa: D102
+    def samples(self) -> int: ...  # noqa: D102 - told above
     @property
-    def sample_time(self) -> float: ...  # noqa: D102
+    def sample_time(self) -> float: ...  # noqa: D102 - told above
     @property
-    def start(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def start(self) -> NDArray[np.float64]: ...  # noqa: D102 - told above
     @property
-    def shifts(self) -> tuple[float, ...]: ...  # noqa: D102
+    def shifts(self) -> tuple[float, ...]: ...  # noqa: D102 - told above
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return simulated minus measured, shape (samples,)."""
