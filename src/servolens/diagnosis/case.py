@@ -172,7 +172,7 @@ class Case:
         try:
             likelihood = self.likelihood.on([record])
             found = likelihood.judged(plant)
-            if found is None or depends_on_inputs(ScoreTest(likelihood, found)):
+            if found is None or found.noise.rate > 0.0 or depends_on_inputs(ScoreTest(likelihood, found)):
                 return None
         except (InputError, NumericalError):
             return None

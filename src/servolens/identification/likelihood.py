@@ -152,7 +152,7 @@ class Likelihood:
         other = copy(self)
         steps = [signals.record.sample_time for signals in self.signals]
         other.white = replace(self.white, share=0.0, discount=max(REMEMBERS / self.rate / float(np.median(steps)), 1.0))
-        other.simulates = True
+        other.simulates, other.work = True, 0
         return other
 
     def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun | SimulatedRun]:
@@ -369,7 +369,8 @@ class Likelihood:
 
             compared = max(run.samples - begin, 1)
             size = missed(synchronised(plant, missed)) / compared
-            total += compared * float(np.log(max(size, 1e-300))) + run.whiten.log_determinant * compared / run.samples
+            total += compared / hypothesis.noise.discount * float(np.log(max(size, 1e-300)))
+            total += run.whiten.log_determinant * compared / run.samples
         return total
 
     def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
