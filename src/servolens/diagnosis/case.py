@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import partial
@@ -158,25 +159,23 @@ class Case:
         return self._contradiction[0]
 
     def _apart(self) -> Finding | None:
-        if self.is_enough(self.base):
+        if self.base.noise.rate == 0.0 and self.is_enough(self.base):
             return None
         rubbing = self.trials.starts(ScoreTest(self.likelihood, self.base), CoulombFriction.name)
-        for plant in (self.base.plant, *(start.plant for start in rubbing[:1])):
-            plants = in_parallel(partial(self._by_itself, plant), self.records)
-            if all(plants):
-                return apart([p for p in plants if p], [record.name for record in self.records])
-        return None
+        structures = [self.base.plant, *(start.plant for start in rubbing[:1])]
+        plants = in_parallel(partial(self._by_itself, structures), self.records)
+        return apart([p for p in plants if p], [r.name for r in self.records]) if all(plants) else None
 
-    def _by_itself(self, plant: Plant, record: Record) -> Plant | None:
-        """Return `plant` fitted to one record; None where it does not explain it."""
-        try:
-            likelihood = self.likelihood.on([record])
-            found = likelihood.judged(plant)
-            if found is None or found.noise.rate > 0.0 or depends_on_inputs(ScoreTest(likelihood, found)):
-                return None
-        except (InputError, NumericalError):
-            return None
-        return found.plant
+    def _by_itself(self, structures: Sequence[Plant], record: Record) -> Plant | None:
+        """Return the first of the plants that explains one record, as a simulation; None where none does."""
+        likelihood = self.likelihood.on([record])
+        for plant in structures:
+            with suppress(InputError, NumericalError):
+                found = likelihood.judged(plant)
+                is_simulation = found is not None and found.noise.rate == 0.0
+                if found is not None and is_simulation and not depends_on_inputs(ScoreTest(likelihood, found)):
+                    return found.plant
+        return None
 
     def gains(self, path: Sequence[Hypothesis]) -> Gains:
         """Return the errors of the hypotheses, as `predict` has them, on training and held-out records."""

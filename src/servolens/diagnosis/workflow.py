@@ -213,6 +213,8 @@ def _simulated(
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     """Judge what is left in the training records, and whether those held out are of the same axis."""
+    if case.contradiction() is not None:
+        return "unexplained"
     chosen = path[-1]
     alien = any(strangers(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
     if case.is_enough(chosen) and not alien:

@@ -357,6 +357,8 @@ class Likelihood:
 
         Initial states, phases of each record's own and the size of its noise are fitted; nothing else is.
         """
+        if not self.simulates and not any(cuts or ()):
+            return self._profiled_misfit(hypothesis, plants)
         total = 0.0
         first = cuts or [0] * len(self.signals)
         for run, plant, cut in zip(
@@ -372,6 +374,22 @@ class Likelihood:
             total += compared / hypothesis.noise.discount * float(np.log(max(size, 1e-300)))
             total += run.whiten.log_determinant * compared / run.samples
         return total
+
+    def _profiled_misfit(self, hypothesis: Hypothesis, plants: Sequence[Plant]) -> float:
+        """Return −2 log-likelihood of whole records beside the noise that suits each hypothesis there.
+
+        An observer that was tuned where a model was fitted would favour the model that it follows most closely.
+        """
+        own = []
+        for run, plant in zip(self.runs(self.white, unpowered=hypothesis.unpowered), plants, strict=True):
+
+            def missed(plant: Plant, run: ObservedRun | SimulatedRun = run) -> float:
+                return self._least(run, plant, 0)
+
+            own.append(synchronised(plant, missed))
+        starts = [run.start for run in self.runs(self.white)]
+        found = self._noises(own, starts, unpowered=hypothesis.unpowered)
+        return min((misfit for _, misfit in found), default=np.inf)
 
     def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
         """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
