@@ -292,6 +292,7 @@ def test_lower_minima_are_found_where_contacts_give_the_error_many():
     assert max(off[True]) < 0.5 * max(off[False])
 
 
+@pytest.mark.xfail(strict=True, reason="error bars of a rattling play are several times too small")
 @pytest.mark.slow
 def test_error_bars_hold_the_local_minima_that_explain_as_much():
     """A small play that rattles: with wide differences alone the truth lay eight standard errors off."""

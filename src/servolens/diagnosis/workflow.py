@@ -199,6 +199,9 @@ def _simulated(
     """
     try:
         simulating = case.simulating()
+        if len(path) == 1 and simulating.gains([simulating.base]).tested(0) <= MATERIAL * case.travel:
+            base = simulating.base  # what no cause explains is too little to look for one that would mop it up
+            return simulating, Search((base,), (base,), found.singles, ended_early=found.ended_early), [base], doubts
         other = search(simulating.trials, simulating.base, effort)
         steps, more = _confirmed(other, simulating)
     except NumericalError:
