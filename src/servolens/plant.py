@@ -124,7 +124,7 @@ class Plant:
 
     @property
     def has_contacts(self) -> bool:
-        """Whether contacts open and close within it: simulation errors are crumpled functions of its parameters."""
+        """Whether contacts open and close within it: simulation errors are then non-smooth in its parameters."""
         return any(isinstance(effect, Transmission) and not effect.linear for effect in self.effects)
 
     @property

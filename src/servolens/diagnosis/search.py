@@ -1,7 +1,7 @@
 """Which effects the model lacks: one pass through the catalogue per added effect, then each is taken out again.
 
 What decides is −2 log-likelihood beside each hypothesis' own noise model, plus the price of its effects; see
-:func:`servolens.diagnosis.trials.price`.
+:meth:`servolens.diagnosis.trials.Trials.price`.
 """
 
 from __future__ import annotations
