@@ -373,12 +373,18 @@ def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
     assert diagnosis.findings[0].code == "onset_missed"
 
 
-def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_most():
+LITTLE_DRIER = pytest.mark.xfail(
+    strict=True, reason="friction an eighth larger moves the rest by less than is material"
+)
+
+
+@pytest.mark.parametrize("level", [pytest.param(0.45, marks=LITTLE_DRIER), 0.5])
+def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_most(level):
     def rubbing(level, kp):
         cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": level}})
         return lab.step_record(cart, kp, reference=(0.1, 0.0), noise=1e-5, seed=kp)
 
-    records, drier = [rubbing(0.4, 40), rubbing(0.4, 80)], rubbing(0.5, 60)
+    records, drier = [rubbing(0.4, 40), rubbing(0.4, 80)], rubbing(level, 60)
     diagnosis = diagnose(records, heldout=drier)
     assert diagnosis.verdict == "partly_explained"
     assert [cause.effect for cause in diagnosis.causes] == ["coulomb_friction"]
@@ -420,7 +426,7 @@ def test_late_start_is_no_motion_backward():
     diagnosis = diagnose(cut[:2], heldout=cut[2])
     assert diagnosis.verdict == "explained"
     assert "delay" in (diagnosis.causes[0].effect, *diagnosis.causes[0].rivals)
-    assert diagnosis.extended.heldout_rms_error < 0.2 * diagnosis.baseline.heldout_rms_error
+    assert diagnosis.extended.heldout_rms_error < 1.2 * diagnosis.noise_floor
 
 
 @pytest.mark.slow
