@@ -310,12 +310,13 @@ def test_error_bars_hold_the_local_minima_that_explain_as_much():
         assert 0.3 < again.model.quantities[name].stderr / quantity.stderr < 3.0, name
 
 
+@pytest.mark.xfail(strict=True, reason="ends in a minimum beside the lowest, 0.5 % off; before within 0.2 %")
 def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     hidden = hidden_campaign(72, effects=["backlash"], visibility=8.9, records=2)
     truth = plant_of(hidden.truth)
     fit = fit_effects(hidden.records, truth.effects)
     assert fit.driven == "voltage"
-    assert fit.model.plant.values == pytest.approx(truth.values, rel=1e-2)
+    assert fit.model.plant.values == pytest.approx(truth.values, rel=2e-3)
     assert misses(fit, hidden.truth) == {}
 
 
@@ -672,6 +673,7 @@ def test_bootstrap_repeats_with_its_seed(friction_fit):
     assert not np.array_equal(first, other)
 
 
+@pytest.mark.xfail(strict=True, reason="its lower end is 0.023 V off; before within 0.02 V")
 def test_profile_shows_that_a_limit_never_reached_has_no_upper_end():
     """The voltage is 5 V at most: a limit below is refuted, one above is not."""
     truth = Truth(gain=GAIN, damping=DAMPING, effects={"saturation": {"limit": 5.0}})
@@ -680,7 +682,7 @@ def test_profile_shows_that_a_limit_never_reached_has_no_upper_end():
     low, high = profile(fit, "saturation.limit").interval
     assert high is None
     assert low is not None
-    assert low == pytest.approx(5.0, abs=0.03)
+    assert low == pytest.approx(5.0, abs=0.02)
     assert codes(fit)["not_determined"] == (
         "the data do not determine saturation.limit: others explain them as well as 6."
     )
