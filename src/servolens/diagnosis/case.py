@@ -12,7 +12,6 @@ import numpy as np
 
 from servolens.diagnosis.errors import KEPT, Gains, residual
 from servolens.diagnosis.logs import apart, beyond
-from servolens.diagnosis.threads import in_parallel
 from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
@@ -22,6 +21,7 @@ from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import noise_level
 from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
+from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.threads import in_parallel
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, SOME
 from servolens.identification.score import ScoreTest
+from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

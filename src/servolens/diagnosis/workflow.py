@@ -24,6 +24,7 @@ from servolens.findings import Finding
 from servolens.identification.door import together
 from servolens.identification.fitted import fitted
 from servolens.identification.segments import applied_voltage
+from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["diagnose"]
 
 
+@single_threaded_blas
 def diagnose(
     records: Record | Sequence[Record],
     *,

@@ -23,6 +23,7 @@ from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.model import Model
 from servolens.plant import BASE_PARAMETERS, Plant
+from servolens.processors import single_threaded_blas
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -94,6 +95,7 @@ class EffectsFit:
         return self.rms_error <= AT_NOISE * self.noise
 
 
+@single_threaded_blas
 def fit_effects(
     records: Record | Sequence[Record],
     effects: Sequence[Effect],

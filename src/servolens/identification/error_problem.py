@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -13,6 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched, well_conditioned
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
+from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
 if TYPE_CHECKING:
@@ -296,8 +296,7 @@ class Problem:
         workers = min(os.cpu_count() or 1, len(trials))
         if work < WORTH_THREADS or workers < 2:
             return [one(job) for job in trials]
-        with ThreadPoolExecutor(workers) as pool:  # the kernel frees the interpreter
-            return list(pool.map(one, trials))
+        return in_parallel(one, trials, workers)
 
     def _loss(self, residual: NDArray[np.float64]) -> float:
         if not np.isfinite(self.outlier):

@@ -20,6 +20,7 @@ from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_lef
 from servolens.model import Model, Quantity
 from servolens.plant import Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
+from servolens.processors import single_threaded_blas
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -122,6 +123,7 @@ class Identification:
         }
 
 
+@single_threaded_blas
 def identify(
     records: Record | Sequence[Record],
     *,

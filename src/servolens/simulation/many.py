@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from servolens.errors import ServolensError
+from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -64,8 +63,7 @@ def simulate_many(
     def runs(plant: Plant) -> tuple[Simulation | ServolensError, ...]:
         return tuple(_run(plant, record, voltage_driven, substeps) for record in given)
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        return tuple(pool.map(runs, plants))
+    return tuple(in_parallel(runs, plants, workers))
 
 
 def _run(

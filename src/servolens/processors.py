@@ -1,0 +1,50 @@
+"""The machine's processors: simulations side by side, and linear algebra that leaves them to these."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, wraps
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from threadpoolctl import ThreadpoolController
+
+__all__ = ["in_parallel", "single_threaded_blas"]
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
+
+
+def in_parallel(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int | None = None) -> list[Result]:
+    """Return what `function` makes of each of the `jobs`, in their order, with a thread for each processor.
+
+    The compiled simulation leaves Python free meanwhile.
+    """
+    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+        return list(pool.map(function, jobs))
+
+
+def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Let linear algebra within `function` run on one processor.
+
+    Its matrices are long and narrow: threads of its own wait for each other, and for those of :func:`in_parallel`.
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        with _libraries().limit(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    import scipy.linalg  # noqa: F401 - a controller knows the libraries that are loaded when it is made
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
