@@ -105,6 +105,12 @@ class Case:
         other._dependent, other._left_out = {}, {}
         return other
 
+    def fitted_to_simulations(self, plants: Sequence[Plant]) -> list[Hypothesis]:
+        """Return `plants` as fitted, from where they are and as much heavier or lighter as the base is."""
+        begun = [start for plant in plants for start in (plant, plant.scaled(self.base.plant.gain / plant.gain))]
+        fits = in_parallel(partial(self.likelihood.judged, iterations=SOME), begun)
+        return [h for h in fits if h is not None]
+
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
         """Return the ripple of the mains: what was taken out, and what shows only beside `hypothesis`."""
         if self.likelihood.simulates:

@@ -33,6 +33,9 @@ FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted."""
+SHARE, SPENT = 0.25, 0.25
+"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
+whole, with how little left no further effect is looked for."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -53,7 +56,7 @@ class Effort:
     beam : int
         Hypotheses that are extended.
     work : float
-        Samples times substeps that may be simulated before the search adds no further effect.
+        Samples times substeps that fits may simulate.
     """
 
     causes: int
@@ -64,11 +67,11 @@ class Effort:
 
 
 EFFORT = {
-    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=1e8),
-    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=4e8),
-    "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=4e9),
+    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=4e7),
+    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=1.2e8),
+    "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
-"""A hundred million samples and substeps take about two seconds of one processor."""
+"""A hundred million samples and substeps take about eight seconds of one processor."""
 
 
 @final
@@ -109,6 +112,7 @@ def search(
     base: Hypothesis,
     effort: Effort,
     tell: Callable[[str, float], None] = lambda _, __: None,
+    known: Sequence[Hypothesis] = (),
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
 
@@ -122,11 +126,13 @@ def search(
         How far to go.
     tell : callable
         Is told what is done and the share of the whole search that is.
+    known : sequence of Hypothesis
+        Others that were fitted to these records before.
     """
-    explorer = _Explorer(trials, effort, tell)
+    explorer = _Explorer(trials, effort, tell, known)
     path, beam, early = [base], [base], False
     while len(path[-1].causes) < effort.causes:
-        if trials.likelihood.work > effort.work:
+        if explorer.left < SPENT * effort.work:
             early = True
             break
         found = explorer.extended(beam, len(path[-1].causes))
@@ -146,12 +152,24 @@ def search(
 class _Explorer:
     """Fits hypotheses and remembers them."""
 
-    def __init__(self, trials: Trials, effort: Effort, tell: Callable[[str, float], None]) -> None:
+    def __init__(
+        self, trials: Trials, effort: Effort, tell: Callable[[str, float], None], known: Sequence[Hypothesis]
+    ) -> None:
         self.trials, self.effort, self.tell = trials, effort, tell
         self.likelihood = trials.likelihood
-        self.judged: list[Hypothesis] = []
+        self.begun = self.likelihood.work
+        self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
         self._seen: set[frozenset[str]] = set()
+
+    @property
+    def left(self) -> float:
+        """Samples times substeps that may still be simulated."""
+        return max(self.effort.work - (self.likelihood.work - self.begun), 0.0)
+
+    def _allowance(self, jobs: int) -> float:
+        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order."""
+        return SHARE * self.left / max(jobs, 1)
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
@@ -163,10 +181,9 @@ class _Explorer:
         found.sort(key=_total)
         if number == 0:
             self.singles += found
+        known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = _distinct(found)[: self.effort.judged]
-        judged = [h for h in in_parallel(lambda h: self.likelihood.judged(h.plant, h), jobs) if h]
-        self.judged += judged
-        return sorted(judged, key=_total)
+        return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
@@ -191,31 +208,43 @@ class _Explorer:
             return found
 
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
-        begun = in_parallel(lambda starts: told(self._begun(starts, noise, unpowered=unpowered)), chosen)
+        share_of_work = self._allowance(len(chosen))
+        begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
         found = sorted((h for h in begun if h), key=_total)
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
-        further = in_parallel(lambda h: told(self._simulated(h)), close)
+        share_of_work = self._allowance(len(close))
+        further = in_parallel(lambda h: told(self._simulated(h, share_of_work)), close)
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
 
-    def _begun(self, starts: Sequence[Start], noise: NoiseModel, *, unpowered: bool) -> Hypothesis | None:
+    def _begun(
+        self, starts: Sequence[Start], noise: NoiseModel, allowance: float, *, unpowered: bool
+    ) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        led = [self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered) for s in starts[:several]]
+        each = allowance / several
+        led = [
+            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=each) for s in starts[:several]
+        ]
         return min((h for h in led if h), key=_total, default=None)
 
-    def _simulated(self, hypothesis: Hypothesis) -> Hypothesis | None:
+    def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads as a simulation, without an observer that hides what is slow."""
         iterations = SOME * len(hypothesis.plant.effects[-1].parameters())
         return self.likelihood.tried(
-            hypothesis.plant, self.likelihood.white, iterations, unpowered=hypothesis.unpowered
+            hypothesis.plant,
+            self.likelihood.white,
+            iterations,
+            unpowered=hypothesis.unpowered,
+            allowance=allowance,
         )
 
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` without the effects that do not pay for themselves."""
         while len(hypothesis.causes) > 1:
-            simpler = self._judged([hypothesis.plant.without_effect(n) for n in hypothesis.causes[:-1]], hypothesis)
+            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes[:-1]]
+            simpler = self._judged([(plant, hypothesis) for plant in without])
             if not simpler or simpler[0].total >= hypothesis.total:
                 return hypothesis
             hypothesis = simpler[0]
@@ -225,12 +254,16 @@ class _Explorer:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
-        forms = self._judged([*_specialised(hypothesis.plant), *_united(hypothesis.plant)], hypothesis)
-        others = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        return min([hypothesis, *forms, *others], key=_total)
+        others = [*_specialised(hypothesis.plant), *_united(hypothesis.plant)]
+        forms = self._judged([(plant, hypothesis) for plant in others])
+        known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
+        return min([hypothesis, *forms, *known], key=_total)
 
-    def _judged(self, plants: Sequence[Plant], like: Hypothesis) -> list[Hypothesis]:
-        found = [h for h in in_parallel(lambda plant: self.likelihood.judged(plant, like, FULL), plants) if h]
+    def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
+        """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
+        share = self._allowance(len(jobs))
+        fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
+        found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=_total)
 

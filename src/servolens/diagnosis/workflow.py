@@ -197,14 +197,16 @@ def _simulated(
     """Return what a search by simulations finds instead, where that predicts records better that were not fitted.
 
     A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
-    who tunes wants the step.
+    who tunes wants the step. What the first search has found is where the second one begins: in closed loop effects
+    hide each other, such as friction that damps and a delay that does the contrary.
     """
     try:
         simulating = case.simulating()
         if len(path) == 1 and simulating.gains([simulating.base]).tested(0) <= MATERIAL * case.travel:
             base = simulating.base  # what no cause explains is too little to look for one that would mop it up
             return simulating, Search((base,), (base,), found.singles, ended_early=found.ended_early), [base], doubts
-        other = search(simulating.trials, simulating.base, effort)
+        known = simulating.fitted_to_simulations([h.plant for h in found.path[1:]])
+        other = search(simulating.trials, simulating.base, effort, known=known)
         steps, more = _confirmed(other, simulating)
     except NumericalError:
         return case, found, path, doubts

@@ -38,6 +38,8 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
     """Return where the search ends and whether that is an optimum: a step gains no more than the `negligible`."""
     damping = 1e-3
     for _ in range(iterations):
+        if problem.is_spent:
+            break
         blocks, gradient, information = problem.linearise(point)
         for _ in range(12):
             trial = problem.step(point, blocks, gradient, information, damping)
@@ -67,7 +69,7 @@ def lowest_minimum(problem: Problem, point: Point, iterations: int, *, converged
             break
         trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
         least = point.cost
-        for start in _lowest(trials):
+        for start in () if problem.is_spent else _lowest(trials):
             trial, reached = by_way_of(problem, start, way)
             if trial.cost < point.cost:
                 point, converged = trial, reached
@@ -85,7 +87,7 @@ def beside(
     back. Where the error is smooth there are none.
     """
     seen: list[Point] = []
-    for _ in range(LOOKS):
+    for _ in range(0 if problem.is_spent else LOOKS):
         found, is_smooth = problem.linearised_widely(point)
         direction = problem.least_determined(point, found.information)
         if is_smooth or not direction.any():

@@ -150,7 +150,7 @@ def fit_effects(
         length_unit=runs[0].length_unit,
         command_unit=runs[0].command_unit,
     )
-    check_names((*asked.priors, *asked.held, *asked.local), plant.parameters)
+    check_names((*asked.priors, *asked.bounds, *asked.held, *asked.local), plant.parameters)
     _check_free(plant, asked)
     held = [f"{effect.name}.{name}" for effect in effects for name in fixed(type(effect))]
     asked = replace(asked, held=tuple(dict.fromkeys([*asked.held, *held])))
@@ -178,7 +178,7 @@ def fit_effects(
 
 def _check_free(plant: Plant, options: FitOptions) -> None:
     """Refuse to hold what no effect gives a value to, and to ask anything of what follows from other parameters."""
-    for name in (*options.priors, *options.held, *options.local):
+    for name in (*options.priors, *options.bounds, *options.held, *options.local):
         if name in plant.derived:
             raise InputError(f"{name} follows from other parameters of this model; ask it of those")
     for name in options.held:

@@ -44,13 +44,17 @@ UNFELT = 1e-4
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """One run, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r)."""
+    """One run, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r).
+
+    The leverage, shape (n,), is the share of each sample's noise that the state follows.
+    """
 
     factor: NDArray[np.float64]
     along: NDArray[np.float64]
     missed: NDArray[np.float64]
     jacobian: NDArray[np.float64]
     residual: NDArray[np.float64]
+    leverage: NDArray[np.float64]
 
 
 @final
@@ -106,8 +110,10 @@ class Problem:
             [k for k, (_, group) in enumerate(self.slots) if k < len(shared) or group == run.group] for run in runs
         ]
         lowest = {"damping": min(0.0, plant.damping)}  # a passive axis; only a start below stays there
-        self.low = np.array([lowest.get(names[i], specs[i].low) for i in self.free])
-        self.high = np.array([specs[i].high for i in self.free])
+        bounds = [options.bounds.get(names[i], (-np.inf, np.inf)) for i in self.free]
+        admitted = [(lowest.get(names[i], specs[i].low), specs[i].high) for i in self.free]
+        self.low = np.array([max(low, least) for (low, _), (least, _) in zip(admitted, bounds, strict=True)])
+        self.high = np.array([min(high, most) for (_, high), (_, most) in zip(admitted, bounds, strict=True)])
         self.signed = (self.low < 0) & (self.high > 0) & (self.free > 1)
         self.priors = [(k, priors[names[i]]) for k, i in enumerate(self.free) if names[i] in priors]
         self.touched = np.array([plant.has_contacts and is_touched(plant, names[i]) for i in self.free], dtype=bool)
@@ -119,12 +125,18 @@ class Problem:
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
         self.most_substeps: float = MOST_SUBSTEPS - 1
         self.one_sided = False
-        self.simulated = 0
+        self.simulated, self.allowance = 0, np.inf
         self._plants: dict[bytes, Plant] = {}
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether as many samples and substeps were simulated as are allowed."""
+        return self.simulated >= self.allowance
 
     def start(self) -> Point:
         """Return where the search begins."""
-        point = Point(np.array(self.plant.values)[self.free], [run.start.copy() for run in self.runs])
+        values = np.clip(np.array(self.plant.values)[self.free], self.low, self.high)
+        point = Point(values, [run.start.copy() for run in self.runs])
         point.starts = [self._still_or_moving(point, i) for i in range(len(self.runs))]
         for k, (index, group) in enumerate(self.slots):
             if self.names[index] in self.local and self.names[index] in own_phases(self.plant):
@@ -226,7 +238,7 @@ class Problem:
             x, y = weight * jacobian, weight[:, 0] * residual
             along, missed = q.T @ x, q.T @ y
             x, y = x - q @ along, y - q @ missed
-            blocks.append(Block(r, along, missed, x, y))
+            blocks.append(Block(r, along, missed, x, y, np.sum(q**2, axis=1)))
             gradient += x.T @ y
             information += x.T @ x
         point.cost = cost

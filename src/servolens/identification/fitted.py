@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
+import numpy as np
+
 from servolens.identification.doubts import doubts
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import Model
@@ -32,7 +34,7 @@ class Fitted:
         return self.model.plant
 
 
-def fitted(likelihood: Likelihood, hypothesis: Hypothesis) -> Fitted:
+def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np.inf) -> Fitted:
     """Return `hypothesis` at its optimum beside its own noise, with error bars.
 
     Parameters
@@ -41,10 +43,19 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis) -> Fitted:
         Of the records.
     hypothesis : Hypothesis
         Where to begin.
+    allowance : float
+        Samples times substeps after which no further minimum is looked for.
     """
     runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
     plant = hypothesis.plant
-    refined = minimise_error(plant, runs, likelihood.options(plant), noise=1.0, local_minima=plant.has_contacts)
+    refined = minimise_error(
+        plant,
+        runs,
+        likelihood.options(plant),
+        noise=1.0,
+        local_minima=plant.has_contacts,
+        allowance=allowance,
+    )
     names = dict.fromkeys(refined.undetermined, "the data do not determine it")
     names |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
     names |= dict.fromkeys(likelihood.options(plant).held, "it is held")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -140,7 +141,7 @@ class Likelihood:
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
-        self.work = 0
+        self.work, self._counting = 0, Lock()
         self.simulates = False
 
     def simulating(self) -> Likelihood:
@@ -154,6 +155,11 @@ class Likelihood:
         other.white = replace(self.white, share=0.0, discount=max(REMEMBERS / self.rate / float(np.median(steps)), 1.0))
         other.simulates, other.work = True, 0
         return other
+
+    def count(self, simulated: int) -> None:
+        """Add to the samples times substeps that were simulated, from any thread."""
+        with self._counting:
+            self.work += simulated
 
     def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun | SimulatedRun]:
         """Return the records as prediction-error problems, or as simulations."""
@@ -181,9 +187,12 @@ class Likelihood:
             held=tuple(dict.fromkeys([*(name for name in asked.held if name in names), *held])),
             local=tuple(dict.fromkeys([*(name for name in asked.local if name in names), *local])),
             priors={name: prior for name, prior in asked.priors.items() if name in names},
+            bounds={name: bound for name, bound in asked.bounds.items() if name in names},
         )
 
-    def judged(self, plant: Plant, like: Hypothesis | None = None, iterations: int = FULL) -> Hypothesis | None:
+    def judged(
+        self, plant: Plant, like: Hypothesis | None = None, iterations: int = FULL, *, allowance: float = np.inf
+    ) -> Hypothesis | None:
         """Return `plant` fitted beside the noise that makes it likeliest; None where it cannot be simulated.
 
         Parameters
@@ -194,23 +203,29 @@ class Likelihood:
             Whose noise model and initial states to begin with.
         iterations : int
             Of each descent at most.
+        allowance : float
+            Samples times substeps after which no descent goes on.
         """
         choices = (False, True) if self.may_be_unpowered and _remembers(plant) else (False,)
-        found = [h for h in (self._judged(plant, like, iterations, unpowered=u) for u in choices) if h]
+        share = allowance / len(choices)
+        found = [h for h in (self._judged(plant, like, iterations, share, unpowered=u) for u in choices) if h]
         return min(found, key=lambda h: h.total, default=None)
 
-    def _judged(self, plant: Plant, like: Hypothesis | None, iterations: int, *, unpowered: bool) -> Hypothesis | None:
+    def _judged(
+        self, plant: Plant, like: Hypothesis | None, iterations: int, allowance: float, *, unpowered: bool
+    ) -> Hypothesis | None:
         noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
         best: Hypothesis | None = None
         waiting = [noise]
         for _ in range(MOST_ROUNDS):
-            if not waiting:
+            if not waiting or allowance <= 0.0:
                 break
             noise = waiting.pop()
             try:
-                problem, point = self.led(plant, noise, iterations, unpowered=unpowered)
+                problem, point = self.led(plant, noise, iterations, unpowered=unpowered, allowance=allowance)
             except (InputError, NumericalError):
                 continue
+            allowance -= problem.simulated
             found = self._profiled(problem, point, unpowered=unpowered)
             if found is None or (best is not None and found.total >= best.total - NO_BETTER):
                 continue
@@ -219,7 +234,13 @@ class Likelihood:
         return best if best is not None and self._is_admissible(best.plant) else None
 
     def tried(
-        self, plant: Plant, noise: NoiseModel | None, iterations: int, *, unpowered: bool = False
+        self,
+        plant: Plant,
+        noise: NoiseModel | None,
+        iterations: int,
+        *,
+        unpowered: bool = False,
+        allowance: float = np.inf,
     ) -> Hypothesis | None:
         """Return where a few iterations beside `noise` lead, judged by its own noise; None where that fails.
 
@@ -228,13 +249,20 @@ class Likelihood:
         if noise is None:
             noise = self._first_noise(plant, unpowered=unpowered)
         try:
-            problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True)
+            problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True, allowance=allowance)
         except (InputError, NumericalError):
             return None
         return self._profiled(problem, point, unpowered=unpowered)
 
     def led(
-        self, plant: Plant, noise: NoiseModel, iterations: int, *, unpowered: bool = False, coarse: bool = False
+        self,
+        plant: Plant,
+        noise: NoiseModel,
+        iterations: int,
+        *,
+        unpowered: bool = False,
+        coarse: bool = False,
+        allowance: float = np.inf,
     ) -> tuple[Problem, Point]:
         """Return where a descent from `plant` beside this noise leads.
 
@@ -244,6 +272,7 @@ class Likelihood:
             If `plant` cannot be simulated, or only with very small steps.
         """
         problem = Problem(plant, self.runs(noise, unpowered=unpowered), self.options(plant), 1.0)
+        problem.allowance = allowance
         problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
         start = problem.start()
         if problem.too_stiff(start) or not np.isfinite(start.cost):
@@ -254,7 +283,7 @@ class Likelihood:
             point, _ = by_way_of(problem, start, way, NEGLIGIBLE_ON_THE_WAY)
         else:
             point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
-        self.work += problem.simulated
+        self.count(problem.simulated)
         return problem, point
 
     def _first_noise(self, plant: Plant, *, unpowered: bool) -> NoiseModel:
@@ -324,6 +353,7 @@ class Likelihood:
         except (InputError, NumericalError):
             return None
         noise = first.estimated(missed, [run.whiten for run in runs]) if not self.simulates else first.scaled(missed)
+        self.count(sum(run.samples * substeps_for(p, run.sample_time) for run, p in zip(runs, plants, strict=True)))
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return None
         misfit = 0.0

@@ -33,6 +33,8 @@ class FitOptions:
         Parameters that each record has of its own, e.g. ``"periodic_disturbance.phase"``.
     priors : mapping of str to Prior
         Knowledge from elsewhere, by qualified name.
+    bounds : mapping of str to tuple of float
+        Least and largest value of parameters, by qualified name, within what their effects admit.
     loss : {"squares", "huber"}
         Whether outliers count as squares or linearly.
     driven : {"auto", "closed_loop", "voltage"}
@@ -50,12 +52,13 @@ class FitOptions:
     Raises
     ------
     InputError
-        If a choice is none of these, or choices do not go together.
+        If a choice is none of these, choices do not go together, or a bound is no range.
     """
 
     held: tuple[str, ...] = ()
     local: tuple[str, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     loss: Loss = "squares"
     driven: Driven = "auto"
     compared: Compared = "position"
@@ -69,6 +72,9 @@ class FitOptions:
         for name in ("held", "local"):
             if isinstance(getattr(self, name), str):
                 raise InputError(f"{name} must be a tuple of names; write ({getattr(self, name)!r},)")
+        for name, (low, high) in self.bounds.items():
+            if not low < high:
+                raise InputError(f"the bounds of {name} must be a least and a larger value; got {low} and {high}")
         if self.compared == "voltage" and self.driven == "voltage":
             raise InputError(
                 "a run that is driven by the voltage cannot be compared by it; choose driven='closed_loop'"

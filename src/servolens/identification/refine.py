@@ -46,6 +46,8 @@ NEARLY = 0.9
 """Share of the substeps that are granted from which on a search was stopped by them, and by no optimum."""
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
+MOST_FOLLOWED = 0.1
+"""Share of a sample's variance that is left at least: beyond, its residual says nothing of its noise."""
 HUBER = 2.5
 """Standard deviations from which on a residual counts linearly."""
 
@@ -201,10 +203,10 @@ def minimise_error(
     options: FitOptions,
     *,
     noise: float,
-    iterations: int = MOST_ITERATIONS,
     coarse: bool = False,
     local_minima: bool = False,
     like: Weights | None = None,
+    allowance: float = np.inf,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
 
@@ -219,8 +221,6 @@ def minimise_error(
         robust standard deviations count linearly (Huber 1964, doi:10.1214/aoms/1177703732).
     noise : float
         Standard deviation of the residual's noise, against which the priors are weighed; 1 of whitened ones.
-    iterations : int
-        Of each minimisation at most.
     coarse : bool
         Where that does not reach the noise, or there are contacts, begin once more with sensitivities over a twentieth
         of each parameter: for errors that are not smooth on a small scale.
@@ -229,6 +229,8 @@ def minimise_error(
         others as low, for which the error bars have to allow.
     like : Weights, optional
         Of another fit, with which the misfit of this one is to be compared.
+    allowance : float
+        Samples times substeps after which no further minimum is looked for.
 
     Raises
     ------
@@ -236,6 +238,7 @@ def minimise_error(
         If `plant` cannot be simulated on the runs.
     """
     problem = Problem(plant, runs, options, noise)
+    problem.allowance = allowance
     if like is not None:
         problem.noise, problem.outlier = like.noise, like.outlier
     point = problem.start()
@@ -243,19 +246,19 @@ def minimise_error(
         problem.most_substeps = np.inf
     searched = local_minima and plant.has_contacts
     if like is not None:
-        point, converged = _lowest(problem, point, iterations, coarse=coarse, searched=searched)
+        point, converged = _lowest(problem, point, coarse=coarse, searched=searched)
         return _finished(problem, point, [], converged=converged)
     problem.weigh_priors(point)
-    point, converged = _lowest(problem, point, iterations, coarse=coarse, searched=searched)
+    point, converged = _lowest(problem, point, coarse=coarse, searched=searched)
     if problem.weigh_priors(point):
-        point, converged = descend(problem, point, iterations)
+        point, converged = descend(problem, point, MOST_ITERATIONS)
     for _ in range(2 if options.loss == "huber" else 0):
         problem.outlier = HUBER * problem.spread(point)
         point.cost = problem.cost(point)
-        point, converged = descend(problem, point, iterations)
+        point, converged = descend(problem, point, MOST_ITERATIONS)
     others: list[NDArray[np.float64]] = []
     if searched:
-        point, converged, others = beside(problem, point, iterations, converged=converged)
+        point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
     return _finished(problem, point, others, converged=converged and not problem.too_stiff(point, NEARLY))
 
 
@@ -276,17 +279,17 @@ def followed(
     return problem.plant_at(point.values, 0), point.cost
 
 
-def _lowest(problem: Problem, begun: Point, iterations: int, *, coarse: bool, searched: bool) -> tuple[Point, bool]:
+def _lowest(problem: Problem, begun: Point, *, coarse: bool, searched: bool) -> tuple[Point, bool]:
     """Return where minimisation from `begun` ends, and whether that is an optimum."""
     plant, enough = problem.plant, (DOWN_TO_NOISE * problem.least_noise) ** 2 * problem.samples
-    point, converged = descend(problem, begun, iterations)
+    point, converged = descend(problem, begun, MOST_ITERATIONS)
     if coarse and (plant.has_contacts or point.cost > enough):
-        other, reached = by_way_of(problem, begun, ((COARSE, iterations), (FINE, iterations)))
+        other, reached = by_way_of(problem, begun, ((COARSE, MOST_ITERATIONS), (FINE, MOST_ITERATIONS)))
         if other.cost < point.cost:
             point, converged = other, reached
     if searched:
         problem.weigh_priors(point)
-        point, converged = lowest_minimum(problem, point, iterations, converged=converged)
+        point, converged = lowest_minimum(problem, point, MOST_ITERATIONS, converged=converged)
     return point, converged
 
 
@@ -345,12 +348,21 @@ def _covariances(
     In the directions that the data determine; what is not of them has no error of its own, and costs the others none.
     """
     basis = determined(information[np.ix_(index, index)])
-    scores = [(b.jacobian * b.residual[:, None])[:, index] @ basis for b in blocks]
+    inner = basis.T @ information[np.ix_(index, index)] @ basis
+    inverse = np.asarray(np.linalg.inv(inner), dtype=np.float64)
+    scores = [_scores(block, block.jacobian[:, index] @ basis, inverse) for block in blocks]
     known = np.zeros(point.values.size)
     for k, prior in problem.priors:
         known[k] = (problem.noise / prior.deviation * problem.noise) ** 2
-    unknowns = point.values.size + sum(start.size for start in point.starts)
-    degrees = problem.samples / max(problem.samples - unknowns, 1)
-    inner = basis.T @ information[np.ix_(index, index)] @ basis
-    robust = degrees * robust_covariance(scores, inner, (basis.T * known[index]) @ basis)
-    return basis @ robust @ basis.T, basis @ np.linalg.inv(inner) @ basis.T
+    robust = robust_covariance(scores, inner, (basis.T * known[index]) @ basis)
+    return basis @ robust @ basis.T, basis @ inverse @ basis.T
+
+
+def _scores(block: Block, rows: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `rows` times the residual, as large as the noise was of which parameters and initial state took a share.
+
+    A residual has the variance 1 − h of the noise, h its leverage (HC2 of MacKinnon and White 1985,
+    doi:10.1016/0304-4076(85)90158-7).
+    """
+    leverage = block.leverage + np.sum((rows @ inverse) * rows, axis=1)
+    return np.asarray(rows * (block.residual / np.sqrt(np.maximum(1.0 - leverage, MOST_FOLLOWED)))[:, None])

@@ -54,7 +54,7 @@ class ScoreTest:
         )
         point.starts = [start.copy() for start in hypothesis.starts]
         blocks = problem.differences(point)
-        likelihood.work += problem.simulated
+        likelihood.count(problem.simulated)
         self.residual = np.concatenate([r[: run.samples] for run, (r, _, _) in zip(self.runs, blocks, strict=True)])
         width = sum(initial.shape[1] for _, _, initial in blocks)
         own = np.zeros((self.residual.size, problem.free.size + width))
