@@ -67,8 +67,8 @@ class Effort:
 
 
 EFFORT = {
-    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=4e7),
-    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=1.2e8),
+    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=6e7),
+    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=2.4e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
 """A hundred million samples and substeps take about eight seconds of one processor."""

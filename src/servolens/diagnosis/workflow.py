@@ -39,6 +39,11 @@ if TYPE_CHECKING:
 
 __all__ = ["diagnose"]
 
+CONTENDERS = 6
+"""Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
+SECOND = 0.5
+"""Of the effort of the first search, what a second one by simulations may take: it knows where the first one ended."""
+
 
 @single_threaded_blas
 def diagnose(
@@ -206,16 +211,32 @@ def _simulated(
             base = simulating.base  # what no cause explains is too little to look for one that would mop it up
             return simulating, Search((base,), (base,), found.singles, ended_early=found.ended_early), [base], doubts
         known = simulating.fitted_to_simulations([h.plant for h in found.path[1:]])
-        other = search(simulating.trials, simulating.base, effort, known=known)
-        steps, more = _confirmed(other, simulating)
+        other = search(simulating.trials, simulating.base, replace(effort, work=SECOND * effort.work), known=known)
     except NumericalError:
         return case, found, path, doubts
+    other = _cross_validated(simulating, other)
+    steps = list(other.path)
     again = [h for h in (case.likelihood.judged(step.plant) for step in steps) if h is not None]
     if len(again) == len(steps) and again[-1].total < path[-1].total and case.is_enough(again[-1]):
-        return case, replace(found, path=tuple(again)), again, more
+        return case, replace(found, path=tuple(again)), again, doubts
     if case.gains([path[-1]]).tested(-1) <= simulating.gains([steps[-1]]).tested(-1):
         return case, found, path, doubts
-    return simulating, other, steps, more
+    return simulating, other, steps, []
+
+
+def _cross_validated(case: Case, found: Search) -> Search:
+    """Return `found` with those that were likeliest weighed by records to which they were not fitted.
+
+    Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What each predicts of the
+    other records does not (Yao et al. 2018, doi:10.1214/17-BA1091).
+    """
+    others = [h for h in found.judged if h.causes][:CONTENDERS]
+    contenders = list({h.causes: h for h in (*found.path, *others)}.values())
+    weighed = sorted((replace(h, total=case.misfit(h)) for h in contenders), key=lambda h: h.total)
+    base, best = next(h for h in weighed if not h.causes), weighed[0]
+    between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]
+    path = [base, *between, best] if best.causes else [base]
+    return replace(found, path=tuple(path), judged=tuple(weighed))
 
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:

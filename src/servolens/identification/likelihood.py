@@ -252,7 +252,7 @@ class Likelihood:
             problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True, allowance=allowance)
         except (InputError, NumericalError):
             return None
-        return self._profiled(problem, point, unpowered=unpowered)
+        return self._profiled(problem, point, unpowered=unpowered, rates=(0.0, noise.rate / self.rate))
 
     def led(
         self,
@@ -295,10 +295,12 @@ class Likelihood:
                 best, least = noise, misfit
         return best
 
-    def _profiled(self, problem: Problem, point: Point, *, unpowered: bool) -> Hypothesis | None:
-        """Return the plant at `point` beside the likeliest of the noise models."""
+    def _profiled(
+        self, problem: Problem, point: Point, *, unpowered: bool, rates: Sequence[float] = ()
+    ) -> Hypothesis | None:
+        """Return the plant at `point` beside the likeliest of the noise models, or of those with these `rates`."""
         plants = [problem.plant_at(point.values, i) for i in range(len(self.signals))]
-        found = self._noises(plants, point.starts, unpowered=unpowered)
+        found = self._noises(plants, point.starts, unpowered=unpowered, rates=rates)
         if not found:
             return None
         noise, misfit = min(found, key=lambda pair: pair[1])
@@ -316,9 +318,14 @@ class Likelihood:
         )
 
     def _noises(
-        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], *, unpowered: bool
+        self,
+        plants: Sequence[Plant],
+        starts: Sequence[NDArray[np.float64]],
+        *,
+        unpowered: bool,
+        rates: Sequence[float] = (),
     ) -> list[tuple[NoiseModel, float]]:
-        """Return a noise model for each rate of the observer, with −2 log-likelihood beside it."""
+        """Return a noise model for each rate of the observer, of these or of all, with −2 log-likelihood beside it."""
         found: dict[float, tuple[NoiseModel, float]] = {}
 
         def look(rate: float) -> None:
@@ -330,9 +337,9 @@ class Likelihood:
             closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
             look(0.0 if closed else SLOW_RATE)
             return list(found.values())
-        for rate in self._rates[:1] if self.white.share > ROUNDED else self._rates:
+        for rate in dict.fromkeys(rates or (self._rates[:1] if self.white.share > ROUNDED else self._rates)):
             look(rate)
-        if found:
+        if found and not rates:
             best = min(found, key=lambda rate: found[rate][1])
             for rate in (0.5 * best, 2.0 * best) if best > 0.0 else ():
                 look(rate)
