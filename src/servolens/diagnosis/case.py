@@ -19,7 +19,7 @@ from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise import observer_gains
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
-from servolens.identification.segments import noise_level
+from servolens.identification.segments import resting_noise
 from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
 from servolens.processors import in_parallel
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from servolens.findings import Finding
     from servolens.identification.integral import Prior
-    from servolens.identification.observed import Signals
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -39,8 +38,6 @@ RIPPLES = 3
 WANDERS = 50.0
 """Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
 constant is 5000 samples. What wanders so far is what the model lacks."""
-RESTING = 0.1
-"""Last share of each step over which an axis that has settled shows its noise."""
 
 
 @final
@@ -257,20 +254,4 @@ class Case:
                 chosen.noise.rate, float(np.median(np.diff(self.likelihood.signals[0].time[:64])))
             )
             return max(float(np.hypot(chosen.noise.spread * np.sqrt(1.0 - alpha), self.ripple.rms)), 1e-300)
-        resting = [spread for record in self.records for step in record.steps() if (spread := _resting(step)) > 0.0]
-        return max(self.likelihood.floor, self.ripple.rms, float(np.median(resting)) if resting else 0.0)
-
-    def signals(self) -> tuple[Signals, ...]:
-        """Return the training records as they are simulated."""
-        return self.likelihood.signals
-
-
-def _resting(step: Record) -> float:
-    """Return the r.m.s. deviation of the end of a step from a straight line; 0 where that is too short."""
-    count = int(RESTING * len(step))
-    if count < 20:
-        return 0.0
-    time, end = step.time[-count:] - step.time[-1], step.position[-count:]
-    if abs(float(end[-1] - end[0])) > 10.0 * noise_level(step):
-        return 0.0
-    return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))
+        return max(self.likelihood.floor, self.ripple.rms, resting_noise(self.records))

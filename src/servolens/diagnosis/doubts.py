@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.identification.likelihood import Hypothesis
+    from servolens.record import Record
 
-__all__ = ["said", "strangers"]
+__all__ = ["missed_by_far", "said", "strangers"]
 
 FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
@@ -100,16 +101,23 @@ def _unpowered(case: Case) -> Finding:
     return Finding(code="unpowered_before", severity="note", message=message)
 
 
-def strangers(case: Case, gains: Gains) -> Iterator[Finding]:
-    """Yield a finding for each held-out record that is much farther off than those that were fitted."""
-    fitted = gains.train(-1)
-    known = {finding.record for finding in beyond(case.records, case.heldout)}
+def missed_by_far(case: Case, gains: Gains) -> Iterator[tuple[Record, float]]:
+    """Yield each held-out record that is missed by far more than those that were fitted, and by how much (r.m.s.)."""
     for record, error in zip(case.heldout, gains.held[-1], strict=False):
         size = pooled([error])
-        if record.name not in known and size > FARTHER * max(fitted, gains.noise):
+        if size > FARTHER * max(gains.train(-1), gains.noise):
+            yield record, size
+
+
+def strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+    """Yield a finding for each held-out record that is missed by far, and that is no extrapolation."""
+    known = {finding.record for finding in beyond(case.records, case.heldout)}
+    for record, size in missed_by_far(case, gains):
+        if record.name not in known:
+            unit = record.length_unit
             message = (
-                f"held out, the simulation misses it by {readable(size, record.length_unit)} (r.m.s.), the records that"
-                f" were fitted by {readable(fitted, record.length_unit)}; is it of the same axis, load and units?"
+                f"held out, the simulation misses it by {readable(size, unit)} (r.m.s.), the records that were fitted"
+                f" by {readable(gains.train(-1), unit)}; is it of the same axis, load and units?"
             )
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.doubts import said, strangers
+from servolens.diagnosis.doubts import missed_by_far, said
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
@@ -23,6 +23,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.door import together
 from servolens.identification.fitted import fitted
+from servolens.identification.refine import AT_NOISE
 from servolens.identification.segments import applied_voltage
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
@@ -207,8 +208,8 @@ def _simulated(
     """
     try:
         simulating = case.simulating()
-        if len(path) == 1 and simulating.gains([simulating.base]).tested(0) <= MATERIAL * case.travel:
-            base = simulating.base  # what no cause explains is too little to look for one that would mop it up
+        if simulating.gains([simulating.base]).tested(0) <= MATERIAL * case.travel and not _is_near(case, path[-1]):
+            base = simulating.base  # what no cause explains is too little to look for those that would take most of it
             return simulating, Search((base,), (base,), found.singles, ended_early=found.ended_early), [base], doubts
         known = simulating.fitted_to_simulations([h.plant for h in found.path[1:]])
         other = search(simulating.trials, simulating.base, replace(effort, work=SECOND * effort.work), known=known)
@@ -222,6 +223,12 @@ def _simulated(
     if case.gains([path[-1]]).tested(-1) <= simulating.gains([steps[-1]]).tested(-1):
         return case, found, path, doubts
     return simulating, other, steps, []
+
+
+def _is_near(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether simulations with the causes of a hypothesis are about as close as the noise lets them be."""
+    gains = case.gains([hypothesis])
+    return bool(hypothesis.causes) and gains.train(0) <= AT_NOISE * gains.noise
 
 
 def _cross_validated(case: Case, found: Search) -> Search:
@@ -244,8 +251,8 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     if case.contradiction() is not None:
         return "unexplained"
     chosen = path[-1]
-    alien = any(strangers(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
-    if case.is_enough(chosen) and not alien:
+    fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
+    if case.is_enough(chosen) and not fails:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 

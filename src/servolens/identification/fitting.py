@@ -13,7 +13,7 @@ from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_
 from servolens.identification.noise import NoiseModel, observer_gains
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
-from servolens.identification.segments import noise_level, white_noise
+from servolens.identification.segments import noise_level, resting_noise, white_noise
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -42,8 +42,6 @@ ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
 INERTIAS = (0.5, 2.0, 4.0, 8.0)
 """Shares of an inertia that are tried: dry friction that holds an axis passes for inertia."""
-LAST = 0.1
-"""Share of a step in which a settled axis shows the sensor's noise."""
 
 
 @final
@@ -192,19 +190,7 @@ def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
     if options.compared == "voltage":
         return max((white_noise(r.voltage) for r in records if r.voltage is not None), default=0.0)
     fast = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
-    resting = [spread for record in records for step in record.steps() if (spread := _resting(step)) > 0.0]
-    return max(fast, float(np.median(resting)) if resting else 0.0)
-
-
-def _resting(step: Record) -> float:
-    """Return the standard deviation of the end of a step about a straight line; 0 where it is short, or no rest."""
-    count = int(LAST * len(step))
-    if count < 20:
-        return 0.0
-    time, end = step.time[-count:] - step.time[-1], step.position[-count:]
-    if abs(float(end[-1] - end[0])) > 10.0 * noise_level(step):
-        return 0.0
-    return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))
+    return max(fast, resting_noise(records))
 
 
 def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) -> float:

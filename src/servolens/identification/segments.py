@@ -26,6 +26,7 @@ __all__ = [
     "motion_segments",
     "moving_parts",
     "noise_level",
+    "resting_noise",
     "rests_between",
     "settled_steps",
     "white_noise",
@@ -37,6 +38,9 @@ FEWEST_STROKES = 12
 SLOW, SHORTEST_PART, STANDING = 0.02, 30, 0.6
 """Share of the top speed below which an axis stands; fewest samples of a part; share of the time in motion up to which
 standing still matters."""
+RESTING, NO_REST = 0.1, 10.0
+"""Last share of a step in which a settled axis shows its noise; drift over it, in units of the noise, from which on the
+axis has not settled."""
 SETTLED = 1e-2
 """Share of the step within which a stretch counts as settled."""
 
@@ -181,6 +185,25 @@ def noise_level(record: Record) -> float:
     At least that of the stated encoder, resolution/√12.
     """
     return max(white_noise(record.position), (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
+
+
+def resting_noise(records: Sequence[Record]) -> float:
+    """Return the standard deviation that a settled axis shows at the ends of its steps, the median of all steps.
+
+    About a straight line each; 0 where no step is long enough or none settles.
+    """
+    found = [spread for record in records for step in record.steps() if (spread := _at_rest(step)) > 0.0]
+    return float(np.median(found)) if found else 0.0
+
+
+def _at_rest(step: Record) -> float:
+    count = int(RESTING * len(step))
+    if count < FEWEST_SAMPLES:
+        return 0.0
+    time, end = step.time[-count:] - step.time[-1], step.position[-count:]
+    if abs(float(end[-1] - end[0])) > NO_REST * noise_level(step):
+        return 0.0
+    return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))
 
 
 def white_noise(signal: NDArray[np.float64]) -> float:
