@@ -744,7 +744,7 @@ def test_parameters_that_the_data_hardly_tell_apart_are_named():
 def test_search_that_did_not_end_says_so():
     runs = closed_runs([logged(STICKY)], FitOptions())
     start = Plant(gain=1.0, damping=3.0, effects=(CoulombFriction(level=0.5),))
-    stopped = minimise_error(start, runs, FitOptions(), noise=SCATTER, iterations=1)
+    stopped = minimise_error(start, runs, FitOptions(), noise=SCATTER, allowance=1.0)
     assert [finding.code for finding in doubts(stopped)][:1] == ["not_converged"]
     assert "the refinement stopped before its optimum." in {finding.message for finding in doubts(stopped)}
 

@@ -132,7 +132,7 @@ def search(
     explorer = _Explorer(trials, effort, tell, known)
     path, beam, early = [base], [base], False
     while len(path[-1].causes) < effort.causes:
-        if explorer.left < SPENT * effort.work:
+        if explorer.left <= SPENT * effort.work:
             early = True
             break
         found = explorer.extended(beam, len(path[-1].causes))

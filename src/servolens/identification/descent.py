@@ -64,10 +64,10 @@ def lowest_minimum(problem: Problem, point: Point, iterations: int, *, converged
     way = ((COARSE, SHORT), (0.2 * COARSE, SHORT), (FINE, iterations))
     for _ in range(LOOKS):
         found, _ = problem.linearised_widely(point)
-        direction = problem.least_determined(point, found.information)
+        direction = _least_determined(problem, point, found.information)
         if not direction.any():
             break
-        trials = [(t.cost, share, t) for share in ALONG if (t := problem.moved(point, share * direction)) is not None]
+        trials = [(t.cost, share, t) for share in ALONG if (t := _moved(problem, point, share * direction)) is not None]
         least = point.cost
         for start in () if problem.is_spent else _lowest(trials):
             trial, reached = by_way_of(problem, start, way)
@@ -89,10 +89,10 @@ def beside(
     seen: list[Point] = []
     for _ in range(0 if problem.is_spent else LOOKS):
         found, is_smooth = problem.linearised_widely(point)
-        direction = problem.least_determined(point, found.information)
+        direction = _least_determined(problem, point, found.information)
         if is_smooth or not direction.any():
             break
-        starts = [trial for share in BESIDE if (trial := problem.moved(point, share * direction)) is not None]
+        starts = [trial for share in BESIDE if (trial := _moved(problem, point, share * direction)) is not None]
         ends = [by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]
         seen += [point, *ends]
         lowest = min(seen, key=lambda minimum: minimum.cost)
@@ -112,6 +112,41 @@ def by_way_of(
             point, converged = descend(problem, point, iterations, negligible)
     problem.share = FINE
     return point, converged
+
+
+def _least_determined(problem: Problem, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the direction of which the data say least among what contacts touch, shape (k,).
+
+    As long as one parameter changes by its size. What is at the end of its range stays there.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of which contacts touch some parameters.
+    point : Point
+        From where.
+    information : ndarray, shape (k, k)
+        Of wide differences there: where contacts make the error non-smooth, its long directions still show in them.
+    """
+    direction = np.zeros(problem.free.size)
+    index = np.flatnonzero(problem.touched & (point.values > problem.low) & (point.values < problem.high))
+    if index.size == 0:
+        return direction
+    inner = information[np.ix_(index, index)]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    _, directions = np.linalg.eigh(inner / np.outer(scale, scale))
+    direction[index] = directions[:, 0] / scale
+    return direction / float(np.max(np.abs(direction) / np.maximum(np.abs(point.values), 1e-3 * problem.scale)))
+
+
+def _moved(problem: Problem, point: Point, change: NDArray[np.float64]) -> Point | None:
+    """Return the trial `change` away from `point`; None where that is no plant or cannot be simulated."""
+    values = point.values + change
+    if ((values < problem.low) | (values > problem.high)).any():
+        return None
+    trial = Point(values, [start.copy() for start in point.starts])
+    trial.cost = np.inf if problem.too_stiff(trial) else problem.cost(trial)
+    return trial if np.isfinite(trial.cost) else None
 
 
 def _lowest(trials: Sequence[tuple[float, float, Point]]) -> list[Point]:

@@ -320,37 +320,6 @@ class Problem:
         """Return the square root of the weights with which least squares follow the loss."""
         return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
 
-    def least_determined(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the direction of which the data say least among what contacts touch, shape (k,).
-
-        As long as one parameter changes by its size. What is at the end of its range stays there.
-
-        Parameters
-        ----------
-        point : Point
-            From where.
-        information : ndarray, shape (k, k)
-            Of wide differences there: where contacts make the error non-smooth, its long directions still show in them.
-        """
-        direction = np.zeros(self.free.size)
-        index = np.flatnonzero(self.touched & (point.values > self.low) & (point.values < self.high))
-        if index.size == 0:
-            return direction
-        inner = information[np.ix_(index, index)]
-        scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        _, directions = np.linalg.eigh(inner / np.outer(scale, scale))
-        direction[index] = directions[:, 0] / scale
-        return direction / float(np.max(np.abs(direction) / np.maximum(np.abs(point.values), 1e-3 * self.scale)))
-
-    def moved(self, point: Point, change: NDArray[np.float64]) -> Point | None:
-        """Return the trial `change` away from `point`; None where that is no plant or cannot be simulated."""
-        values = point.values + change
-        if ((values < self.low) | (values > self.high)).any():
-            return None
-        trial = Point(values, [start.copy() for start in point.starts])
-        trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
-        return trial if np.isfinite(trial.cost) else None
-
     def step(
         self,
         point: Point,
