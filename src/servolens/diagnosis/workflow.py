@@ -176,7 +176,7 @@ def _check_priors(names: Iterable[str]) -> None:
 def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Finding]]:
     """Take the last causes off the path that records to which they were not fitted do not confirm."""
     path, doubts = list(found.path), []
-    while len(path) > 1 and not _is_confirmed(case, path[-2], path[-1]):
+    while len(path) > 1 and not _is_confirmed(case, path):
         lost = ", ".join(name for name in path[-1].causes if name not in path[-2].causes)
         message = f"{lost} explains the training records only, not those held out; it is left out."
         doubts.append(Finding(code="not_confirmed", severity="note", message=message))
@@ -184,15 +184,16 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
     return path, doubts
 
 
-def _is_confirmed(case: Case, simpler: Hypothesis, hypothesis: Hypothesis) -> bool:
-    """Tell whether records to which neither was fitted are likelier beside `hypothesis`.
+def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
+    """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
-    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less, too.
+    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less than
+    that of any simpler model, too.
     """
-    if not case.misfit(hypothesis) < case.misfit(simpler):
+    if not case.misfit(path[-1]) < case.misfit(path[-2]):
         return False
-    gains = case.gains([simpler, hypothesis])
-    return hypothesis.noise.rate == 0.0 or gains.tested(1) < gains.tested(0)
+    gains = case.gains(path)
+    return path[-1].noise.rate == 0.0 or gains.tested(-1) < min(gains.tested(i) for i in range(len(path) - 1))
 
 
 def _searched(
