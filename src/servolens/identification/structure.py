@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import ServolensError
+from servolens.identification.noise import Whitener
 from servolens.identification.score import FALSE_ALARM
 from servolens.simulation.loop import simulate
 
@@ -28,8 +29,9 @@ TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
 TESTS = 3
 """Among which the familywise error rate is shared: forces, changes of the reference, and rest against motion."""
-BLOCKS, FEWEST_BLOCKS = (8, 32), 20
-"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
+BLOCKS, FEWEST_BLOCKS, DRAWS = (8, 32), 20, 20
+"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test; draws of
+rounded noise, whose mean is then known to a few per cent."""
 SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
 TOGETHER = 16
@@ -144,35 +146,62 @@ def _is_smoother_in_motion(test: ScoreTest) -> bool:
     hypothesis = test.hypothesis
     if hypothesis.noise.rate > 0.0 and any(isinstance(e, DryFriction | Presliding) for e in hypothesis.plant.effects):
         return False
+    moves, left = _moving(test), np.split(test.left, np.cumsum([run.samples for run in test.runs])[:-1])
+    drawn = _drawn(test) if hypothesis.noise.share > 0.0 and hypothesis.noise.rate == 0.0 else []
     level = FALSE_ALARM / TESTS / len(BLOCKS)
     for size in BLOCKS:
-        smooth, rough = _block_powers(test, size)
-        if min(len(values) for values in smooth) < FEWEST_BLOCKS:
+        ratio, counts = _smoothness(left, moves, size)
+        if min(counts) < FEWEST_BLOCKS:
             continue
-        rest, motion = (float(np.mean(a)) / max(float(np.mean(b)), 1e-300) for a, b in zip(smooth, rough, strict=True))
-        if f.sf(motion / max(rest, 1e-300), len(smooth[1]), len(smooth[0])) < level:
+        usual = float(np.mean([_smoothness(one, moves, size)[0] for one in drawn])) if drawn else 1.0
+        if f.sf(ratio / usual, counts[1], counts[0]) < level:
             return True
     return False
 
 
-def _block_powers(test: ScoreTest, size: int) -> tuple[list[list[float]], list[list[float]]]:
-    """Return the powers of block means and of differences in blocks of `size` samples, at rest and in motion."""
-    found = [_noise_free(test, i) for i in range(len(test.runs))]
-    fastest = max(float(np.abs(v).max()) for _, v, _ in found)
+def _smoothness(
+    residuals: Sequence[NDArray[np.float64]], moves: Sequence[NDArray[np.bool_]], size: int
+) -> tuple[float, tuple[int, int]]:
+    """Return how much smoother the residuals are in motion than at rest, and the blocks of `size` samples of either."""
     smooth: list[list[float]] = [[], []]
     rough: list[list[float]] = [[], []]
-    first = 0
-    for run, (_, velocity, _) in zip(test.runs, found, strict=True):
-        residual = test.left[first : first + run.samples]
-        first += run.samples
-        compared = velocity if run.signals.index is None else velocity[run.signals.index]
-        moves = np.abs(compared) > SLOW * fastest
-        for begin in range(0, min(residual.size, moves.size) - size + 1, size):
-            block, moving = residual[begin : begin + size], moves[begin : begin + size]
-            if moving.all() or not moving.any():
-                smooth[int(moving[0])].append(size * float(np.mean(block)) ** 2)
-                rough[int(moving[0])].append(0.5 * float(np.mean(np.diff(block) ** 2)))
-    return smooth, rough
+    for residual, moving in zip(residuals, moves, strict=True):
+        count = residual.size // size
+        blocks, inside = residual[: count * size].reshape(count, size), moving[: count * size].reshape(count, size)
+        for chosen, place in ((~inside.any(axis=1), 0), (inside.all(axis=1), 1)):
+            smooth[place] += (size * np.mean(blocks[chosen], axis=1) ** 2).tolist()
+            rough[place] += (0.5 * np.mean(np.diff(blocks[chosen], axis=1) ** 2, axis=1)).tolist()
+    counts = len(smooth[0]), len(smooth[1])
+    if min(counts) == 0:
+        return 1.0, counts
+    rest, motion = (float(np.mean(a)) / max(float(np.mean(b)), 1e-300) for a, b in zip(smooth, rough, strict=True))
+    return motion / max(rest, 1e-300), counts
+
+
+def _moving(test: ScoreTest) -> list[NDArray[np.bool_]]:
+    """Return for each record where its compared samples are of an axis that moves."""
+    found = [_noise_free(test, i)[1] for i in range(len(test.runs))]
+    fastest = max(float(np.abs(v).max()) for v in found)
+    speeds = (v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, found, strict=True))
+    return [np.abs(v[: run.samples]) > SLOW * fastest for run, v in zip(test.runs, speeds, strict=True)]
+
+
+def _drawn(test: ScoreTest) -> list[list[NDArray[np.float64]]]:
+    """Return whitened noise as the noise model has it, rounded by the encoder: at rest that is no white noise."""
+    from scipy.signal import lfilter
+
+    noise, stream = test.hypothesis.noise, np.random.default_rng(0)
+    scale = noise.innovation * float(np.sqrt(1.0 - noise.share))
+    draws: list[list[NDArray[np.float64]]] = [[] for _ in range(DRAWS)]
+    for i, run in enumerate(test.runs):
+        position = _noise_free(test, i)[0]
+        position = (position if run.signals.index is None else position[run.signals.index])[: run.samples]
+        for draw in draws:
+            error = np.asarray(lfilter([1.0], noise.filters[-1], scale * stream.standard_normal(run.samples)))
+            place = stream.uniform(0.0, noise.rounding)  # where the encoder's steps lie
+            shown = noise.rounding * np.round((position + error + place) / noise.rounding) - place
+            draw.append(Whitener(shown, run.signals.speed, noise)(position - shown))
+    return draws
 
 
 def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: NDArray[np.float64]) -> bool:
