@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.diagnosis.json_values import finite
+from servolens.identification.segments import applied_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from servolens.diagnosis.case import Case
+    from servolens.diagnosis.errors import Gains
+    from servolens.identification.likelihood import Hypothesis
     from servolens.record import Record
 
-__all__ = ["MATERIAL", "Remainder", "unexplained_acceleration"]
+__all__ = ["MATERIAL", "Remainder", "remainder_of", "unexplained_acceleration"]
 
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
@@ -56,6 +60,25 @@ class Remainder:
     def to_json(self) -> dict[str, Any]:
         """Return the fields; null with a reason for what is not finite."""
         return finite({name: getattr(self, name) for name in self.__slots__})
+
+
+def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
+    """Return what `chosen`, the last of `gains`, misses of the training records."""
+    error, noise = gains.train(-1), gains.noise
+    travel = case.travel
+    push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
+    missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
+    missed = missed if np.isfinite(error) else error
+    rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
+    return Remainder(
+        rms=rms,
+        times_noise=error / noise if noise > 0.0 else None,
+        of_travel=rms / max(travel, 1e-300),
+        acceleration_rms=missed,
+        of_motor=missed / max(push, 1e-300),
+        depends_on_inputs=not case.is_enough(chosen),
+        material=rms > MATERIAL * travel,
+    )
 
 
 def unexplained_acceleration(

@@ -1,0 +1,142 @@
+"""Which causes are named: a search by prediction errors, what confirms it, and a second one by simulations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+from servolens.diagnosis.remainder import MATERIAL, remainder_of
+from servolens.diagnosis.search import Search, search
+from servolens.errors import NumericalError
+from servolens.findings import Finding
+from servolens.identification.refine import AT_NOISE
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from servolens.diagnosis.case import Case
+    from servolens.diagnosis.search import Effort
+    from servolens.identification.likelihood import Hypothesis
+
+__all__ = ["Decision", "decided"]
+
+CONTENDERS = 6
+"""Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
+SECOND, FIRST = 0.5, 2.0 / 3.0
+"""Of the effort of the first search, what a second one by simulations may take: it knows where the first one ended.
+The first one's share of both."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """What was chosen, of which search on which case: by prediction errors, or by simulations.
+
+    Attributes
+    ----------
+    case : Case
+        The records as they were judged.
+    found : Search
+        All that was tried.
+    path : tuple of Hypothesis
+        Gain and damping alone, then with one cause, two …, as far as other records confirm them.
+    findings : tuple of Finding
+        Causes that these do not confirm.
+    """
+
+    case: Case
+    found: Search
+    path: tuple[Hypothesis, ...]
+    findings: tuple[Finding, ...]
+
+
+def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
+    """Search by prediction errors and, where these show that no model is the axis, by simulations."""
+    if case.contradiction() is not None:  # no effect makes one axis of two
+        return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
+    found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
+    path, findings = _confirmed(found, case)
+    first = Decision(case, found, tuple(path), tuple(findings))
+    if case.is_enough(path[-1]):
+        return first
+    return _simulated(first, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Finding]]:
+    """Take the last causes off the path that records to which they were not fitted do not confirm."""
+    path, doubts = list(found.path), []
+    while len(path) > 1 and not _is_confirmed(case, path):
+        lost = ", ".join(name for name in path[-1].causes if name not in path[-2].causes)
+        message = f"{lost} explains the training records only, not those held out; it is left out."
+        doubts.append(Finding(code="not_confirmed", severity="note", message=message))
+        path.pop()
+    return path, doubts
+
+
+def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
+    """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
+
+    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less than
+    that of any simpler model, too.
+    """
+    if not case.misfit(path[-1]) < case.misfit(path[-2]):
+        return False
+    gains = case.gains(path)
+    return path[-1].noise.rate == 0.0 or gains.tested(-1) < min(gains.tested(i) for i in range(len(path) - 1))
+
+
+def _simulated(first: Decision, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
+    """Return what a search by simulations finds instead, where that predicts records better that were not fitted.
+
+    A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
+    who tunes wants the step. What the first search has found is where the second one begins: in closed loop effects
+    hide each other, such as friction that damps and a delay that does the contrary.
+    """
+    case, found, chosen = first.case, first.found, first.path[-1]
+    try:
+        simulating = case.simulating()
+        base = simulating.base
+        if _is_immaterial(simulating, base) and not _is_near(case, chosen):
+            alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
+            return Decision(simulating, alone, (base,), first.findings)
+        known = simulating.fitted_to_simulations([h.plant for h in found.path[1:]])
+        other = search(simulating.trials, simulating.base, replace(effort, work=SECOND * effort.work), tell, known)
+    except NumericalError:
+        return first
+    other = _cross_validated(simulating, other)
+    again = tuple(h for h in (case.likelihood.judged(step.plant) for step in other.path) if h is not None)
+    if len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1]):
+        return Decision(case, replace(found, path=again), again, first.findings)
+    if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):
+        return first
+    return Decision(simulating, other, other.path, ())
+
+
+def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether what a hypothesis leaves is too little to name causes that would take most of it.
+
+    Of the travel, and of what the motor gives: a stiff loop hides in its position what its voltage shows.
+    """
+    left = remainder_of(case, hypothesis, case.gains([hypothesis]))
+    return not left.material and left.of_motor <= MATERIAL
+
+
+def _is_near(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether simulations with the causes of a hypothesis are about as close as the noise lets them be."""
+    gains = case.gains([hypothesis])
+    return bool(hypothesis.causes) and gains.train(0) <= AT_NOISE * gains.noise
+
+
+def _cross_validated(case: Case, found: Search) -> Search:
+    """Return `found` with those that were likeliest weighed by records to which they were not fitted.
+
+    Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What each predicts of the
+    other records does not (Yao et al. 2018, doi:10.1214/17-BA1091).
+    """
+    others = [h for h in found.judged if h.causes][:CONTENDERS]
+    contenders = list({h.causes: h for h in (*found.path, *others)}.values())
+    weighed = sorted((replace(h, total=case.misfit(h)) for h in contenders), key=lambda h: h.total)
+    base, best = next(h for h in weighed if not h.causes), weighed[0]
+    between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]
+    path = [base, *between, best] if best.causes else [base]
+    return replace(found, path=tuple(path), judged=tuple(weighed))
