@@ -14,6 +14,7 @@ import numpy as np
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, SOME
+from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.processors import in_parallel
 
@@ -137,7 +138,7 @@ def search(
             break
         found = explorer.extended(beam, len(path[-1].causes))
         better = [h for h in found if h.total < path[-1].total]
-        if not better:
+        if not better or explorer.is_chance(path[-1], better[0]):
             break
         best = explorer.reduced(better[0])
         path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
@@ -184,6 +185,13 @@ class _Explorer:
         known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = _distinct(found)[: self.effort.judged]
         return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
+
+    def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
+        """Tell whether rounding alone may make the `richer` hypothesis as much likelier."""
+        if not dominates(simpler.noise) or self.likelihood.simulates:
+            return False
+        paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
+        return (simpler.misfit - richer.misfit) / ScoreTest(self.likelihood, simpler).inflation(richer.plant) < paid
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
@@ -257,7 +265,8 @@ class _Explorer:
         others = [*_specialised(hypothesis.plant), *_united(hypothesis.plant)]
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        return min([hypothesis, *forms, *known], key=_total)
+        best = min([hypothesis, *forms, *known], key=_total)
+        return next((h for h in forms if h is not best and self.is_chance(h, best)), best)
 
     def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""

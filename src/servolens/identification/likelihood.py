@@ -16,6 +16,7 @@ from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
 from servolens.identification.phases import own_phases, synchronised
+from servolens.identification.rounding import dominates
 from servolens.identification.segments import applied_voltage, noise_level
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.rates import substeps_for
@@ -38,8 +39,6 @@ RATES = (0.0, 0.5, 2.0, 8.0)
 REMEMBERS, SLOW_RATE = 1.0, 0.5
 """Time constants of a loop, 1/ω, over which its errors are correlated; rate at which a record without a reference is
 observed where the model is not the axis, in units of the loops' own."""
-ROUNDED = 0.5
-"""Share of rounding in the noise from which on nothing tells shaking from it: the axis is simulated."""
 FEW, SOME, FULL = 4, 10, 30
 """Iterations to see where a start leads, to compare effects, and to end at the optimum."""
 MOST_SUBSTEPS = 12
@@ -337,7 +336,8 @@ class Likelihood:
             closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
             look(0.0 if closed else SLOW_RATE)
             return list(found.values())
-        for rate in dict.fromkeys(rates or (self._rates[:1] if self.white.share > ROUNDED else self._rates)):
+        # nothing tells shaking from a rounding that dominates
+        for rate in dict.fromkeys(rates or (self._rates[:1] if dominates(self.white) else self._rates)):
             look(rate)
         if found and not rates:
             best = min(found, key=lambda rate: found[rate][1])

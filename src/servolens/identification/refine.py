@@ -11,7 +11,9 @@ from servolens.errors import NumericalError
 from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.error_problem import COARSE, FINE, Point, Problem
+from servolens.identification.observed import ObservedRun
 from servolens.identification.options import FitOptions
+from servolens.identification.rounding import DRAWS, dominates, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -354,8 +356,23 @@ def _covariances(
     known = np.zeros(point.values.size)
     for k, prior in problem.priors:
         known[k] = (problem.noise / prior.deviation * problem.noise) ** 2
-    robust = robust_covariance(scores, inner, (basis.T * known[index]) @ basis)
+    held = (basis.T * known[index]) @ basis
+    if all(isinstance(run, ObservedRun) and dominates(run.noise) for run in problem.runs):
+        moved = inverse @ (_drawn_scores(problem, point, blocks, index) @ basis).T
+        robust = np.asarray(moved @ moved.T / DRAWS + inverse @ held @ inverse)
+    else:
+        robust = robust_covariance(scores, inner, held)
     return basis @ robust @ basis.T, basis @ inverse @ basis.T
+
+
+def _drawn_scores(
+    problem: Problem, point: Point, blocks: Sequence[Block], index: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Return the scores, shape (draws, k), of noise that the encoder rounds: of each draw, of all runs together."""
+    runs = [run for run in problem.runs if isinstance(run, ObservedRun)]
+    plants = [problem.plant_at(point.values, i) for i in range(len(runs))]
+    drawn = rounded(runs, plants, point.starts)
+    return np.asarray(sum(d.T @ b.jacobian[: d.shape[0], index] for d, b in zip(drawn, blocks, strict=True)))
 
 
 def _scores(block: Block, rows: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:

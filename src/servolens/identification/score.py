@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
+from servolens.identification.rounding import rounded
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -68,6 +70,12 @@ class ScoreTest:
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
         self._left = self.free_of_own(self.residual)
 
+    @cached_property
+    def rounded(self) -> list[NDArray[np.float64]]:
+        """Draws of each run's whitened residual if the hypothesis is the axis, the encoder's rounding simulated."""
+        plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
+        return rounded(self.runs, plants, self.hypothesis.starts)
+
     @property
     def left(self) -> NDArray[np.float64]:
         """The whitened residual at right angles to the hypothesis' own directions, shape (n,)."""
@@ -90,6 +98,18 @@ class ScoreTest:
             return 0.0
         reached = self.free_of_own(self.residual + columns[:, 0]) if columns.shape[1] == 1 else self._left
         return max(self.explained(columns), float(self._left @ self._left - reached @ reached))
+
+    def inflation(self, plant: Plant) -> float:
+        """Return the variance of rounded noise along the direction to `plant`, in units of white noise's; at least 1.
+
+        Raises
+        ------
+        NumericalError
+            If `plant` has no simulation.
+        """
+        direction = self.free_of_own(self._missed(plant) - self.residual)
+        along = direction @ np.concatenate(self.rounded)
+        return max(float(np.mean(along**2)) / max(float(direction @ direction), 1e-300), 1.0)
 
     def pushed(self, forces: Sequence[NDArray[np.float64]], size: float) -> NDArray[np.float64]:
         """Return what `forces`, one array a record, would do to the residual, to first order, shape (n,).

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import ServolensError
-from servolens.identification.noise import Whitener
+from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.simulation.loop import simulate
 
@@ -29,9 +29,8 @@ TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
 TESTS = 3
 """Among which the familywise error rate is shared: forces, changes of the reference, and rest against motion."""
-BLOCKS, FEWEST_BLOCKS, DRAWS = (8, 32), 20, 20
-"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test; draws of
-rounded noise, whose mean is then known to a few per cent."""
+BLOCKS, FEWEST_BLOCKS = (8, 32), 20
+"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
 SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
 TOGETHER = 16
@@ -112,7 +111,11 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     for columns in (forced(test), _instruments(test)):
         basis = _basis(test, columns)
         if basis.shape[1]:
-            limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], TOLERATED**2 * test.left.size))
+            tolerated = TOLERATED**2 * test.left.size
+            limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], tolerated))
+            if is_rounded(test.hypothesis.noise):
+                drawn = basis.T @ np.concatenate(test.rounded)
+                limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
             found.append((_explained(test, basis), limit))
     return found
 
@@ -120,16 +123,15 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
 def _explained(test: ScoreTest, basis: NDArray[np.float64]) -> float:
     """Return the score statistic of the columns of `basis`, shape (n, k).
 
-    Rounding is no Gaussian noise, and an observer whose rate is one of a few leaves no quite white innovations: there
-    the scores' variance is that of their own products, summed over a few samples (White 1980, doi:10.2307/1912934).
+    An observer whose rate is one of a few leaves no quite white innovations: there the scores' variance is that of
+    their own products, summed over a few samples (White 1980, doi:10.2307/1912934).
     """
     along = basis.T @ test.left
     noise = test.hypothesis.noise
-    if noise.share < 0.5 and noise.rate == 0.0:
+    if noise.rate == 0.0:
         return float(along @ along)
-    size = TOGETHER if noise.rate > 0.0 else 1
-    count = test.left.size // size
-    scores = (basis * test.left[:, None])[: count * size].reshape(count, size, -1).sum(axis=1)
+    count = test.left.size // TOGETHER
+    scores = (basis * test.left[:, None])[: count * TOGETHER].reshape(count, TOGETHER, -1).sum(axis=1)
     return float(along @ np.linalg.lstsq(scores.T @ scores, along, rcond=1e-12)[0])
 
 
@@ -138,16 +140,17 @@ def _is_smoother_in_motion(test: ScoreTest) -> bool:
 
     Noise of a sensor, ripple and shaking are the same at rest; what a model lacks shows in motion. Compared are the
     mean squares of block means, in units of the squared differences within the blocks (which a jittering clock
-    enlarges in motion), by an F test. A shaken axis that dry friction holds at rest is shaken in motion only: there
-    the test says nothing.
+    enlarges in motion), by an F test. A shaken axis that dry friction holds at rest is shaken in motion only, and where
+    rounding dominates an axis at rest shows no noise: there the test says nothing.
     """
     from scipy.stats import f
 
     hypothesis = test.hypothesis
-    if hypothesis.noise.rate > 0.0 and any(isinstance(e, DryFriction | Presliding) for e in hypothesis.plant.effects):
+    sticks = any(isinstance(effect, DryFriction | Presliding) for effect in hypothesis.plant.effects)
+    if dominates(hypothesis.noise) or (hypothesis.noise.rate > 0.0 and sticks):
         return False
     moves, left = _moving(test), np.split(test.left, np.cumsum([run.samples for run in test.runs])[:-1])
-    drawn = _drawn(test) if hypothesis.noise.share > 0.0 and hypothesis.noise.rate == 0.0 else []
+    drawn = [[rows[:, k] for rows in test.rounded] for k in range(DRAWS)] if is_rounded(hypothesis.noise) else []
     level = FALSE_ALARM / TESTS / len(BLOCKS)
     for size in BLOCKS:
         ratio, counts = _smoothness(left, moves, size)
@@ -184,24 +187,6 @@ def _moving(test: ScoreTest) -> list[NDArray[np.bool_]]:
     fastest = max(float(np.abs(v).max()) for v in found)
     speeds = (v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, found, strict=True))
     return [np.abs(v[: run.samples]) > SLOW * fastest for run, v in zip(test.runs, speeds, strict=True)]
-
-
-def _drawn(test: ScoreTest) -> list[list[NDArray[np.float64]]]:
-    """Return whitened noise as the noise model has it, rounded by the encoder: at rest that is no white noise."""
-    from scipy.signal import lfilter
-
-    noise, stream = test.hypothesis.noise, np.random.default_rng(0)
-    scale = noise.innovation * float(np.sqrt(1.0 - noise.share))
-    draws: list[list[NDArray[np.float64]]] = [[] for _ in range(DRAWS)]
-    for i, run in enumerate(test.runs):
-        position = _noise_free(test, i)[0]
-        position = (position if run.signals.index is None else position[run.signals.index])[: run.samples]
-        for draw in draws:
-            error = np.asarray(lfilter([1.0], noise.filters[-1], scale * stream.standard_normal(run.samples)))
-            place = stream.uniform(0.0, noise.rounding)  # where the encoder's steps lie
-            shown = noise.rounding * np.round((position + error + place) / noise.rounding) - place
-            draw.append(Whitener(shown, run.signals.speed, noise)(position - shown))
-    return draws
 
 
 def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: NDArray[np.float64]) -> bool:
