@@ -10,10 +10,11 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_with_its_step
-from servolens.identification.noise import NoiseModel, observer_gains
+from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.segments import noise_level, white_noise
+from servolens.identification.smoothing import speed_of
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -210,8 +211,8 @@ def _resting(step: Record) -> float:
 def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) -> float:
     """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise."""
     shown = sensor_noise(records, options)
-    alpha, _ = observer_gains(noise.rate, float(np.median(np.diff(records[0].time[:64]))))
-    modelled = noise.spread * float(np.sqrt(1.0 - alpha))  # an observer's prediction errors contain its own
+    speeds = np.concatenate([speed_of(record.time, record.position) for record in records])
+    modelled = float(np.hypot(noise.spread, noise.jitter * np.sqrt(np.mean(speeds**2))))
     return modelled if options.loss == "huber" or modelled <= AT_NOISE * shown else shown
 
 
