@@ -13,8 +13,11 @@ from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
+from servolens.identification.score import ScoreTest
 from servolens.identification.segments import noise_level, white_noise
 from servolens.identification.smoothing import speed_of
+from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
+from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -50,12 +53,16 @@ LAST = 0.1
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalFit:
-    """Where the fit ended, the noise beside it, and the records with what was found of their beginning."""
+    """Where the fit ended, the noise beside it, and the records with what was found of their beginning.
+
+    With it, whether the axis is shaken by what knows nothing of the inputs; then a simulation errs by more than noise.
+    """
 
     refinement: Refinement
     noise: NoiseModel
     records: tuple[Record, ...]
     driven: Literal["closed_loop", "voltage"]
+    is_shaken: bool = False
 
 
 def check_loops(records: Sequence[Record], options: FitOptions) -> None:
@@ -118,10 +125,28 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
         return observed
+    if is_shaking(likelihood, replace(best, plant=observed.refinement.plant)):
+        return replace(observed, is_shaken=True)
     try:
         return _closed(records, [h.plant for h in found], options)
     except NumericalError:
         return observed
+
+
+def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
+    """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
+
+    Asked are its innovations, and the loop simulated from the reference, which no observer corrects.
+    """
+    try:
+        if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
+            return False
+        plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
+        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
+    except (InputError, NumericalError):
+        return False
+    errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
+    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
 
 
 def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
@@ -221,6 +246,7 @@ def simulation_error(found: FinalFit, options: FitOptions) -> float:
     refined = found.refinement
     if (
         found.driven == "closed_loop"
+        or found.is_shaken
         or found.noise.rate == 0.0
         or not all(_can_close(record) for record in found.records)
     ):
