@@ -96,11 +96,7 @@ def test_simpler_effect_is_preferred_to_those_that_contain_it(rubbing):
     assert max(single, key=single.get) == "coulomb_friction"
 
 
-SHAKEN = pytest.mark.xfail(strict=True, reason="what shakes the axis is taken for a second branch of its friction")
-JITTERED = pytest.mark.xfail(strict=True, reason="instants that are not stated delay the loop's input unevenly")
-
-
-@pytest.mark.parametrize("world", [pytest.param(w, marks=SHAKEN) if w == "shaken" else w for w in lab.WORLDS])
+@pytest.mark.parametrize("world", list(lab.WORLDS))
 def test_friction_is_explained_in_every_world(world):
     campaign = lab.hidden_campaign(7103, effects=["coulomb_friction"], world=world, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -108,7 +104,7 @@ def test_friction_is_explained_in_every_world(world):
 
 
 @pytest.mark.parametrize("seed", [7101, 7102])
-@pytest.mark.parametrize("world", [pytest.param(w, marks=JITTERED) if w == "jittered" else w for w in lab.WORLDS])
+@pytest.mark.parametrize("world", list(lab.WORLDS))
 def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
     campaign = lab.hidden_campaign(seed, world=world, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

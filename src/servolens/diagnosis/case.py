@@ -16,7 +16,7 @@ from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
-from servolens.identification.noise import observer_gains
+from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
@@ -117,7 +117,7 @@ class Case:
 
     def _ripple(self, hypothesis: Hypothesis) -> Ripple:
         """Look for a ripple beside white noise: as coloured noise the whitening would hide it."""
-        white = replace(self.likelihood.white, rate=hypothesis.noise.rate)
+        white = hypothesis.noise.bleached(self.likelihood.white)
         test = ScoreTest(self.likelihood, replace(hypothesis, noise=white))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_ripple(test.runs, np.split(test.left, ends))
@@ -250,8 +250,6 @@ class Case:
         settled axis shows at the end of its steps, but no less than third differences do.
         """
         if self.is_enough(chosen):
-            alpha, _ = observer_gains(
-                chosen.noise.rate, float(np.median(np.diff(self.likelihood.signals[0].time[:64])))
-            )
-            return max(float(np.hypot(chosen.noise.spread * np.sqrt(1.0 - alpha), self.ripple.rms)), 1e-300)
+            clock = np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals])
+            return max(float(np.sqrt(chosen.noise.spread**2 + clock + self.ripple.rms**2)), 1e-300)
         return max(self.likelihood.floor, self.ripple.rms, resting_noise(self.records))

@@ -10,7 +10,8 @@ from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.logs import apart, beyond
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
-from servolens.identification.likelihood import SOME, begins_with_its_step
+from servolens.identification.likelihood import SOME
+from servolens.identification.segments import begins_with_its_step
 from servolens.units import readable
 
 if TYPE_CHECKING:

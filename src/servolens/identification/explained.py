@@ -170,7 +170,7 @@ def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothes
         run.missed(plant, start, substeps_for(plant, run.sample_time))
         for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
     ]
-    noise = hypothesis.noise.estimated(missed, [run.whiten for run in runs], for_errors=True)
+    noise = hypothesis.noise.coloured(missed, [run.whiten for run in runs], for_errors=True)
     return replace(hypothesis, noise=noise)
 
 

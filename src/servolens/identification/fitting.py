@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import RATES, SOME, Likelihood, begins_with_its_step
-from servolens.identification.noise import NoiseModel, observer_gains
+from servolens.identification.likelihood import RATES, SOME, Likelihood
+from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
-from servolens.identification.segments import noise_level, resting_noise, white_noise
+from servolens.identification.score import ScoreTest
+from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
+from servolens.identification.smoothing import speed_of
+from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
+from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -47,12 +51,16 @@ INERTIAS = (0.5, 2.0, 4.0, 8.0)
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class FinalFit:
-    """Where the fit ended, the noise beside it, and the records with what was found of their beginning."""
+    """Where the fit ended, the noise beside it, and the records with what was found of their beginning.
+
+    With it, whether the axis is shaken by what knows nothing of the inputs; then a simulation errs by more than noise.
+    """
 
     refinement: Refinement
     noise: NoiseModel
     records: tuple[Record, ...]
     driven: Literal["closed_loop", "voltage"]
+    is_shaken: bool = False
 
 
 def check_loops(records: Sequence[Record], options: FitOptions) -> None:
@@ -115,10 +123,28 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
         return observed
+    if is_shaking(likelihood, replace(best, plant=observed.refinement.plant)):
+        return replace(observed, is_shaken=True)
     try:
         return _closed(records, [h.plant for h in found], options)
     except NumericalError:
         return observed
+
+
+def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
+    """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
+
+    Asked are its innovations, and the loop simulated from the reference, which no observer corrects.
+    """
+    try:
+        if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
+            return False
+        plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
+        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
+    except (InputError, NumericalError):
+        return False
+    errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
+    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
 
 
 def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
@@ -196,8 +222,8 @@ def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
 def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) -> float:
     """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise."""
     shown = sensor_noise(records, options)
-    alpha, _ = observer_gains(noise.rate, float(np.median(np.diff(records[0].time[:64]))))
-    modelled = noise.spread * float(np.sqrt(1.0 - alpha))  # an observer's prediction errors contain its own
+    speeds = np.concatenate([speed_of(record.time, record.position) for record in records])
+    modelled = float(np.hypot(noise.spread, noise.jitter * np.sqrt(np.mean(speeds**2))))
     return modelled if options.loss == "huber" or modelled <= AT_NOISE * shown else shown
 
 
@@ -206,6 +232,7 @@ def simulation_error(found: FinalFit, options: FitOptions) -> float:
     refined = found.refinement
     if (
         found.driven == "closed_loop"
+        or found.is_shaken
         or found.noise.rate == 0.0
         or not all(_can_close(record) for record in found.records)
     ):

@@ -14,11 +14,10 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.noise import NoiseModel
+from servolens.identification.noise_search import NoiseTrials
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
 from servolens.identification.phases import own_phases, synchronised
-from servolens.identification.rounding import dominates
-from servolens.identification.segments import applied_voltage, noise_level
-from servolens.quality.beginning import initial_motion
+from servolens.identification.segments import begins_with_its_step, loop_rate, noise_level
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "begins_with_its_step", "fixed", "loop_rate"]
+__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "fixed"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
@@ -133,15 +132,18 @@ class Likelihood:
         self._price, self._is_admissible = price, is_admissible
         self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
         self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
-        self.signals = tuple(Signals.of(record, self.floor, self.every) for record in records)
+        self._like, self.rate = plant, loop_rate(plant, records)
+        self.signals = self._signals(records)
         self.samples = sum(signals.measured.size for signals in self.signals)
-        self.rate = loop_rate(plant, records)
         self.white = NoiseModel.white(self.floor, max(record.encoder_resolution or 0.0 for record in records))
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
         self.work, self._counting = 0, Lock()
         self.simulates = False
+
+    def _signals(self, records: Sequence[Record]) -> tuple[Signals, ...]:
+        return tuple(Signals.of(record, self.floor, self._like, self.rate, self.every) for record in records)
 
     def simulating(self) -> Likelihood:
         """Return the likelihood of simulations in closed loop, for models that are known not to be the axis.
@@ -225,7 +227,7 @@ class Likelihood:
             except (InputError, NumericalError):
                 continue
             allowance -= problem.simulated
-            found = self._profiled(problem, point, unpowered=unpowered)
+            found = self._profiled(problem, point, noise, unpowered=unpowered)
             if found is None or (best is not None and found.total >= best.total - NO_BETTER):
                 continue
             best, plant = found, found.plant
@@ -251,7 +253,7 @@ class Likelihood:
             problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True, allowance=allowance)
         except (InputError, NumericalError):
             return None
-        return self._profiled(problem, point, unpowered=unpowered, rates=(0.0, noise.rate / self.rate))
+        return self._profiled(problem, point, noise, unpowered=unpowered, is_screened=True)
 
     def led(
         self,
@@ -287,22 +289,22 @@ class Likelihood:
 
     def _first_noise(self, plant: Plant, *, unpowered: bool) -> NoiseModel:
         """Return the noise model of a plant that was not fitted yet."""
-        best, least = self.white, np.inf
         starts = [s.initial.mean for s in self.signals]
-        for noise, misfit in self._noises([plant] * len(self.signals), starts, unpowered=unpowered):
-            if misfit < least:
-                best, least = noise, misfit
-        return best
+        found = self._noises([plant] * len(self.signals), starts, self.white, unpowered=unpowered)
+        return self.white if found is None else found[0]
 
     def _profiled(
-        self, problem: Problem, point: Point, *, unpowered: bool, rates: Sequence[float] = ()
+        self, problem: Problem, point: Point, noise: NoiseModel, *, unpowered: bool, is_screened: bool = False
     ) -> Hypothesis | None:
-        """Return the plant at `point` beside the likeliest of the noise models, or of those with these `rates`."""
+        """Return the plant at `point`, fitted beside `noise`, beside the likeliest of the noise models.
+
+        To screen many, of those whose shaking is that of `noise`, or none.
+        """
         plants = [problem.plant_at(point.values, i) for i in range(len(self.signals))]
-        found = self._noises(plants, point.starts, unpowered=unpowered, rates=rates)
-        if not found:
+        found = self._noises(plants, point.starts, noise, unpowered=unpowered, is_screened=is_screened)
+        if found is None:
             return None
-        noise, misfit = min(found, key=lambda pair: pair[1])
+        noise, misfit = found
         misfit += problem.prior_cost(point.values)
         plant = plants[0]
         extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(self.counted))
@@ -320,56 +322,24 @@ class Likelihood:
         self,
         plants: Sequence[Plant],
         starts: Sequence[NDArray[np.float64]],
+        like: NoiseModel,
         *,
         unpowered: bool,
-        rates: Sequence[float] = (),
-    ) -> list[tuple[NoiseModel, float]]:
-        """Return a noise model for each rate of the observer, of these or of all, with −2 log-likelihood beside it."""
-        found: dict[float, tuple[NoiseModel, float]] = {}
+        is_screened: bool = False,
+    ) -> tuple[NoiseModel, float] | None:
+        """Return the noise model that makes what the plants leave likeliest, with −2 log-likelihood beside it.
 
-        def look(rate: float) -> None:
-            one = self._noise(rate, plants, starts, unpowered=unpowered)
-            if one is not None:
-                found[rate] = one
-
+        Compared are a simulation; one whose sampling instants move as much as its residual shows; and observers of an
+        axis that is shaken, from the rate of `like`, beside which `starts` were fitted, or from all rates.
+        """
+        first = replace(self.white, gain=plants[0].gain, damping=max(plants[0].damping, 0.0))
+        trials = NoiseTrials(self, plants, starts, like, unpowered=unpowered)
         if self.simulates:
             closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
-            look(0.0 if closed else SLOW_RATE)
-            return list(found.values())
-        # nothing tells shaking from a rounding that dominates
-        for rate in dict.fromkeys(rates or (self._rates[:1] if dominates(self.white) else self._rates)):
-            look(rate)
-        if found and not rates:
-            best = min(found, key=lambda rate: found[rate][1])
-            for rate in (0.5 * best, 2.0 * best) if best > 0.0 else ():
-                look(rate)
-        return list(found.values())
-
-    def _noise(
-        self, rate: float, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], *, unpowered: bool
-    ) -> tuple[NoiseModel, float] | None:
-        """Return the noise beside an observer of this `rate`, in units of the loops', and −2 log-likelihood."""
-        first = replace(self.white, rate=rate * self.rate)
-        runs = self.runs(first, unpowered=unpowered)
-        begun = starts if rate == 0.0 else [run.start for run in runs]
-        try:
-            missed = [
-                run.missed(plant, start, substeps_for(plant, run.sample_time))
-                for run, plant, start in zip(runs, plants, begun, strict=True)
-            ]
-        except (InputError, NumericalError):
-            return None
-        noise = first.estimated(missed, [run.whiten for run in runs]) if not self.simulates else first.scaled(missed)
-        self.count(sum(run.samples * substeps_for(p, run.sample_time) for run, p in zip(runs, plants, strict=True)))
-        if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
-            return None
-        misfit = 0.0
-        for run, error, start in zip(self.runs(noise, unpowered=unpowered), missed, begun, strict=True):
-            white, initial = run.whiten(error), run.signals.initial
-            misfit += run.whiten.log_determinant + float(white @ white)
-            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2)) if run.start.size else 0.0
-        parameters = noise.order + (rate > 0.0) + (noise.jitter > 0.0)
-        return noise, misfit + parameters * float(np.log(self.counted))
+            trials.look(first if closed else trials.shaken(first, SLOW_RATE))
+        else:
+            trials.search(first, () if is_screened else self._rates)
+        return trials.best
 
     def whitened_well(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside noise of the order that Akaike's criterion chooses: nothing of it is left out."""
@@ -378,14 +348,14 @@ class Likelihood:
         for i, (run, start) in enumerate(zip(runs, hypothesis.starts, strict=True)):
             plant = hypothesis.plant_of(i)
             missed.append(run.missed(plant, start, substeps_for(plant, run.sample_time)))
-        noise = hypothesis.noise.estimated(missed, [run.whiten for run in runs], for_errors=True)
+        noise = hypothesis.noise.coloured(missed, [run.whiten for run in runs], for_errors=True)
         return replace(hypothesis, noise=noise)
 
     def on(self, records: Sequence[Record]) -> Likelihood:
         """Return the likelihood of other `records` of the same axis, with what is known of it."""
         other = copy(self)
         other.records = tuple(records)
-        other.signals = tuple(Signals.of(record, self.floor, self.every) for record in records)
+        other.signals = self._signals(records)
         other.may_be_unpowered = any(begins_with_its_step(record) for record in records)
         return other
 
@@ -425,8 +395,10 @@ class Likelihood:
 
             own.append(synchronised(plant, missed))
         starts = [run.start for run in self.runs(self.white)]
-        found = self._noises(own, starts, unpowered=hypothesis.unpowered)
-        return min((misfit for _, misfit in found), default=np.inf)
+        found = self._noises(
+            own, starts, replace(hypothesis.noise, filters=self.white.filters), unpowered=hypothesis.unpowered
+        )
+        return np.inf if found is None else found[1]
 
     def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
         """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
@@ -462,17 +434,3 @@ def _remembers(plant: Plant) -> bool:
     """Tell whether the voltage before a record still shows in it."""
     late = (Delay, Transmission, Sensor)
     return any(isinstance(e, late) or (isinstance(e, Actuator) and e.states) for e in plant.effects)
-
-
-def begins_with_its_step(record: Record) -> bool:
-    """Tell whether `record` begins at full voltage, and does not say what was applied before."""
-    if record.voltage_before is not None or initial_motion(record) != 0.0:
-        return False
-    voltage = np.abs(applied_voltage(record))
-    return bool(voltage[0] > 0.1 * voltage.max())
-
-
-def loop_rate(plant: Plant, records: Sequence[Record]) -> float:
-    """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
-    rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
-    return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))

@@ -19,12 +19,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["NoiseModel", "Whitener", "burg", "observer_gains"]
+__all__ = ["NoiseModel", "Whitener", "burg", "instants"]
 
 SHORT_RUN = 2
 """Samples that an encoder shows the same, on average, up to which noise smears its rounding to noise of its own."""
 SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
+REWEIGHTED, LEAST = 8, 1e-4
+"""Times that the regression of squares is weighed by what it found, and share of their mean that the sensor's is."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -37,7 +39,8 @@ class NoiseModel:
     Attributes
     ----------
     rate : float
-        Of the observer [rad/s]; 0 where nothing shakes the axis, then it is a simulation.
+        Of the observer [rad/s]: the fourth root of the ratio of the spectral densities, at low frequencies, of what
+        shakes the axis and of the sensor's noise; 0 where nothing shakes it.
     filters : tuple of ndarray
         Prediction-error filters of order 0, 1 … p, each beginning with 1.
     scales : ndarray, shape (p + 1,)
@@ -47,9 +50,14 @@ class NoiseModel:
     share : float
         Of the noise's variance that is rounding, 0 to 1: within a run of equal readings it does not average out.
     spread : float
-        Standard deviation of the noise [m or rad].
+        Standard deviation of the noise [m or rad]; of an observer's innovations in units of what it expects of a
+        sensor's noise of 1.
     jitter : float
         Standard deviation of the sampling instants about those that are stated [s].
+    corner : float
+        Above which what shakes the axis fades [rad/s].
+    gain, damping : float
+        Of the axis, about: with them its velocity errs after a late input, and forgets it.
     discount : float
         Samples that count as one. Errors of a model that is not the axis are no noise: they go on for as long as the
         loop remembers, and the likelihood is tempered by it (Miller and Dunson 2019,
@@ -66,6 +74,9 @@ class NoiseModel:
     spread: float
     floor: float
     jitter: float = 0.0
+    corner: float = 0.0
+    gain: float = 0.0
+    damping: float = 0.0
     discount: float = 1.0
 
     @classmethod
@@ -84,6 +95,11 @@ class NoiseModel:
         )
 
     @property
+    def is_observed(self) -> bool:
+        """Whether the axis is observed, for something shakes it or its instants are not those that are stated."""
+        return self.rate > 0.0 or self.jitter > 0.0
+
+    @property
     def order(self) -> int:
         """Of the autoregressive process."""
         return len(self.filters) - 1
@@ -92,6 +108,10 @@ class NoiseModel:
     def innovation(self) -> float:
         """Standard deviation of what no sample before tells [m or rad]."""
         return float(self.scales[-1])
+
+    def bleached(self, white: NoiseModel) -> NoiseModel:
+        """Return the same observer beside `white` noise."""
+        return replace(self, filters=white.filters, scales=white.scales, share=white.share)
 
     def memory(self) -> float:
         """Return for how many samples the noise remembers: the sum of its autocorrelation from −∞ to ∞, at least 1."""
@@ -113,10 +133,11 @@ class NoiseModel:
         For a decision its order is that of the Bayesian criterion; for error bars that of Akaike's, which leaves less
         of the slow noise out.
         """
-        timed = replace(self, jitter=_jitter(residuals, [whitener.speed for whitener in whiteners]))
-        if timed.jitter > 0.0:
+        jitter, floor = instants(residuals, [whitener.speed for whitener in whiteners])
+        timed = replace(self, jitter=jitter, floor=min(floor, self.floor) if jitter > 0.0 else self.floor)
+        if jitter > 0.0:
             whiteners = [Whitener(w.position, w.speed, timed) for w in whiteners]
-        return timed._coloured(residuals, whiteners, for_errors=for_errors)
+        return timed.coloured(residuals, whiteners, for_errors=for_errors)
 
     def scaled(self, residuals: Sequence[NDArray[np.float64]]) -> NoiseModel:
         """Return white noise of the size of `residuals`."""
@@ -124,13 +145,15 @@ class NoiseModel:
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
         return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread)
 
-    def _coloured(
-        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool
+    def coloured(
+        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool = False
     ) -> NoiseModel:
+        """Return the model whose autoregressive part suits `residuals` beside the observer that left them."""
         evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
         filters, scales = burg(evened, MOST_ORDER, price=2.0 if for_errors else None)
         samples = sum(r.size for r in residuals)
-        spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
+        squares = [w.weighed(r) ** 2 for w, r in zip(whiteners, residuals, strict=True)]
+        spread = float(np.sqrt(sum(float(np.sum(s)) for s in squares) / samples))
         return replace(self, filters=filters, scales=scales, spread=spread)
 
 
@@ -146,12 +169,20 @@ class Whitener:
         Of the axis [m/s or rad/s]: by it a jitter of the sampling instants matters.
     noise : NoiseModel
         What to whiten.
+    weight : ndarray, shape (n,), optional
+        Of each sample, where an observer tells how much it misses.
     """
 
-    def __init__(self, position: NDArray[np.float64], speed: NDArray[np.float64], noise: NoiseModel) -> None:
+    def __init__(
+        self,
+        position: NDArray[np.float64],
+        speed: NDArray[np.float64],
+        noise: NoiseModel,
+        weight: NDArray[np.float64] | None = None,
+    ) -> None:
         self.position, self.speed = position, speed
-        self._weight: NDArray[np.float64] | None = None
-        if noise.jitter > 0.0:
+        self._weight = weight
+        if noise.jitter > 0.0 and weight is None:
             self._weight = 1.0 / np.sqrt(1.0 + (noise.jitter * speed / max(noise.floor, 1e-300)) ** 2)
         self.noise, self.samples, self._first = noise, position.size, np.empty(0, dtype=np.intp)
         first = _steady_runs(position) if noise.share > 0.0 else self._first
@@ -164,13 +195,16 @@ class Whitener:
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
 
+    def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return `rows`, shape (n,) or (n, k), each by its weight."""
+        return rows if self._weight is None else np.asarray((rows.T * self._weight).T)
+
     def evened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), with equal weight for each run of equal readings.
 
         Rounding is the same error all through such a run: its mean counts as few samples, not as many.
         """
-        if self._weight is not None:
-            rows = (rows.T * self._weight).T
+        rows = self.weighed(rows)
         if self._first.size == 0:
             return rows
         weight = (1.0 - self._kept) / self._counts
@@ -200,6 +234,8 @@ class Whitener:
         """
         from scipy.signal import lfilter
 
+        if self._weight is not None:
+            weights = (weights.T / self._weight).T
         spread = np.asarray(lfilter([1.0], self._filter, weights[::-1], axis=0))[::-1]
         if self._first.size == 0:
             return spread
@@ -218,23 +254,25 @@ class Whitener:
         return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0)) / noise.discount
 
 
-def _jitter(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> float:
-    """Return the standard deviation of the sampling instants [s] that the residuals show; 0 where it may be chance.
+def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
+    """Return the standard deviation of the sampling instants [s] that the residuals show, and of the sensor's noise.
 
-    Third differences, to which what is smooth adds nothing, grow with the speed: their squares are regressed on its.
+    The first is 0 where it may be chance. Third differences, to which what is smooth adds nothing, grow with the speed:
+    their squares are regressed on its, each in units of what is expected of it.
     """
     third = np.concatenate([np.diff(r, 3) ** 2 / 20.0 for r in residuals])
     squares = np.concatenate([v[1:-2] ** 2 for v in speeds])
-    centred = squares - squares.mean()
-    energy = float(centred @ centred)
-    if energy <= 0.0:
-        return 0.0
-    slope = float(centred @ third) / energy
-    level = float(third.mean()) - slope * float(squares.mean())
-    error = float(np.sqrt(np.sum((centred * (third - level - slope * squares)) ** 2))) / energy
-    if slope < SEEN * error or slope * float(squares.mean()) < 0.1 * float(third.mean()):
-        return 0.0
-    return float(np.sqrt(slope))
+    level, slope, error = float(third.mean()), 0.0, np.inf
+    for _ in range(REWEIGHTED):
+        weight = 1.0 / (level + slope * squares) ** 2
+        centred = squares - float(weight @ squares) / float(weight.sum())
+        energy = float(weight @ centred**2)
+        if not energy > 0.0:
+            break
+        slope = max(float((weight * centred) @ third) / energy, 0.0)
+        level = max(float(weight @ (third - slope * squares)) / float(weight.sum()), LEAST * float(third.mean()))
+        error = float(np.sqrt(np.sum((weight * centred * (third - level - slope * squares)) ** 2))) / energy
+    return (float(np.sqrt(slope)) if slope > SEEN * error else 0.0), float(np.sqrt(level))
 
 
 def _steady_runs(position: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -283,22 +321,3 @@ def burg(
     costs = (np.log(samples) if price is None else price) * np.arange(len(powers))
     order = int(np.argmin(samples * np.log(powers) + costs))
     return tuple(filters[: order + 1]), np.sqrt(powers[: order + 1])
-
-
-def observer_gains(rate: float, sample_time: float) -> tuple[float, float]:
-    """Return the steady gains of position [1] and velocity [1/s] of an observer of `rate` [rad/s]; 0 where it is 0.
-
-    Of an axis shaken by white acceleration between samples; the rate is the fourth root of the ratio of the power
-    densities of that acceleration and of the sensor's noise.
-
-    References
-    ----------
-    P. R. Kalata, *The tracking index: a generalized parameter for α-β and α-β-γ target trackers*, IEEE Transactions on
-    Aerospace and Electronic Systems 20 (1984), doi:10.1109/TAES.1984.310438.
-    """
-    if rate == 0.0:
-        return 0.0, 0.0
-    index = (rate * sample_time) ** 2
-    root = 0.25 * (4.0 + index - np.sqrt(8.0 * index + index**2))
-    alpha = float(1.0 - root**2)
-    return alpha, float(2.0 * (2.0 - alpha) - 4.0 * np.sqrt(1.0 - alpha)) / sample_time

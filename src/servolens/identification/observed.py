@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar, final
 
 import numpy as np
 
-from servolens.identification.noise import NoiseModel, Whitener, observer_gains
+from servolens.errors import InputError, NumericalError
+from servolens.identification.noise import NoiseModel, Whitener
+from servolens.identification.observer import observer_of
 from servolens.identification.runs import rest
 from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_observed, simulate_trial, without_gaps
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun"]
+__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error"]
 
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
@@ -30,6 +32,8 @@ WIDE = 3.0
 """Standard errors of what the first samples show that the initial state may be away: that is a prior."""
 COARSE = 1e-4
 """Share of the noise by which a simulated sample may be wrong."""
+FOLLOWS = 8.0
+"""Rate of the observer that tells the speed, in units of the loops' own: of a plant that is only about the axis."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 
@@ -88,6 +92,8 @@ class Signals:
         Where the samples that are compared stand in the grid; None if all are.
     initial : InitialState
         Of the first sample.
+    speed_on_grid : ndarray, shape (n,)
+        Of the axis at all samples that are simulated [m/s or rad/s].
     """
 
     record: Record
@@ -96,35 +102,73 @@ class Signals:
     position: NDArray[np.float64]
     index: NDArray[np.intp] | None
     initial: InitialState
+    speed_on_grid: NDArray[np.float64]
 
     @classmethod
-    def of(cls, record: Record, noise: float, every: int = 1) -> Signals:
-        """Prepare `record`, `every` so many samples of it."""
+    def of(cls, record: Record, noise: float, plant: Plant, rate: float, every: int = 1) -> Signals:
+        """Prepare `record`, every so many samples of it; its axis is about like `plant`, its loop as fast as `rate`."""
         time, held, index = without_gaps(record.time)
         voltage, position = applied_voltage(record)[held], record.position[held]
         if index is not None:
             position = np.interp(time, record.time, record.position)
         if every > 1:
             index = (np.arange(time.size) if index is None else index)[::every]
-        return cls(
-            record,
-            np.ascontiguousarray(time),
-            np.ascontiguousarray(voltage),
-            np.ascontiguousarray(position),
-            index,
-            InitialState.of(record, noise),
-        )
+        time, voltage, position = (np.ascontiguousarray(signal) for signal in (time, voltage, position))
+        initial = InitialState.of(record, noise)
+        speed = _observed_speed(plant, rate, time, voltage, position, initial)
+        return cls(record, time, voltage, position, index, initial, speed)
 
-    @cached_property
+    @property
     def speed(self) -> NDArray[np.float64]:
         """Of the axis at the samples that were measured [m/s or rad/s]."""
-        time = self.time if self.index is None else self.time[self.index]
-        return speed_of(time, self.measured)
+        return self.speed_on_grid if self.index is None else self.speed_on_grid[self.index]
 
     @property
     def measured(self) -> NDArray[np.float64]:
         """Positions that were measured."""
         return self.position if self.index is None else self.position[self.index]
+
+
+def _observed_speed(
+    plant: Plant,
+    rate: float,
+    time: NDArray[np.float64],
+    voltage: NDArray[np.float64],
+    position: NDArray[np.float64],
+    initial: InitialState,
+) -> NDArray[np.float64]:
+    """Return the velocity of an observer, which knows when the voltage steps: smoothing the position does not."""
+    noise = replace(NoiseModel.white(1.0), rate=FOLLOWS * rate, corner=1e3 * rate, damping=max(plant.damping, 0.0))
+    observer = required(observer_of(noise, time, time, voltage))
+    try:
+        return simulate_observed(
+            plant,
+            time,
+            voltage,
+            position,
+            gains=observer.gains,
+            start=(float(initial.mean[0]), float(initial.mean[1])),
+            substeps=substeps_for(plant, float(np.max(np.diff(time)))),
+        ).velocity
+    except (InputError, NumericalError):
+        return speed_of(time, position)
+
+
+def clock_error(noise: NoiseModel, signals: Signals) -> float:
+    """Return the r.m.s. position error that instants which are not stated cause in a simulated loop [m or rad].
+
+    A late reading is off by the way of the axis; a late input changes its velocity, which the loop
+    ``ÿ + C·ẏ + K·y = w`` turns into the variance q/(2·C·K) where w is white with the spectral density q (S. H. Crandall
+    and W. D. Mark, *Random Vibration in Mechanical Systems*, 1963, section 2.2).
+    """
+    read = noise.jitter**2 * float(np.mean(signals.speed**2))
+    controller = signals.record.controller
+    if controller is None or noise.jitter == 0.0:
+        return float(np.sqrt(read))
+    kicks = (noise.jitter * noise.gain) ** 2 * float(np.sum(np.diff(signals.voltage) ** 2))
+    density = kicks / float(signals.time[-1] - signals.time[0])
+    stiffness, damping = noise.gain * controller.kp, noise.damping + noise.gain * controller.kd
+    return float(np.sqrt(read + max(density / (2.0 * stiffness * damping), 0.0)))
 
 
 @final
@@ -145,13 +189,16 @@ class ObservedRun:
 
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
         self.group, self.signals, self.noise = group, signals, noise
-        self.whiten = Whitener(signals.measured, signals.speed, noise)
+        self._observer = observer_of(noise, signals.time, signals.speed_on_grid, signals.voltage)
+        weight = None if self._observer is None else self._observer.weight
+        if weight is not None and signals.index is not None:
+            weight = weight[signals.index]
+        self.whiten = Whitener(signals.measured, signals.speed, noise, weight)
         self.samples = signals.measured.size
         self.sample_time = float(np.max(np.diff(signals.time)))
         self.start = signals.initial.mean
         travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
         self.shifts = (travel, travel / max(float(signals.time[-1] - signals.time[0]), 1e-3))
-        self._gains = observer_gains(noise.rate, float(np.median(np.diff(signals.time[:64]))))
         self._before = applied_before(signals.record)
         if unpowered and self._before is None:
             self._before = 0.0
@@ -172,7 +219,8 @@ class ObservedRun:
             signals.time,
             signals.voltage if push is None else signals.voltage + push,
             signals.position,
-            gains=self._gains,
+            gains=None if self._observer is None else self._observer.gains,
+            remembered=0.0 if self._observer is None else self._observer.remembered,
             start=(float(start[0]), float(start[1])),
             before=self._before,
             substeps=substeps,

@@ -11,18 +11,22 @@ import numpy as np
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.quality.beginning import initial_motion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
+    from servolens.plant import Plant
     from servolens.record import Record
 
 __all__ = [
     "Segment",
     "applied_before",
     "applied_voltage",
+    "begins_with_its_step",
+    "loop_rate",
     "motion_segments",
     "moving_parts",
     "noise_level",
@@ -185,6 +189,20 @@ def noise_level(record: Record) -> float:
     At least that of the stated encoder, resolution/√12.
     """
     return max(white_noise(record.position), (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
+
+
+def begins_with_its_step(record: Record) -> bool:
+    """Tell whether `record` begins at full voltage, and does not say what was applied before."""
+    if record.voltage_before is not None or initial_motion(record) != 0.0:
+        return False
+    voltage = np.abs(applied_voltage(record))
+    return bool(voltage[0] > 0.1 * voltage.max())
+
+
+def loop_rate(plant: Plant, records: Sequence[Record]) -> float:
+    """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
+    rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
+    return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))
 
 
 def resting_noise(records: Sequence[Record]) -> float:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.integral import Pieces, held_twice_integrated
-from servolens.identification.noise import NoiseModel, Whitener, observer_gains
+from servolens.identification.noise import NoiseModel, Whitener
+from servolens.identification.observer import Observer, observer_of
 from servolens.identification.smoothing import speed_of, value_weights
 
 if TYPE_CHECKING:
@@ -83,8 +84,11 @@ class LinearEstimate:
         size = self.rows[0].shape[1]
         found = np.zeros((size, size))
         for segment, share, rows in zip(self.segments, self.pieces, self.rows, strict=True):
-            weights = _of_innovations(segment, share, rows, damping, noise, window)
-            deviations = Whitener(segment.position, speed_of(segment.time, segment.position), noise).deviations(weights)
+            speed = speed_of(segment.time, segment.position)
+            observer = observer_of(noise, segment.time, speed, segment.voltage)
+            weights = _of_innovations(segment, share, rows, damping, noise.corner, observer, window)
+            weight = None if observer is None else observer.weight
+            deviations = Whitener(segment.position, speed, noise, weight).deviations(weights)
             found += deviations.T @ deviations
         samples = sum(s.time.size for s in self.segments)
         return np.asarray(found * self.share * noise.inflation(samples, size + 2 * len(self.segments)))
@@ -134,10 +138,13 @@ def _of_innovations(
     share: Pieces,
     rows: NDArray[np.float64],
     damping: NDArray[np.float64],
-    noise: NoiseModel,
+    corner: float,
+    observer: Observer | None,
     window: int,
 ) -> NDArray[np.float64]:
     """Return the weights of the innovations where those of the equation's error are `rows`."""
+    from scipy.signal import lfilter
+
     time = segment.time
     steps = np.diff(time, append=2.0 * time[-1] - time[-2])[:, None]
     rate = np.repeat(damping[share.groups], np.diff(share.edges))[:, None]
@@ -147,11 +154,15 @@ def _of_innovations(
         first = min(max(int(edge) - smoothing.shape[0] // 2, 0), time.size - smoothing.shape[0])
         lever = (time[edge:] - time[edge]) @ rows[edge:] * (damping[before] - damping[after])
         found[first : first + smoothing.shape[0]] += np.outer(smoothing[int(edge) - first], lever)
-    position, velocity = observer_gains(noise.rate, float(np.median(steps)))
-    if position == 0.0:
+    if observer is None:
         return np.asarray(found)
+    position, velocity, shaking = (observer.gains[:, k : k + 1] for k in range(3))
     lever = _later(rows * time[:, None]) - time[:, None] * _later(rows)
-    return np.asarray(found + position * (_later(found) - found) + velocity * lever)
+    found = found + position * (_later(found) - found) + velocity * lever
+    if corner == 0.0 or not shaking.any():
+        return np.asarray(found)
+    fading = np.asarray(lfilter([1.0], [1.0, -observer.remembered], rows[::-1], axis=0))[::-1]
+    return np.asarray(found + shaking * (lever - (_later(rows) - fading) / corner) / corner)
 
 
 def _later(rows: NDArray[np.float64]) -> NDArray[np.float64]:

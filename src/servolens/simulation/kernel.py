@@ -22,11 +22,11 @@ from servolens import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-SOURCES = ("elementary", "stepping", "kernel")
-__all__ = ["ENTRY", "cache_folder", "kept", "rule"]
+SOURCES = ("elementary", "kalman", "stepping", "kernel")
+__all__ = ["ENTRY", "GAINS", "cache_folder", "kept", "rule"]
 
-ENTRY = "servolens_run"
-"""Name of the function in :func:`rule` that runs a simulation."""
+ENTRY, GAINS = "servolens_run", "servolens_gains"
+"""Names of the functions in :func:`rule` that run a simulation, and that give an observer its gains."""
 
 
 @lru_cache(maxsize=1)
@@ -82,8 +82,9 @@ def _compiled() -> str:
 
     whole = llvm.parse_assembly("")
     for name, compiled in stepping.compiled_rule().items():
-        # numba wraps a function for C; of `run` the inner one is taken, whose result goes to its first argument
-        wanted = compiled.native_name.removeprefix("cfunc.") if f"servolens_{name}" == ENTRY else compiled.native_name
+        # numba wraps a function for C; of an entry the inner one is taken, whose result goes to its first argument
+        is_entry = f"servolens_{name}" in (ENTRY, GAINS)
+        wanted = compiled.native_name.removeprefix("cfunc.") if is_entry else compiled.native_name
         text = compiled.inspect_llvm().replace(" noinline ", " nounwind ")
         part = llvm.parse_assembly(re.sub(rf'@"?{re.escape(wanted)}"?\(', f"@servolens_{name}(", text))
         for function in part.functions:
@@ -91,7 +92,7 @@ def _compiled() -> str:
                 continue
             if function.name != f"servolens_{name}":
                 function.linkage = "internal"
-            if f"servolens_{name}" != ENTRY:
+            if not is_entry:
                 function.add_function_attribute("alwaysinline")
         for variable in part.global_variables:
             if not variable.is_declaration:

@@ -37,7 +37,7 @@ PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 fast lag splits each sample; most pieces, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
-NO_OBSERVER = (0.0, 0.0)
+NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
 
 
@@ -256,7 +256,8 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
     voltage: NDArray[np.float64],
     position: NDArray[np.float64],
     *,
-    gains: tuple[float, float],
+    gains: NDArray[np.float64] | None,
+    remembered: float = 0.0,
     start: tuple[float, float],
     before: float | None = None,
     substeps: int,
@@ -264,8 +265,9 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
 ) -> Simulation:
     """Predict each sample of `position` from those before it: an observer under a `voltage` that is held.
 
-    After each sample the axis is moved towards what was measured, by the `gains` times the difference. With gains 0 it
-    is a simulation. Gives up where the axis rattles, as :func:`simulate_trial` does.
+    After each sample the axis is moved towards what was measured, by the `gains` times the difference; and so is an
+    acceleration that shakes it until the next. Without gains it is a simulation. Gives up where the axis rattles, as
+    :func:`simulate_trial` does.
 
     Parameters
     ----------
@@ -273,8 +275,10 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
         As of :func:`simulate_voltage`.
     position : ndarray, shape (n,)
         As measured [m or rad].
-    gains : tuple of float
-        Of position [1] and velocity [1/s]; a load and a filtered sensor are moved along.
+    gains : ndarray, shape (n, 3), or None
+        Of position [1], velocity [1/s] and shaking [1/s²] at each sample; a load and a filtered sensor are moved along.
+    remembered : float
+        Share of the shaking that is left a sample later.
     coarse : float
         Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
 
@@ -284,26 +288,25 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
         With the predictions as `measured`.
     """
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
-    is_corrected = float(gains != (0.0, 0.0))
-    settings = [*OPEN_LOOP, granted, *_known(before), is_corrected, coarse, *_moved(plant, gains)]
-    return _run(plant, time, voltage, position, settings, start, substeps)
+    if gains is not None and gains.shape != (time.size, 3):
+        raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
+    settings = [*OPEN_LOOP, granted, *_known(before), float(gains is not None), coarse, remembered, *_moved(plant)]
+    return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
 
 
-def _moved(plant: Plant, gains: tuple[float, float]) -> list[float]:
-    """Return the observer's gains of position, velocity and states, in the kernel's order."""
+def _moved(plant: Plant) -> list[float]:
+    """Return for each state, in the kernel's order, whether an observer moves it: with position 1, with velocity 2."""
     from servolens.simulation.native import native
 
     kinds = [(cls, state.name) for cls in plant.structure for state in cls.states]
     own = [
-        gains[("position", "velocity").index(name)]
-        if issubclass(cls, Transmission)
-        else gains[0] * issubclass(cls, Sensor)
+        1.0 + ("position", "velocity").index(name) if issubclass(cls, Transmission) else float(issubclass(cls, Sensor))
         for cls, name in kinds
     ]
     placed = [0.0] * len(own)
     for value, place in zip(own, native(plant.structure).order.tolist(), strict=True):
         placed[place] = value
-    return [*gains, *placed]
+    return placed
 
 
 def simulate_continuous(
@@ -341,7 +344,7 @@ def simulate_continuous(
     )
 
 
-def _run(
+def _run(  # noqa: PLR0913 - as it is compiled
     plant: Plant,
     time: NDArray[np.float64],
     held: NDArray[np.float64],
@@ -350,6 +353,7 @@ def _run(
     start: tuple[float, float],
     substeps: int,
     gains: tuple[float, ...] = (),
+    corrections: NDArray[np.float64] | None = None,
 ) -> Simulation:
     from servolens.simulation.native import native
 
@@ -360,7 +364,8 @@ def _run(
     signals = (time, held, reference, np.array(settings), np.array(start, dtype=np.float64))
     parameters = np.array([*plant.values, *gains])
     done = ctypes.c_int64()
-    addresses = [array.ctypes.data for array in (*signals, parameters, results, measured)]
+    corrected = NONE_CORRECTED if corrections is None else np.ascontiguousarray(corrections)
+    addresses = [array.ctypes.data for array in (*signals, parameters, corrected, results, measured)]
     code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *addresses)
     if done.value < 0:
         raise NumericalError("the simulated axis rattles: a step would have to be split more often than is granted")

@@ -15,7 +15,7 @@ import numpy as np
 
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.codegen import SYMBOLS, function_text, number_text
-from servolens.simulation.kernel import ENTRY, kept, rule
+from servolens.simulation.kernel import ENTRY, GAINS, kept, rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -43,7 +43,9 @@ class Native:
         :func:`servolens.simulation.stepping.run` for plants of this structure.
     slopes : callable
         ``slopes(x, p, out)``: the Jacobian of [v, acceleration, rates], column by column, at ``x = [y, v, t, u, d,
-        moving, smooth states, relaxing states, their ramps]`` and the plant's parameters `p`.
+        moving, shaking, smooth states, relaxing states, their ramps]`` and the plant's parameters `p`.
+    gains : callable
+        :func:`servolens.simulation.kalman.kalman`, the same for all structures.
     sizes : tuple of int
         Numbers of smooth and of relaxing states.
     order : ndarray of int64
@@ -52,6 +54,7 @@ class Native:
 
     run: Callable[..., int]
     slopes: Callable[..., int]
+    gains: Callable[..., int]
     sizes: tuple[int, int]
     order: NDArray[np.int64]
     keeper: Any
@@ -74,11 +77,13 @@ def _native(structure: tuple[type[Effect], ...], continuous: bool) -> Native:
     texts += [number_text(f"servolens_{name}", number) for name, number in equations.numbers().items()]
     engine = _engine("\n".join(_merged(texts)))
     number, real, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-    run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 8)
+    run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 9)
+    gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 5)
     slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
     return Native(
         run=run(engine.get_function_address(ENTRY)),
         slopes=slopes(engine.get_function_address("servolens_slopes")),
+        gains=gains(engine.get_function_address(GAINS)),
         sizes=(len(equations.smooth), len(equations.relaxing)),
         order=np.argsort([*equations.smooth, *equations.relaxing], kind="stable").astype(np.int64),
         keeper=engine,
@@ -93,12 +98,14 @@ class _Equations:
         self.d = d = dynamics(structure)
         self.smooth = [i for i, relaxes in enumerate(d.relaxing) if not relaxes]
         self.relaxing = [i for i, relaxes in enumerate(d.relaxing) if relaxes]
-        self.moving, self.ramps = ca.SX.sym("moving"), ca.SX.sym("ramps", len(self.relaxing))
+        self.moving, self.shaking = ca.SX.sym("moving"), ca.SX.sym("shaking")
+        self.ramps = ca.SX.sym("ramps", len(self.relaxing))
         states = [d.states[i] for i in (*self.smooth, *self.relaxing)]
-        x = ca.vertcat(d.position, d.velocity, d.time, d.command, d.direction, self.moving, *states, self.ramps)
+        axis = [d.position, d.velocity, d.time, d.command, d.direction, self.moving, self.shaking]
+        x = ca.vertcat(*axis, *states, self.ramps)
         gains = ca.SX.sym("gains", 2 if continuous else 0)
         self.inputs = [x, ca.vertcat(d.parameters, gains)]
-        found, beginning = [d.push, d.level, d.rates], d.beginning
+        found, beginning = [d.push + self.shaking, d.level, d.rates], d.beginning
         if continuous:
             found = ca.substitute(found, [d.command], [_asked(d, gains, d.shown, d.output_velocity)])
             beginning = ca.substitute(beginning, d.command, _asked(d, gains, d.position, 0.0))
@@ -212,7 +219,7 @@ def _compiled(text: str) -> bytes:
     module = llvm.parse_assembly(rule())
     module.link_in(llvm.parse_assembly(text))
     for function in module.functions:
-        if not function.is_declaration and function.name not in (ENTRY, "servolens_slopes"):
+        if not function.is_declaration and function.name not in (ENTRY, GAINS, "servolens_slopes"):
             function.linkage = "internal"
     tuning = llvm.create_pipeline_tuning_options(speed_level=2)
     builder = llvm.create_pass_builder(machine, tuning)

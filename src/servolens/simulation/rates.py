@@ -61,8 +61,8 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
 
 
 def _probe(size: int, position: float, velocity: float, state: float) -> NDArray[np.float64]:
-    """Return the kernel's [y, v, t, u, d, moving, states, ramps]."""
-    return np.array([position, velocity, 0.0, 0.0, 1.0, 1.0, *([state] * (size - 2))])
+    """Return the kernel's [y, v, t, u, d, moving, shaking, states, ramps]."""
+    return np.array([position, velocity, 0.0, 0.0, 1.0, 1.0, 0.0, *([state] * (size - 2))])
 
 
 def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> float:

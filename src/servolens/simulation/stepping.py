@@ -15,8 +15,9 @@ What the effects remember is carried along: a second mass or an integral by its 
 series of the motion sees such a state as the ramp that has the same mean and the same first moment as its exponential.
 Where A and B change with the motion, their values at the end of a piece come from a first pass over it.
 
-The arrays: `x` is [y, v, t, u, d, moving, smooth states, relaxing states, their ramps]; `p` holds the plant's
-parameters; a series is [acceleration, jerk, snap, then three derivatives of each smooth state].
+The arrays: `x` is [y, v, t, u, d, moving, shaking, smooth states, relaxing states, their ramps], where `shaking` is an
+acceleration that an observer holds from sample to sample; `p` holds the plant's parameters; a series is [acceleration,
+jerk, snap, then three derivatives of each smooth state].
 """
 
 # ruff: noqa: C901, PLR0913 - one compiled loop, and every array is an argument
@@ -32,10 +33,11 @@ from numba.extending import intrinsic
 
 from servolens.simulation import elementary
 from servolens.simulation.elementary import OPTIONS, exponential
+from servolens.simulation.kalman import kalman
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SLIVER, SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1e-9, 1.2e-4, 1e-3, 1e-7, 4096, 100
-Y, V, T, U, D, MOVING, STATES = 0, 1, 2, 3, 4, 5, 6
+Y, V, T, U, D, MOVING, SHAKING, STATES = 0, 1, 2, 3, 4, 5, 6, 7
 FARTHEST = 1e6
 
 _NUMBERS = types.CPointer(float64)
@@ -214,7 +216,7 @@ def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
             tau = reversal_time(c0, c1, c2, c3, h)
             speed = 0.0
         e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
-    e[V], e[T], e[U], e[D], e[MOVING] = speed, x[T] + tau, x[U], d, x[MOVING]
+    e[V], e[T], e[U], e[D], e[MOVING], e[SHAKING] = speed, x[T] + tau, x[U], d, x[MOVING], x[SHAKING]
     for i in range(ns):
         k = 3 + 3 * i
         change = series[k] + tau * (HALF * series[k + 1] + tau * SIXTH * series[k + 2])
@@ -289,7 +291,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
 def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any) -> None:
     """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long."""
     count, nz = smooth_states() + relaxing_states(), relaxing_states()
-    x[Y], x[V], x[T], x[U], x[D], x[MOVING] = start[0], start[1], time, command, 1.0, 1.0
+    x[Y], x[V], x[T], x[U], x[D], x[MOVING], x[SHAKING] = start[0], start[1], time, command, 1.0, 1.0, 0.0
     for i in range(count + nz):
         x[STATES + i] = 0.0
     beginning(x, p, states)
@@ -314,13 +316,15 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop
 
 
 @njit(**OPTIONS)
-def correct(x: Any, loop: Any, ns: int, nz: int, innovation: float) -> None:
+def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation: float) -> None:
     """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
-    x[Y] += loop[15] * innovation
+    x[Y] += gains[3 * k] * innovation
     if x[V] != 0.0:
-        x[V] += loop[16] * innovation
+        x[V] += gains[3 * k + 1] * innovation
+    x[SHAKING] = loop[15] * x[SHAKING] + gains[3 * k + 2] * innovation
     for i in range(ns + nz):
-        x[STATES + i] += loop[17 + i] * innovation
+        if loop[16 + i] > 0.0:
+            x[STATES + i] += gains[3 * k + int(loop[16 + i]) - 1] * innovation
 
 
 @njit(**OPTIONS)
@@ -384,6 +388,7 @@ def run(
     loop: Any,
     start: Any,
     values: Any,
+    gains: Any,
     results: Any,
     measured: Any,
 ) -> int:
@@ -391,12 +396,12 @@ def run(
 
     `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
     pieces, whether it is known what was applied before, what was, whether to correct, the speed that a step
-    may be wrong by, then the gains with which an
-    observer corrects position, velocity and states by the innovation: `reference` then holds the measured position, and
-    `measured` its prediction from the samples before). Minus one is returned where more pieces than granted
-    would be needed; zero grants any number. Without a closed loop the input is `held`; with one, `held` is added to
-    what the controller asks for. The input reaches the actuator `delay` seconds late; before the record the first one
-    was applied, if it is not known.
+    may be wrong by, the share of the shaking that is left a sample later, then for each state whether an observer moves
+    it with the position (1), the velocity (2) or not (0)). An observer has the measured position as `reference`, gives
+    its prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
+    shaking. Minus one is returned where more pieces than granted would be needed; zero grants any number. Without a
+    closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input reaches the
+    actuator `delay` seconds late; before the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
@@ -407,8 +412,7 @@ def run(
     closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[9], loop[10]
     before = loop[12] if loop[11] != 0.0 else held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0)
     set_out(x, p, states, time[0], before, start)
-    derivative[0], voltage, wait = 0.0, 0.0, 0
-    pieces, arrived = 0, -1
+    derivative[0], voltage, wait, pieces, arrived = 0.0, 0.0, 0, 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
@@ -422,7 +426,7 @@ def run(
         wait -= 1
         results[2 * n + k] = voltage + held[k]
         if loop[13] != 0.0:
-            correct(x, loop, ns, nz, reference[k] - seen)
+            correct(x, loop, gains, k, ns, nz, reference[k] - seen)
         if k == 0 and loop[11] == 0.0:
             before = results[2 * n]
             x[U] = before
@@ -449,7 +453,8 @@ def compiled_rule() -> dict[str, Any]:
     try:
         real = cfunc(float64(float64), **OPTIONS)
         return {
-            "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 8), **OPTIONS)(run),
+            "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 9), **OPTIONS)(run),
+            "gains": cfunc(int64(int64, *[_NUMBERS] * 5), **OPTIONS)(kalman),
             "exp": real(elementary.exponential.py_func),
             "sin": real(elementary.sine.py_func),
             "cos": real(elementary.cosine.py_func),

@@ -1,0 +1,144 @@
+"""The likeliest noise beside given plants: a simulation, instants that move, an axis that is shaken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.noise import NoiseModel, instants
+from servolens.identification.rounding import dominates
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.likelihood import Likelihood
+    from servolens.plant import Plant
+
+__all__ = ["NoiseTrials"]
+
+CORNER, CORNERS = 4.0, (0.05, 64.0)
+"""Corner of what shakes the axis with which rates are compared first, and its range, in units of the loops' rate."""
+MOST_MOVES = 8
+"""Steps from one model of what shakes the axis to a likelier one."""
+
+
+@final
+class NoiseTrials:
+    """Noise models beside given plants, and the likeliest so far.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the records.
+    plants : sequence of Plant
+        One for each record.
+    starts : sequence of ndarray
+        Initial states, fitted beside `like`.
+    like : NoiseModel
+        Whose shaking the search begins with.
+    unpowered : bool
+        Whether nothing was applied before records that begin with their step.
+    """
+
+    def __init__(
+        self,
+        likelihood: Likelihood,
+        plants: Sequence[Plant],
+        starts: Sequence[NDArray[np.float64]],
+        like: NoiseModel,
+        *,
+        unpowered: bool,
+    ) -> None:
+        self.likelihood, self.plants, self.starts, self.like = likelihood, plants, starts, like
+        self.unpowered = unpowered
+        self.best: tuple[NoiseModel, float] | None = None
+        self._left: list[NDArray[np.float64]] | None = None
+        self._seen: dict[tuple[float, float, float], float] = {}
+
+    def shaken(self, noise: NoiseModel, rate: float) -> NoiseModel:
+        """Return `noise` of an axis that is shaken, at a `rate` in units of the loops' own."""
+        return replace(noise, rate=rate * self.likelihood.rate, corner=CORNER * self.likelihood.rate)
+
+    def search(self, noise: NoiseModel, rates: Sequence[float]) -> None:
+        """Look at a simulation beside `noise`, at the jitter that its residual shows, and at `rates` of shaking.
+
+        Rate and corner of the shaking that is likeliest are improved in turn, by factors, until neither gets likelier.
+        Without any `rates` only that of the noise is looked at beside which the starts were fitted.
+        """
+        likelihood = self.likelihood
+        self.look(noise)
+        if dominates(likelihood.white):  # nothing tells shaking or jitter from rounding
+            return
+        if self._left is not None:
+            jitter, floor = instants(self._left, [signals.speed for signals in likelihood.signals])
+            if jitter > 0.0:
+                noise = self._likeliest(noise, [replace(noise, jitter=jitter, floor=min(floor, noise.floor))])
+        found = [self.shaken(noise, rate) for rate in rates if rate > 0.0]
+        if self.like.rate > 0.0:
+            found = [replace(noise, rate=self.like.rate, corner=self.like.corner)]
+        best = self._likeliest(noise, found)
+        share = 1.0
+        for _ in range(MOST_MOVES if best.rate > 0.0 and rates else 0):
+            moved = self._likeliest(best, [*_neighbours(best, likelihood.rate, share)])
+            if moved is best and share < 1.0:
+                break
+            share, best = (0.5 * share if moved is best else share), moved
+
+    def _likeliest(self, noise: NoiseModel, others: Sequence[NoiseModel]) -> NoiseModel:
+        return min([noise, *others], key=self.look)
+
+    def look(self, noise: NoiseModel) -> float:
+        """Return −2 log-likelihood beside an observer of this noise, its autoregressive part the likeliest."""
+        key = (noise.rate, noise.corner, noise.jitter)
+        if key not in self._seen:
+            self._seen[key] = self._look(noise)
+        return self._seen[key]
+
+    def _look(self, first: NoiseModel) -> float:
+        likelihood = self.likelihood
+        runs = likelihood.runs(first, unpowered=self.unpowered)
+        is_own = first.rate == 0.0 or self.like.rate > 0.0
+        begun = self.starts if is_own else [run.start for run in runs]
+        try:
+            missed = [
+                run.missed(plant, start, substeps_for(plant, run.sample_time))
+                for run, plant, start in zip(runs, self.plants, begun, strict=True)
+            ]
+        except (InputError, NumericalError):
+            return np.inf
+        likelihood.count(
+            sum(run.samples * substeps_for(p, run.sample_time) for run, p in zip(runs, self.plants, strict=True))
+        )
+        if not first.is_observed:
+            self._left = missed
+        whiteners = [run.whiten for run in runs]
+        noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
+        if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
+            return np.inf
+        parameters = noise.order + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
+        misfit = parameters * float(np.log(likelihood.counted))
+        for run, error, start in zip(likelihood.runs(noise, unpowered=self.unpowered), missed, begun, strict=True):
+            white, initial = run.whiten(error), run.signals.initial
+            misfit += run.whiten.log_determinant + float(white @ white)
+            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2)) if run.start.size else 0.0
+        if self.best is None or misfit < self.best[1]:
+            self.best = noise, misfit
+        return misfit
+
+
+def _neighbours(noise: NoiseModel, unit: float, share: float) -> Iterator[NoiseModel]:
+    """Yield noise that shakes the axis twice as fast or half, or with a corner three times as high or a third.
+
+    Or by a `share` of that, on a logarithmic scale.
+    """
+    for factor in (2.0**share, 0.5**share):
+        yield replace(noise, rate=factor * noise.rate)
+    for factor in (3.0**share, 3.0**-share):
+        if CORNERS[0] * unit <= factor * noise.corner <= CORNERS[1] * unit:
+            yield replace(noise, corner=factor * noise.corner)

@@ -1,0 +1,70 @@
+"""The observer of a record: how far each sample moves the simulated axis, as the noise model asks for."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.identification.noise import NoiseModel
+
+__all__ = ["Observer", "observer_of"]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Observer:
+    """Gains of an observer, and how much it misses.
+
+    Attributes
+    ----------
+    gains : ndarray, shape (n, 3)
+        Of position [1], velocity [1/s] and shaking [1/s²].
+    remembered : float
+        Share of the shaking that is left a sample later.
+    weight : ndarray, shape (n,)
+        Standard deviation of the sensor's noise over that of the innovation.
+    """
+
+    gains: NDArray[np.float64]
+    remembered: float
+    weight: NDArray[np.float64]
+
+
+def observer_of(
+    noise: NoiseModel, time: NDArray[np.float64], speed: NDArray[np.float64], voltage: NDArray[np.float64]
+) -> Observer | None:
+    """Return the observer of a record; None where the axis is simulated, for nothing shakes it and its clock is true.
+
+    Parameters
+    ----------
+    noise : NoiseModel
+        Of the record.
+    time, speed, voltage : ndarray, shape (n,)
+        [s], [m/s or rad/s], and [V], applied from each sample to the next.
+
+    Notes
+    -----
+    See :mod:`servolens.simulation.kalman`. The acceleration that shakes the axis is a first-order process with the
+    spectral density ``rate⁴`` times the sensor's at low frequencies.
+    """
+    if not noise.is_observed:
+        return None
+    from servolens.simulation.native import native
+
+    h = float(np.median(np.diff(time[:64])))
+    kept, left = float(np.exp(-noise.corner * h)), float(np.exp(-noise.damping * h))
+    given = (1.0 - left) / noise.damping if noise.damping * h > 1e-9 else h
+    power = noise.rate**4 * (1.0 - kept) / (1.0 + kept)
+    model = np.array([left, given, kept, 0.5 * given * h, given, power])
+    size = noise.jitter / max(noise.floor, 1e-300)
+    late, kick = size * speed, size * noise.gain * np.diff(voltage, prepend=voltage[0])
+    gains, variance = np.empty((time.size, 3)), np.empty(time.size)
+    addresses = [array.ctypes.data for array in (model, late, kick, gains, variance)]
+    native(()).gains(ctypes.byref(ctypes.c_int64()), None, time.size, *addresses)
+    return Observer(gains, kept, 1.0 / np.sqrt(variance))
