@@ -41,10 +41,9 @@ SPEC = PDSpec(kp=100.0, settling_time=0.5, control="continuous")
 @pytest.mark.parametrize("name", MODELS)
 def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
     design = tune(MODELS[name], SPEC)
-    np.testing.assert_allclose(np.array(design.intervals), np.array(FEASIBLE[name]), atol=0.01)
+    np.testing.assert_allclose(np.array(design.intervals), np.array(FEASIBLE[name]), atol=0.002)
     assert design.kd == design.intervals[0][0]
     assert design.verified[0].meets
-    np.testing.assert_allclose(design.candidates, [low for low, _ in design.intervals], atol=1e-3)
 
 
 def test_a_gain_for_all_three_nonlinear_models() -> None:
@@ -117,7 +116,7 @@ def test_designs_may_run_in_several_threads() -> None:
     alone = tune(MODELS["Lm1"], SPEC)
     with ThreadPoolExecutor(4) as pool:
         together = list(pool.map(lambda _: tune(MODELS["Lm1"], SPEC), range(8)))
-    assert all(design.kd == alone.kd and design.candidates == alone.candidates for design in together)
+    assert all(design.intervals == alone.intervals for design in together)
 
 
 def test_overshoot_limit_binds_and_holds() -> None:

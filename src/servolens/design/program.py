@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.design.settle import design_horizon
+from servolens.design.settle import horizon
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.rates import substeps_for
 from servolens.solving import NonlinearProgram, minimise
@@ -28,7 +28,7 @@ FRICTION_WIDTH = 1e-3
 
 def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> float | None:
     """Return the least Kd that CasADi and IPOPT find from inside `interval`, or None if they find none."""
-    samples = int(np.ceil(design_horizon(plant, spec) / spec.sample_time))
+    samples = int(np.ceil(horizon(plant, spec) / spec.sample_time))
     first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
     stride = max((samples - first) // MOST_INSTANTS, 1)
     plant = replace(plant, effects=tuple(effect for effect in plant.effects if not effect.absent))
