@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -44,6 +46,30 @@ def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
     np.testing.assert_allclose(np.array(design.intervals), np.array(FEASIBLE[name]), atol=0.002)
     assert design.kd == design.intervals[0][0]
     assert design.verified[0].meets
+
+
+@pytest.mark.parametrize("control", ["sampled", "continuous"])
+@pytest.mark.parametrize("name", ["Lm1", "NLm3"])
+def test_the_nonlinear_program_agrees_with_the_search(name: str, control: Literal["sampled", "continuous"]) -> None:
+    spec = PDSpec(kp=100.0, settling_time=0.5, control=control)
+    design = tune(MODELS[name], spec, with_program=True)
+    assert design.doubt is None
+    for candidate, (low, high) in zip(design.candidates, design.intervals, strict=True):
+        assert candidate is not None
+        assert low <= candidate <= high
+        assert candidate - low <= design.certificate.gap
+        assert evaluate(MODELS[name], spec, candidate).meets
+
+
+def test_a_program_that_disagrees_is_said_and_its_infeasible_gain_is_not_printed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("servolens.design.program.local_optimum", lambda *_: 3.7)
+    design = tune(MODELS["NLm3"], SPEC, with_program=True)
+    assert design.candidates == (None, None)
+    assert design.doubt is not None
+    assert "3.7 where the search found 3.78" in design.doubt
+    assert "disagrees" in str(design.to_json()["doubt"])
 
 
 def test_a_gain_for_all_three_nonlinear_models() -> None:
