@@ -125,7 +125,7 @@ class Design:
         On request: the local optimum of CasADi's nonlinear program in each interval. None where it found none, or one
         that fails when it is simulated. The program smooths dry friction; the ends of `intervals` are the exact loop's.
     doubt : str or None
-        Where the nonlinear program and the search do not agree within the gap.
+        Where the nonlinear program, or a proof, contradicts the search by more than the gap.
     verified : tuple of Response
         Exact simulation at `kd`, a model each.
     conflict : tuple of str

@@ -30,6 +30,7 @@ def tune(
     spec: PDSpec,
     *,
     with_program: bool = False,
+    certify: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Design:
     """Return the least Kd that meets `spec` on all `plants`, and every interval of gains that does.
@@ -42,6 +43,9 @@ def tune(
         What to reach. Without an end of the search, that follows from the plants.
     with_program : bool
         Whether CasADi and IPOPT solve for the least gain in each interval as well; this takes longer than the search.
+    certify : bool
+        Whether to prove what the search found, by enclosures of all steps: for smooth plants, in a minute or more. The
+        certificate then states the widest stretch of gains that stays open.
     progress : callable, optional
         Called with (description, done, total).
 
@@ -53,7 +57,7 @@ def tune(
     Raises
     ------
     InputError
-        If no plant is given or their units differ.
+        If no plant is given or their units differ, or an enclosure is asked for of a plant that is not smooth.
 
     Examples
     --------
@@ -77,26 +81,28 @@ def tune(
         kind="sensitivity",
         horizon=max(horizon(model, spec) for model in models),
     )
+    design = Design(spec=spec, kd=None, intervals=intervals, certificate=certificate)
     if not intervals:
         reason, conflict, nearest = explain(models, spec, cover.grid())
-        return Design(
-            spec=spec,
-            kd=None,
-            intervals=(),
-            certificate=certificate,
-            reason=reason,
-            conflict=conflict,
-            nearest=nearest,
-        )
-    kd = intervals[0][0]
-    design = Design(
-        spec=spec,
-        kd=kd,
-        intervals=intervals,
-        certificate=certificate,
-        verified=tuple(evaluate(model, spec, kd) for model in models),
-    )
-    return _with_program(models, design) if with_program else design
+        design = replace(design, reason=reason, conflict=conflict, nearest=nearest)
+    else:
+        kd = intervals[0][0]
+        design = replace(design, kd=kd, verified=tuple(evaluate(model, spec, kd) for model in models))
+    if with_program:
+        design = _with_program(models, design)
+    return _certified(models, design, cover.scale, progress) if certify else design
+
+
+def _certified(
+    models: tuple[Plant, ...], design: Design, scale: float, progress: Callable[[str, int, int], None] | None
+) -> Design:
+    """Return the design with a proof, or with what contradicts it."""
+    from servolens.design.certify import proven_gap
+
+    gap, doubt = proven_gap(models, design, scale, progress)
+    if doubt is not None:
+        return replace(design, doubt=doubt)
+    return replace(design, certificate=replace(design.certificate, kind="enclosure", gap=gap))
 
 
 def _with_program(models: tuple[Plant, ...], design: Design) -> Design:
