@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
+from servolens.design.cover import Cover
 from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.plant import Plant
@@ -134,6 +136,19 @@ def test_more_models_never_give_a_smaller_gain() -> None:
     one = tune(MODELS["NLm1"], SPEC).kd
     both = tune([MODELS["NLm1"], MODELS["NLm3"]], SPEC).kd
     assert both >= one  # type: ignore[operator]  # both are feasible
+
+
+def test_the_search_needs_few_simulations_and_says_what_it_searched() -> None:
+    cover = Cover((MODELS["NLm3"],), replace(SPEC, kd_max=20.0))
+    cover.intervals()
+    assert cover.loops.count < 250
+    stated, free = tune(MODELS["NLm3"], replace(SPEC, kd_max=20.0)).certificate, tune(MODELS["NLm3"], SPEC).certificate
+    assert stated.searched == (0.0, 20.0)
+    assert not stated.end_from_plant
+    assert stated.gap <= 1e-3
+    assert stated.horizon == 10.0 * SPEC.settling_time
+    assert free.end_from_plant
+    assert free.searched[1] > FEASIBLE["NLm3"][-1][1]
 
 
 def test_designs_may_run_in_several_threads() -> None:

@@ -73,16 +73,19 @@ class Certificate:
         measured there: a measured modulus of continuity.
     horizon : float
         How long each step was watched [s].
+    end_from_plant : bool
+        Whether the end of the search was not stated but follows from the plant.
     """
 
     searched: tuple[float, float]
     gap: float
     kind: Literal["enclosure", "sensitivity"]
     horizon: float
+    end_from_plant: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
-        return {"searched": list(self.searched), "gap": self.gap, "kind": self.kind, "horizon": self.horizon}
+        return {**{f.name: getattr(self, f.name) for f in fields(self)}, "searched": list(self.searched)}
 
 
 @final

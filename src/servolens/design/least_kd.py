@@ -71,7 +71,8 @@ def tune(
         raise InputError("no model was given; a design needs at least one")
     if len({(m.length_unit, m.command_unit) for m in models}) > 1:
         raise InputError("the models have different units; a gain cannot hold for all of them")
-    top = spec.kd_max or max(last_gain(model, spec) for model in models)
+    stated = spec.kd_max
+    top = stated or max(last_gain(model, spec) for model in models)
     spec = replace(spec, kd_max=top)
     cover = Cover(models, spec, progress)
     intervals = cover.intervals()
@@ -80,6 +81,7 @@ def tune(
         gap=cover.gap,
         kind="sensitivity",
         horizon=max(horizon(model, spec) for model in models),
+        end_from_plant=stated is None,
     )
     design = Design(spec=spec, kd=None, intervals=intervals, certificate=certificate)
     if not intervals:

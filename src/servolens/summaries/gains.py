@@ -141,12 +141,14 @@ def _intervals(design: Design, kd_unit: str) -> Table:
 
 def _searched(design: Design) -> str:
     certificate = design.certificate
+    end = " (beyond, this plant would be too slow)" if certificate.end_from_plant else ""
     trusted = {
         "enclosure": "proven by enclosures",
         "sensitivity": "by the measured sensitivity to the gain",
     }[certificate.kind]
     return (
-        f"Searched from 0 to {number(certificate.searched[1])}, each step watched for {number(certificate.horizon)} s; "
+        f"Searched from 0 to {number(certificate.searched[1])}{end}, "
+        f"each step watched for {number(certificate.horizon)} s; "
         f"what is overlooked is narrower than {number(certificate.gap, 2)} ({trusted})."
     )
 
