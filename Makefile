@@ -11,10 +11,11 @@ SLOW ?=
 DEMO_ARGS ?=
 COVERAGE_ARGS ?=
 CONFUSION_ARGS ?=
+SCAN_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs coverage confusion pictures bench examples clean help
+.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -54,6 +55,9 @@ coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model 
 confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what else it names (hours)
 	@$(BIN)/python benchmarks/confusion.py $(CONFUSION_ARGS)
 
+design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense scan of the gain (minutes)
+	@$(BIN)/python benchmarks/design_scan.py $(SCAN_ARGS)
+
 pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
 	@$(BIN)/python docs/pictures.py
 
@@ -68,7 +72,7 @@ clean: ## remove what the commands above made, but for .venv
 	@find . -path ./$(VENV) -prune -o -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "servolens needs Python 3.11 or newer with venv (Debian, Ubuntu: apt install python3-venv); none was found. Name yours: make PYTHON=/path/to/python3" >&2; exit 1; }

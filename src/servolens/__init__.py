@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, PDSpec, compare, tune
+    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map, tune
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -71,7 +71,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "PDSpec", "compare", "tune"),
+    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map", "tune"),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -152,6 +152,7 @@ __all__ = [
     "ForceLimit",
     "FrictionMap",
     "GainDrift",
+    "GainMap",
     "HardeningSpring",
     "Identification",
     "InputError",
@@ -187,6 +188,7 @@ __all__ = [
     "compare",
     "diagnose",
     "fit_effects",
+    "gain_map",
     "held_response",
     "identify",
     "predict",

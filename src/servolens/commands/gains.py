@@ -33,8 +33,14 @@ __all__ = ["compare", "design"]
 @click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
 @click.argument("model_files", nargs=-1, required=True, metavar="MODEL.json...")
 @specification()
+@click.option(
+    "--program", "with_program", is_flag=True, help="Solve for the least gain by CasADi and IPOPT as well, and compare."
+)
+@click.option("--certify", is_flag=True, help="Prove the search by enclosures: smooth plants, a minute or more.")
 @json_option
-def design(model_files: tuple[str, ...], spec: SpecOptions, json_file: str | None) -> int:
+def design(
+    model_files: tuple[str, ...], spec: SpecOptions, with_program: bool, certify: bool, json_file: str | None
+) -> int:
     """Find the least derivative gain that settles in time.
 
     With several models the gain holds for all of them. Exit status 1 if no gain meets the specification.
@@ -46,7 +52,7 @@ def design(model_files: tuple[str, ...], spec: SpecOptions, json_file: str | Non
     wanted = PDSpec(**spec.given)
     plants = [model.plant for model in load_models(model_files)]
     with progress_bar() as progress, about(*model_files):
-        result = tune(plants, wanted, progress=progress)
+        result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
     summary = design_summary(result, length_unit=plants[0].length_unit, command_unit=plants[0].command_unit)
     if json_file:
         write_json(json_file, "design", {**result.to_json(), "model_files": list(model_files)}, summary.findings)

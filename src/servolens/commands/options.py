@@ -194,7 +194,7 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
         _number("--reference", "Size of the step [m or rad].  [default: 0.1]"),
         _number("--overshoot", "Largest overshoot as a fraction of the step."),
         _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
-        _number("--kd-max", "End of the search, which begins at 0.  [default: 20]"),
+        _number("--kd-max", "End of the search, which begins at 0.  [default: from the plant]"),
         click.option(
             "--control",
             type=click.Choice(["sampled", "continuous"]),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from servolens.design.found import Comparison
 from servolens.design.least_kd import tune
 from servolens.design.settle import evaluate
-from servolens.design.spec import Comparison
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.design.settle import design_horizon
+from servolens.design.settle import horizon
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.rates import substeps_for
 from servolens.solving import NonlinearProgram, minimise
@@ -20,15 +20,17 @@ if TYPE_CHECKING:
 
 __all__ = ["local_optimum"]
 
-MOST_INSTANTS = 500
-"""At so many instants the band is asked for; the exact loop, sample by sample, then has the last word."""
+WATCHED, MOST_INSTANTS = 3.0, 2000
+"""For so many settling times the band is asked for, and at no more instants; the exact loop then has the last word."""
+INSIDE = 1e-4
+"""Share of the limits that is kept in reserve: the integrator here is not that of the exact loop."""
 FRICTION_WIDTH = 1e-3
 """Speed over which dry friction changes sign in the program [m/s or rad/s]; the exact loop then decides."""
 
 
 def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> float | None:
     """Return the least Kd that CasADi and IPOPT find from inside `interval`, or None if they find none."""
-    samples = int(np.ceil(design_horizon(plant, spec) / spec.sample_time))
+    samples = int(np.ceil(min(WATCHED * spec.settling_time, horizon(plant, spec)) / spec.sample_time))
     first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
     stride = max((samples - first) // MOST_INSTANTS, 1)
     plant = replace(plant, effects=tuple(effect for effect in plant.effects if not effect.absent))
@@ -44,9 +46,9 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     width = interval[1] - interval[0]
     parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
     late = (samples - first) // stride + 1
-    lower, upper = [-spec.band] * late, [spec.band] * late
+    lower, upper = [-spec.band * (1.0 - INSIDE)] * late, [spec.band * (1.0 - INSIDE)] * late
     if spec.overshoot is not None:
-        lower, upper = lower + [-np.inf] * samples, upper + [spec.overshoot] * samples
+        lower, upper = lower + [-np.inf] * samples, upper + [spec.overshoot * (1.0 - INSIDE)] * samples
     if spec.voltage_limit is not None:
         lower, upper = lower + [-spec.voltage_limit] * samples, upper + [spec.voltage_limit] * samples
     result = minimise(

@@ -35,7 +35,7 @@ JUMP = 0.06
 def settling_figure(key: str, comparison: Comparison, linear: Plant, nonlinear: Plant, caption: str) -> Drawing:
     """Draw settling time against Kd of both models, feasible gains shaded, recommendations marked."""
     spec = comparison.nonlinear.spec
-    top = _last_gain(spec, (comparison.linear, comparison.nonlinear))
+    top = _last_gain((comparison.linear, comparison.nonlinear))
     gains = np.linspace(0.0, top, GAINS)
     curves = [
         _settling_curve("linear model", linear, spec, gains, "constant"),
@@ -126,9 +126,10 @@ def _settles(plant: Plant, spec: PDSpec, kd: float, watched: float) -> float:
     return float("nan") if found is None else found
 
 
-def _last_gain(spec: PDSpec, designs: Sequence[Design]) -> float:
+def _last_gain(designs: Sequence[Design]) -> float:
     ends = [high for design in designs for _, high in design.intervals]
-    return min(1.15 * max(ends), spec.kd_max) if ends else spec.kd_max
+    searched = designs[-1].certificate.searched[1]
+    return min(1.15 * max(ends), searched) if ends else searched
 
 
 def _least(design: Design) -> str:

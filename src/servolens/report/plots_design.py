@@ -12,9 +12,10 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
 
+    from servolens.design import GainMap
     from servolens.report.curves import Curve, Role
 
-__all__ = ["Mark", "plot_settling_times", "plot_step_responses"]
+__all__ = ["Mark", "plot_gain_map", "plot_settling_times", "plot_step_responses"]
 
 
 @final
@@ -160,4 +161,39 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
         ax.set_ylim(reference - width, reference + width)
     if legend:
         ax.legend(loc="lower right", handlelength=3.2)
+    return ax
+
+
+@styled
+def plot_gain_map(
+    found: GainMap, *, length_unit: str = "m", command_unit: str = "V", title: str = "", ax: Axes | None = None
+) -> Axes:
+    """Draw settling time over Kp and Kd, the feasible region outlined, the feasible pair of least noise marked.
+
+    Parameters
+    ----------
+    found : GainMap
+        What to draw; at least two gains of each kind.
+    length_unit, command_unit : str
+        Of the plant.
+    title : str
+        Above the axes.
+    ax : Axes, optional
+        Where; a new figure when None.
+    """
+    ax = axes_of(ax, 3.8)
+    limit = found.spec.settling_time
+    levels = [limit * share for share in (0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0)]
+    filled = ax.contourf(found.kp, found.kd, found.settling_time.T, levels, cmap="Greys", extend="min")
+    if ax.figure is not None:
+        ax.figure.colorbar(filled, ax=ax, label="Settling time [s]")
+    if found.feasible.any() and not found.feasible.all():
+        ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=INK)
+    pair = found.least_noise
+    if pair is not None:
+        ax.plot(*pair, marker="o", linestyle="none", color=INK, label="least noise")
+        ax.legend()
+    ax.set_xlabel(f"Kp [{command_unit}/{length_unit}]")
+    ax.set_ylabel(f"Kd [{command_unit} s/{length_unit}]")
+    ax.set_title(title)
     return ax

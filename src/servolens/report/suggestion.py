@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servolens.design import PDSpec, evaluate
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError
 
 if TYPE_CHECKING:
     from servolens.identification import Identification
@@ -44,7 +44,6 @@ def suggested_spec(fit: Identification) -> PDSpec | None:
         settling_time=max(12.0 / natural, 4 * sample_time),
         band=band,
         reference=step,
-        kd_max=_round_up(max(6.0 * natural - plant.damping, natural) / plant.gain),
         sample_time=sample_time,
         derivative_filter=record.controller.derivative_filter,
     )
@@ -65,11 +64,10 @@ def _possible(**fields: Any) -> PDSpec | None:
 def _shortest(plant: Plant, spec: PDSpec) -> float | None:
     """Return the shortest settling time of any gain [s]."""
     times = []
-    for kd in np.linspace(0.0, spec.kd_max, GAINS):
-        try:
-            found = evaluate(plant, spec, float(kd)).settling_time
-        except NumericalError:
-            continue
+    natural = math.sqrt(plant.gain * spec.kp)
+    last = max(6.0 * natural - plant.damping, natural) / plant.gain
+    for kd in np.linspace(0.0, last, GAINS):
+        found = evaluate(plant, spec, float(kd)).settling_time
         if found is not None and found > 0:
             times.append(found)
     return min(times, default=None)

@@ -8,7 +8,8 @@ from servolens.summaries.wording import inside, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from servolens.design.spec import Comparison, Design, PDSpec, Response
+    from servolens.design.found import Comparison, Design, Response
+    from servolens.design.spec import PDSpec
 
 __all__ = ["comparison_summary", "design_summary"]
 
@@ -36,6 +37,7 @@ def design_summary(design: Design, *, length_unit: str = "m", command_unit: str 
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
         _asked(spec, length_unit, command_unit),
+        *_program(design),
     ]
     return Summary(
         title="Design",
@@ -99,7 +101,7 @@ def _elsewhere(design: Design) -> str:
 
 def _margin(design: Design, kd_unit: str) -> list[str]:
     kd, high = design.kd or 0.0, design.intervals[0][1]
-    if high >= design.spec.kd_max:
+    if high >= design.certificate.searched[1]:
         return [f"Every larger gain up to the end of the search, {number(high)} {kd_unit}, meets it too."]
     fragile = high - kd < FRAGILE * kd
     tail = ": a narrow interval, so this gain is fragile" if fragile else ""
@@ -119,13 +121,35 @@ def _simulated(design: Design, command_unit: str) -> list[str]:
     ]
 
 
+def _program(design: Design) -> list[str]:
+    if design.doubt is not None:
+        return [_stop(design.doubt)]
+    if not design.candidates:
+        return []
+    return ["CasADi's nonlinear program finds the same least gains within the search's gap."]
+
+
 def _intervals(design: Design, kd_unit: str) -> Table:
     rows = [(str(i), *inside(*interval)) for i, interval in enumerate(design.intervals, start=1)]
     return Table(
         title="Gains that meet the spec",
         columns=("Interval", f"kd from [{kd_unit}]", f"kd to [{kd_unit}]"),
         rows=tuple(rows),
-        note=f"Searched from 0 to {number(design.spec.kd_max)}; ends are known within {number(design.gap, 2)}.",
+        note=_searched(design),
+    )
+
+
+def _searched(design: Design) -> str:
+    certificate = design.certificate
+    end = " (beyond, this plant would be too slow)" if certificate.end_from_plant else ""
+    trusted = {
+        "enclosure": "proven by enclosures",
+        "sensitivity": "by the measured sensitivity to the gain",
+    }[certificate.kind]
+    return (
+        f"Searched from 0 to {number(certificate.searched[1])}{end}, "
+        f"each step watched for {number(certificate.horizon)} s; "
+        f"what is overlooked is narrower than {number(certificate.gap, 2)} ({trusted})."
     )
 
 
@@ -152,6 +176,8 @@ def _verdict(kind: str, design: Design, response: Response | None, kd_unit: str)
         return f"{kind.capitalize()} model: {_stop(design.reason)}"
     start = f"With the {kind} recommendation kd = {_gain(design)} {kd_unit}"
     asked = f"{number(design.spec.settling_time)} s"
+    if not response.stable:
+        return f"{start} the loop is unstable on the nonlinear plant."
     if response.settling_time is None:
         return f"{start} the nonlinear plant does not settle and misses the {asked} target."
     took = f"{start} the nonlinear plant settles in {number(response.settling_time)} s"

@@ -1,0 +1,61 @@
+"""The least gain of the paper's cart NLm3 (kp 100, 1 % in 0.5 s), the whole range of gains from 0 to 20 covered.
+
+The rival is what a script with python-control would do: ``input_output_response`` and ``step_info`` for each gain of a
+grid as fine as the gap of ours. A few gains are timed and the rest is counted. Beside it stand the times of CasADi's
+program (in each interval, the search included) and of a proof by enclosures.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import control as ct
+import numpy as np
+from harness import Figure, alternate
+
+from servolens.bridge import SOLVER, closed_loop
+from servolens.design import PDSpec, tune
+from servolens.effects import VelocityDecayDamping
+from servolens.plant import Plant
+
+CART = Plant(gain=1.91, damping=3.799, effects=(VelocityDecayDamping(alpha1=15.2528, alpha2=5.9934),))
+SPEC = PDSpec(kp=100.0, settling_time=0.5, control="continuous", kd_max=20.0)
+FEW = 5
+
+
+def figures() -> list[Figure]:
+    """Measure."""
+    found = tune(CART, SPEC)
+    grid = np.arange(0.0, 10.0 * SPEC.settling_time, SPEC.sample_time)
+
+    def rival() -> None:
+        for kd in np.linspace(1.0, 15.0, FEW):
+            loop = closed_loop(CART, SPEC.kp, float(kd))
+            response: Any = ct.input_output_response(
+                loop, grid, np.full(grid.size, SPEC.reference), solve_ivp_kwargs=SOLVER
+            )
+            ct.step_info(response.states[0], grid, SettlingTimeThreshold=SPEC.band)
+
+    ours, program, theirs = alternate(
+        [lambda: tune(CART, SPEC), lambda: tune(CART, SPEC, with_program=True), rival], seconds=6.0
+    )
+    gains = (found.certificate.searched[1] - found.certificate.searched[0]) / found.certificate.gap
+    start = time.perf_counter()
+    proven = tune(CART, SPEC, certify=True).certificate
+    proof = time.perf_counter() - start
+    name = "least kd of NLm3 over [0, 20]"
+    return [
+        Figure(name=f"{name}: time", value=ours, unit="s", target=0.1, better="lower"),
+        Figure(name=f"{name}: gap", value=found.certificate.gap, unit="V s/m", target=1e-3, better="lower"),
+        Figure(
+            name=f"{name}: faster than a grid of python-control",
+            value=theirs / FEW * gains / ours,
+            unit="times",
+            target=1000,
+            better="higher",
+        ),
+        Figure(name=f"{name}: time with CasADi's program", value=program, unit="s", target=None, better="lower"),
+        Figure(name=f"{name}: time of a proof by enclosures", value=proof, unit="s", target=None, better="lower"),
+        Figure(name=f"{name}: gap of the proof", value=proven.gap, unit="V s/m", target=None, better="lower"),
+    ]

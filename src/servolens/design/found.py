@@ -1,0 +1,213 @@
+"""What a design found: gains, how far they can be trusted, and simulated steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from servolens.design.spec import PDSpec
+
+__all__ = ["Certificate", "Comparison", "Design", "Relaxed", "Response"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """A simulated step response with one gain, measured against a spec.
+
+    Attributes
+    ----------
+    kd : float
+        Derivative gain [V s/m].
+    settling_time : float or None
+        When the error enters the band for good [s]; None if it does not within the horizon.
+    overshoot : float
+        Fraction of the step.
+    peak_voltage : float
+        Largest |V| that the controller asks for [V].
+    final_error : float
+        Fraction of the step.
+    meets : bool
+        Whether all of the spec holds.
+    stable : bool
+        Whether the axis stays within all bounds; if not, overshoot, voltage and error are infinite.
+    """
+
+    kd: float
+    settling_time: float | None
+    overshoot: float
+    peak_voltage: float
+    final_error: float
+    meets: bool
+    stable: bool = True
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields; what is not reached, or grows without bound, is null with a reason."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        result = {name: value if value is None or np.isfinite(value) else None for name, value in values.items()}
+        if not self.stable:
+            result["reason"] = "the loop is unstable with this gain"
+        elif self.settling_time is None:
+            result["reason"] = "the error does not stay within the band before the simulation's horizon"
+        return result
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certificate:
+    """What the search for the least gain shows.
+
+    Attributes
+    ----------
+    searched : tuple of float
+        Range of gains [V s/m].
+    gap : float
+        The least gain is known within this much, and what is overlooked, a feasible interval or a hole in one, is
+        narrower [V s/m].
+    kind : {"enclosure", "sensitivity"}
+        ``"enclosure"``: a theorem up to rounding, for the plant and the loop as they are modelled and for the horizon.
+        ``"sensitivity"``: between simulated gains, signals depart from straight lines by no more than twice what was
+        measured there: a measured modulus of continuity.
+    horizon : float
+        How long each step was watched [s].
+    end_from_plant : bool
+        Whether the end of the search was not stated but follows from the plant.
+    """
+
+    searched: tuple[float, float]
+    gap: float
+    kind: Literal["enclosure", "sensitivity"]
+    horizon: float
+    end_from_plant: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {**{f.name: getattr(self, f.name) for f in fields(self)}, "searched": list(self.searched)}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Relaxed:
+    """The feasible spec nearest to an infeasible one.
+
+    Attributes
+    ----------
+    changes : tuple of (str, float)
+        Fields of the spec that give way, and to what.
+    kd : float
+        A gain that then meets the spec [V s/m].
+    """
+
+    changes: tuple[tuple[str, float], ...]
+    kd: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the changed fields, and the gain."""
+        return {**dict(self.changes), "kd": self.kd}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Design:
+    """The least derivative gain that meets a spec.
+
+    Attributes
+    ----------
+    spec : PDSpec
+        What was asked, with the end of the search.
+    kd : float or None
+        The least gain; None if none meets the spec.
+    intervals : tuple of (float, float)
+        All feasible gains in the searched range, for all models at once.
+    certificate : Certificate
+        What was searched, and how far that can be trusted.
+    candidates : tuple of float or None
+        On request: the local optimum of CasADi's nonlinear program in each interval. None where it found none, or one
+        that fails when it is simulated. The program smooths dry friction; the ends of `intervals` are the exact loop's.
+    doubt : str or None
+        Where the nonlinear program, or a proof, contradicts the search by more than the gap.
+    verified : tuple of Response
+        Exact simulation at `kd`, a model each.
+    conflict : tuple of str
+        Fields of the spec that no gain can meet together; empty if the spec can be met.
+    nearest : tuple of Relaxed
+        Specs that can be met, with as few fields changed as possible.
+    reason : str or None
+        Why there is none.
+    """
+
+    spec: PDSpec
+    kd: float | None
+    intervals: tuple[tuple[float, float], ...]
+    certificate: Certificate
+    candidates: tuple[float | None, ...] = ()
+    doubt: str | None = None
+    verified: tuple[Response, ...] = ()
+    conflict: tuple[str, ...] = ()
+    nearest: tuple[Relaxed, ...] = ()
+    reason: str | None = None
+
+    @property
+    def feasible(self) -> bool:
+        """Whether any gain meets the spec."""
+        return self.kd is not None
+
+    @property
+    def margin(self) -> float | None:
+        """How far the gain may rise before the spec breaks [V s/m]."""
+        return None if self.kd is None else self.intervals[0][1] - self.kd
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.design/1`` without the file's header."""
+        worst = max(self.verified, key=lambda r: np.inf if r.settling_time is None else r.settling_time, default=None)
+        result: dict[str, Any] = {
+            "feasible": self.feasible,
+            "kd": self.kd,
+            "kp": self.spec.kp,
+            "settling_time": None if worst is None else worst.settling_time,
+            "intervals": [list(interval) for interval in self.intervals],
+            "gains": {"kp": self.spec.kp, "kd": self.kd},
+            "certificate": self.certificate.to_json(),
+            "candidates": list(self.candidates),
+            "margin": self.margin,
+            "verified": None if worst is None else worst.to_json(),
+            "models": [response.to_json() for response in self.verified],
+            "spec": self.spec.to_json(),
+        }
+        if self.reason is not None:
+            result["reason"] = self.reason
+            result["conflict"] = list(self.conflict)
+            result["nearest"] = [relaxed.to_json() for relaxed in self.nearest]
+        if self.doubt is not None:
+            result["doubt"] = self.doubt
+        return result
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """Linear and nonlinear recommendation side by side.
+
+    Attributes
+    ----------
+    linear, nonlinear : Design
+        Each designed on its own model.
+    linear_on_nonlinear : Response or None
+        The linear recommendation run on the nonlinear plant; None if there is none.
+    """
+
+    linear: Design
+    nonlinear: Design
+    linear_on_nonlinear: Response | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.comparison/1`` without the file's header."""
+        on = self.linear_on_nonlinear
+        own = self.nonlinear.verified[0].to_json() if self.nonlinear.verified else None
+        return {
+            "linear": {**self.linear.to_json(), "on_nonlinear": None if on is None else on.to_json()},
+            "nonlinear": {**self.nonlinear.to_json(), "on_nonlinear": own},
+        }
