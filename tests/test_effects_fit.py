@@ -1002,3 +1002,19 @@ def test_initial_state_that_shows_nowhere_stays_where_it_is():
     found = minimise_error(Plant(gain=1.0, damping=0.0), [Blind()], FitOptions(held=("damping",)), noise=1e-6)
     assert found.plant.gain == pytest.approx(0.1, abs=1e-9)
     assert found.starts[0][1] == 0.0
+
+
+# --- bounds
+
+
+def test_parameter_stays_within_its_bounds_and_says_that_it_ended_there():
+    fit = fit_effects(logged(STICKY), [CoulombFriction(level=0.3)], options=FitOptions(bounds={"gain": (2.0, 3.0)}))
+    assert fit.plant.gain == pytest.approx(2.0)
+    assert "gain ended at the end of its range" in " ".join(finding.message for finding in fit.findings)
+
+
+def test_bounds_that_are_no_range_or_of_no_parameter_are_refused():
+    with pytest.raises(InputError, match=r"bounds of gain must be a least and a larger value; got 3.0 and 2.0"):
+        FitOptions(bounds={"gain": (3.0, 2.0)})
+    with pytest.raises(InputError, match="mass"):
+        fit_effects(logged(STICKY), [CoulombFriction(level=0.3)], options=FitOptions(bounds={"mass": (1.0, 2.0)}))
