@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import NumericalError
 from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.error_problem import COARSE, FINE, Point, Problem
@@ -17,7 +16,6 @@ from servolens.identification.rounding import DRAWS, dominates, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
-from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,7 +34,6 @@ __all__ = [
     "DOWN_TO_NOISE",
     "Refinement",
     "Weights",
-    "closed_loop_rms",
     "followed",
     "minimise_error",
     "refine",
@@ -187,16 +184,6 @@ def refine_closed_loop(
     steps = [step for record in records for step in settled_steps(record)]
     runs: list[Run] = [ClosedRun(step, 0) for step in steps]
     return minimise_error(plant, runs, FitOptions(held=tuple(held), priors=priors or {}), noise=noise)
-
-
-def closed_loop_rms(plant: Plant, records: Sequence[Record]) -> float:
-    """Return the root mean square closed-loop error of `plant` on the steps [m or rad]; infinite if it is unstable."""
-    steps = [step for record in records for step in settled_steps(record)]
-    try:
-        squares = [float(np.sum((simulate(plant, step).position - step.position) ** 2)) for step in steps]
-    except NumericalError:
-        return float(np.inf)
-    return float(np.sqrt(sum(squares) / sum(len(step) for step in steps)))
 
 
 def minimise_error(
