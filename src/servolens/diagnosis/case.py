@@ -35,9 +35,6 @@ __all__ = ["Case"]
 
 RIPPLES = 3
 """Times that a ripple of the mains is looked for: the strongest lines hide others."""
-WANDERS = 50.0
-"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
-constant is 5000 samples. What wanders so far is what the model lacks."""
 
 
 @final
@@ -139,9 +136,8 @@ class Case:
         """
         noise = hypothesis.noise
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
-        wanders = noise.rate == 0.0 and noise.spread > WANDERS * noise.innovation
         asked = hypothesis if noise.rate == 0.0 else self.likelihood.whitened_well(hypothesis)
-        if wanders or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+        if noise.wanders or depends_on_inputs(ScoreTest(self.likelihood, asked)):
             return True
         if not closed or (noise.rate == 0.0 and noise.order == 0):
             return False
@@ -175,7 +171,7 @@ class Case:
         for plant in structures:
             with suppress(InputError, NumericalError):
                 found = likelihood.judged(plant)
-                is_simulation = found is not None and found.noise.rate == 0.0
+                is_simulation = found is not None and found.noise.rate == 0.0 and not found.noise.wanders
                 if found is not None and is_simulation and not depends_on_inputs(ScoreTest(likelihood, found)):
                     return found.plant
         return None

@@ -13,7 +13,7 @@ from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
-from servolens.identification.structure import depends_on_inputs
+from servolens.identification.structure import depends_on_inputs, is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -126,6 +126,8 @@ def explained(
     if found is not None and is_enough:
         found = _with_slow_noise(likelihood, found)
         is_enough = not _outlasts(likelihood, found)
+        if is_enough and found.noise.rate > 0.0:
+            is_enough = is_shaking(likelihood, found)
         if is_enough and found.noise.rate == 0.0:
             return Explained(likelihood, found, is_enough)
     loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)

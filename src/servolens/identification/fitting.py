@@ -13,11 +13,9 @@ from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
 from servolens.identification.runs import ClosedRun, closed_runs
-from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
 from servolens.identification.smoothing import speed_of
-from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
-from servolens.simulation.loop import simulate
+from servolens.identification.structure import is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -129,22 +127,6 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return _closed(records, [h.plant for h in found], options)
     except NumericalError:
         return observed
-
-
-def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
-    """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
-
-    Asked are its innovations, and the loop simulated from the reference, which no observer corrects.
-    """
-    try:
-        if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
-            return False
-        plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
-        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
-    except (InputError, NumericalError):
-        return False
-    errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
 
 
 def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:

@@ -27,6 +27,9 @@ SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
 REWEIGHTED, LEAST = 8, 1e-4
 """Times that the regression of squares is weighed by what it found, and share of their mean that the sensor's is."""
+WANDERS = 50.0
+"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
+constant is 5000 samples."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -112,6 +115,11 @@ class NoiseModel:
     def bleached(self, white: NoiseModel) -> NoiseModel:
         """Return the same observer beside `white` noise."""
         return replace(self, filters=white.filters, scales=white.scales, share=white.share)
+
+    @property
+    def wanders(self) -> bool:
+        """Whether it spreads farther than any sensor's: that is what the model lacks, taken up by the filter."""
+        return self.rate == 0.0 and self.spread > WANDERS * self.innovation
 
     def memory(self) -> float:
         """Return for how many samples the noise remembers: the sum of its autocorrelation from −∞ to ∞, at least 1."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.effects import DryFriction, Presliding
-from servolens.errors import ServolensError
+from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
-from servolens.identification.score import FALSE_ALARM
+from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
-    from servolens.identification.score import ScoreTest
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["depends_on_inputs", "forces_along", "is_chance", "loop_depends_on_inputs"]
+__all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking", "loop_depends_on_inputs"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -37,6 +37,8 @@ TOGETHER = 16
 """Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
 LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
+REGRESSORS = 6 + len(LOOP_LAGS)
+"""Of a loop's error: the simulation's motion, and the reference at these lags."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -59,6 +61,29 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     """
     tests = statistics(test)
     return any(statistic > limit for statistic, limit in tests) or _is_smoother_in_motion(test)
+
+
+def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
+    """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
+
+    Asked are its innovations, and the loop simulated from the reference, which no observer corrects. Records too short
+    for the latter cannot tell; then it is not taken for granted.
+    """
+    try:
+        if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
+            return False
+        plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
+        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
+    except (InputError, NumericalError):
+        return False
+    errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
+    long_enough = _counted(likelihood.records, likelihood.rate) > REGRESSORS
+    return long_enough and not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
+
+
+def _counted(records: Sequence[Record], rate: float) -> float:
+    """Return how many samples of a loop's error count: one in two time constants."""
+    return sum(record.duration for record in records) * rate / 2.0
 
 
 def loop_depends_on_inputs(
@@ -93,7 +118,7 @@ def loop_depends_on_inputs(
         columns.append(np.column_stack([np.ones(len(record)), *own, run.voltage, *moved]))
         errors.append(residual)
     rows, error = np.concatenate(columns), np.concatenate(errors)
-    counted = sum(record.duration for record in records) * rate / 2.0
+    counted = _counted(records, rate)
     rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     explained = error - rows @ np.linalg.lstsq(rows, error, rcond=1e-9)[0]
     left, free = float(explained @ explained), counted - rows.shape[1]
