@@ -37,8 +37,9 @@ TOGETHER = 16
 """Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
 LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
-REGRESSORS = 6 + len(LOOP_LAGS)
-"""Of a loop's error: the simulation's motion, and the reference at these lags."""
+REGRESSORS, TESTABLE = 6 + len(LOOP_LAGS), 3.0
+"""Of a loop's error: the simulation's motion, and the reference at these lags. Samples for each: with 20 degrees of
+freedom left, the F test at 0.001 finds what is 5 times the rest; with 2, only what is 1000 times."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -77,7 +78,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     except (InputError, NumericalError):
         return False
     errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    long_enough = _counted(likelihood.records, likelihood.rate) > REGRESSORS
+    long_enough = _counted(likelihood.records, likelihood.rate) > TESTABLE * REGRESSORS
     return long_enough and not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
 
 
