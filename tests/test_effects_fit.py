@@ -33,7 +33,7 @@ from servolens.effects import (
 )
 from servolens.effects import _offered as offered
 from servolens.errors import InputError, NumericalError
-from servolens.identification.doubts import doubts
+from servolens.identification.fit_findings import findings_of
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import minimise_error
@@ -284,7 +284,7 @@ def test_lower_minima_are_found_where_contacts_give_the_error_many():
         for looked, errors in off.items():
             found = minimise_error(start, runs, options, noise=1.0, coarse=True, local_minima=looked)
             errors.append(abs(found.plant.values[share] / truth.values[share] - 1.0))
-            assert ("non_smooth_error" in [finding.code for finding in doubts(found)]) != found.is_smooth
+            assert ("non_smooth_error" in [finding.code for finding in findings_of(found)]) != found.is_smooth
             said += not found.is_smooth
             lower.append(found.misfit)
     assert said
@@ -745,8 +745,8 @@ def test_search_that_did_not_end_says_so():
     runs = closed_runs([logged(STICKY)], FitOptions())
     start = Plant(gain=1.0, damping=3.0, effects=(CoulombFriction(level=0.5),))
     stopped = minimise_error(start, runs, FitOptions(), noise=SCATTER, allowance=1.0)
-    assert [finding.code for finding in doubts(stopped)][:1] == ["not_converged"]
-    assert "the refinement stopped before its optimum." in {finding.message for finding in doubts(stopped)}
+    assert [finding.code for finding in findings_of(stopped)][:1] == ["not_converged"]
+    assert "the refinement stopped before its optimum." in {finding.message for finding in findings_of(stopped)}
 
 
 # --- effects of other people

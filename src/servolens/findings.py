@@ -1,4 +1,4 @@
-"""Doubts about data or results, told beside the result and never changing it."""
+"""Findings about data or results, told beside the result and never changing it."""
 
 from __future__ import annotations
 

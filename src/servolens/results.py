@@ -36,7 +36,7 @@ def write_json(path: Path | str, kind: str, body: Mapping[str, Any], findings: I
     body : mapping
         The result's own fields.
     findings : iterable of Finding
-        Doubts, each told once.
+        Warnings and notes, each told once.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class Summary:
     tables : tuple of Table
         Numbers.
     findings : tuple of Finding
-        Doubts.
+        Warnings and notes.
     """
 
     title: str

@@ -133,7 +133,7 @@ class Demo:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Doubts of all identifications."""
+        """Findings of all identifications."""
         return tuple(finding for fit in self.fits for finding in fit.findings)
 
 

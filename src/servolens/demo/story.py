@@ -88,7 +88,7 @@ def _doubts(demo: Demo) -> Section:
         blocks.append(Findings(findings=demo.findings))
     else:
         blocks.append("The checks of the identification found nothing to warn of.")
-    return Section(key="doubts", title="What the data leave open", blocks=tuple(blocks))
+    return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
 
 
 def _fit(demo: Demo) -> Section:

@@ -64,13 +64,13 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
 
 def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Finding]]:
     """Take the last causes off the path that records to which they were not fitted do not confirm."""
-    path, doubts = list(found.path), []
+    path, findings = list(found.path), []
     while len(path) > 1 and not _is_confirmed(case, path):
         lost = ", ".join(name for name in path[-1].causes if name not in path[-2].causes)
         message = f"{lost} explains the training records only, not those held out; it is left out."
-        doubts.append(Finding(code="not_confirmed", severity="note", message=message))
+        findings.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
-    return path, doubts
+    return path, findings
 
 
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:

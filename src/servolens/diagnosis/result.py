@@ -1,4 +1,4 @@
-"""What a diagnosis says: verdict, causes, errors before and after, where the error is, and doubts."""
+"""What a diagnosis says: verdict, causes, errors before and after, where the error is, and findings."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Diagnosis:
     next_experiment : Experiment or None
         What would tell the rivals apart; None where there are none.
     findings : tuple of Finding
-        Doubts: about the logs first.
+        Warnings and notes: about the logs first.
     records, heldout : tuple of Record
         The measurements.
     """

@@ -8,11 +8,11 @@ import numpy as np
 
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import decided
-from servolens.diagnosis.doubts import missed_by_far, said
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings
+from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
 from servolens.diagnosis.remainder import MATERIAL, remainder_of

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.error_problem import Problem
+from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import InitialState
 from servolens.identification.refine import Refinement, minimise_error

@@ -34,7 +34,7 @@ NAMES = ("damping", "gain")
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class ConstantFit:
-    """The model, what is left beside it, and doubts."""
+    """The model, what is left beside it, and findings."""
 
     model: Model
     left: Explained

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
 from servolens.identification.door import check_names, together
-from servolens.identification.doubts import above_noise, doubts
+from servolens.identification.fit_findings import above_noise, findings_of
 from servolens.identification.fitting import (
     check_loops,
     final_fit,
@@ -170,7 +170,7 @@ def fit_effects(
         driven=found.driven,
         noise_model=found.noise,
         noise=level,
-        findings=(*above_noise(simulation_error(found, asked), level), *doubts(refined)),
+        findings=(*above_noise(simulation_error(found, asked), level), *findings_of(refined)),
         records=found.records,
         options=asked,
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.identification.doubts import doubts
+from servolens.identification.fit_findings import findings_of
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import Model
 
@@ -65,4 +65,4 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         identified_from=tuple(record.name for record in likelihood.records),
         reasons=names,
     )
-    return Fitted(model, refined, doubts(refined))
+    return Fitted(model, refined, findings_of(refined))

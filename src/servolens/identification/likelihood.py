@@ -11,8 +11,8 @@ import numpy as np
 
 from servolens.effects import Actuator, Delay, Sensor, Transmission
 from servolens.errors import InputError, NumericalError
-from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.error_problem import COARSE, FINE, Problem
+from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.noise import NoiseModel
 from servolens.identification.noise_search import NoiseTrials
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun

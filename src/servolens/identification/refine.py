@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.conditioning import determined, open_directions
-from servolens.identification.descent import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.error_problem import COARSE, FINE, Point, Problem
+from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
 from servolens.identification.options import FitOptions
 from servolens.identification.rounding import DRAWS, dominates, rounded

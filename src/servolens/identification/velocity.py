@@ -42,7 +42,7 @@ NO_DEPENDENCE = "damping does not depend on speed within its error, so the rate 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class VelocityFit:
-    """The model, the stretches of motion it began from, what is left beside it, and doubts."""
+    """The model, the stretches of motion it began from, what is left beside it, and findings."""
 
     model: Model
     segments: tuple[Segment, ...]

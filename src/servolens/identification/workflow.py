@@ -67,7 +67,7 @@ class Identification:
     errors : mapping of str to tuple of RecordError
         Of each model, closed loop on each record.
     findings : tuple of Finding
-        Doubts.
+        Warnings and notes.
     """
 
     records: tuple[Record, ...]

@@ -108,8 +108,8 @@ def assess(record: Record) -> RecordQuality:
     (True, ())
     """
     sampling = measure(record)
-    fit, doubts = _loop(record, sampling)
-    told = any(doubt.code in FATAL for doubt in doubts)
+    fit, findings = _loop(record, sampling)
+    told = any(finding.code in FATAL for finding in findings)
     seen = (
         *sampling_findings(record, sampling),
         *(() if told else sense_findings(record, sampling, law_holds=fit is not None and fit.holds)),
@@ -117,7 +117,7 @@ def assess(record: Record) -> RecordQuality:
         *jump_findings(record, sampling),
         *spike_findings(record, sampling),
         *_beginning(record, sampling, fit),
-        *doubts,
+        *findings,
     )
     findings = (*record.remarks, *(replace(finding, record=record.name) for finding in seen))
     return _quality(record, sampling, fit, findings)
@@ -156,7 +156,7 @@ def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Finding, ...]]:
-    """Return the fitted control law and doubts about it, but for those that are only of samples that stick out."""
+    """Return the fitted control law and findings about it, but for those that are only of samples that stick out."""
     fit = fit_loop(record, sampling)
     found = tuple(loop_findings(record, fit))
     mended = without_spikes(record) if found else record
@@ -167,7 +167,7 @@ def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Fin
 
 
 def _beginning(record: Record, sampling: Sampling, fit: LoopFit | None) -> Iterator[Finding]:
-    """Yield doubts about the beginning, but for a shift that the control law tells better."""
+    """Yield findings about the beginning, but for a shift that the control law tells better."""
     for finding in beginning_findings(record, sampling):
         if finding.code != "reference_shifted" or fit is None or fit.alternative is None:
             yield finding

@@ -127,7 +127,7 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
 
 
 def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
-    """Yield doubts about voltage and controller."""
+    """Yield findings about voltage and controller."""
     if record.controller is not None and record.reference is not None:
         try:
             law_columns(record)

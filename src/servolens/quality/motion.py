@@ -21,7 +21,7 @@ __all__ = ["motion_findings"]
 
 
 def motion_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
-    """Yield doubts about the motion; without motion there is nothing else to doubt."""
+    """Yield findings about the motion; without motion there are no others."""
     excitation = _excitation(record, seen)
     if excitation is not None:
         yield excitation

@@ -134,7 +134,7 @@ def quantisation_step(position: NDArray[np.float64]) -> float | None:
 
 
 def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
-    """Yield doubts about the clock and the sensor."""
+    """Yield findings about the clock and the sensor."""
     if len(record) < FEWEST_SAMPLES:
         message = f"the record has {len(record)} samples; at least {FEWEST_SAMPLES} are needed, log longer or faster."
         yield Finding(code="too_few_samples", severity="error", message=message)

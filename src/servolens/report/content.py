@@ -53,7 +53,7 @@ class Details:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """Doubts, told where they stand.
+    """Warnings and notes, told where they stand.
 
     Parameters
     ----------

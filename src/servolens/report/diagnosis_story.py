@@ -20,8 +20,8 @@ from servolens.report.page import write_page
 from servolens.report.wording import shown, symbol_text
 from servolens.summaries.diagnosis import (
     advice,
-    doubts,
-    log_doubts,
+    findings_of,
+    log_findings,
     next_sentences,
     noise_sentences,
     remaining_sentences,
@@ -72,7 +72,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
         Section(key="wrong", title=wrong, blocks=_wrong(diagnosis)),
         Section(key="causes", title=WHY[diagnosis.verdict], blocks=_why(diagnosis)),
         Section(key="gain", title="Record by record", blocks=_gain(diagnosis)),
-        Section(key="doubts", title="Doubts", blocks=_doubts(diagnosis)),
+        Section(key="findings", title="Warnings and notes", blocks=_findings(diagnosis)),
     ]
     more = [*_log(diagnosis), *remaining_sentences(diagnosis), *noise_sentences(diagnosis), _tested(diagnosis)]
     write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
@@ -87,8 +87,8 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
 
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:
     """Return what is wrong with the logs, which comes before all physics."""
-    doubts = log_doubts(diagnosis)
-    return ["First mend the logs: what follows may come of this.", Findings(findings=doubts)] if doubts else []
+    found = log_findings(diagnosis)
+    return ["First mend the logs: what follows may come of this.", Findings(findings=found)] if found else []
 
 
 def _tested(diagnosis: Diagnosis) -> str:
@@ -154,6 +154,6 @@ def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     return (*figure, records_table(diagnosis))
 
 
-def _doubts(diagnosis: Diagnosis) -> tuple[Block, ...]:
-    found = doubts(diagnosis)
+def _findings(diagnosis: Diagnosis) -> tuple[Block, ...]:
+    found = findings_of(diagnosis)
     return (Findings(findings=found),) if found else ("Neither the records nor the fits gave cause for doubt.",)

@@ -64,7 +64,7 @@ class Measured:
     suggested : bool
         Whether the spec was chosen here.
     findings : tuple of Finding
-        Doubts, worst first.
+        Warnings and notes, worst first.
     """
 
     records: tuple[Record, ...]

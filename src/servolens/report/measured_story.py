@@ -125,7 +125,7 @@ def _doubts(measured: Measured) -> Section:
         blocks.append(
             "There is one record: nothing is held out, so how well the models predict other gains is not known."
         )
-    return Section(key="doubts", title="What the data leave open", blocks=tuple(blocks))
+    return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
 
 
 def _models(measured: Measured) -> Section:

@@ -16,7 +16,7 @@ __all__ = ["check_summary"]
 
 
 def check_summary(qualities: Sequence[RecordQuality], *, length_unit: str = "m") -> Summary:
-    """Tell which records can be used, and how they were sampled; doubts are the summary's findings.
+    """Tell which records can be used, and how they were sampled; warnings are the summary's findings.
 
     Parameters
     ----------
@@ -26,10 +26,10 @@ def check_summary(qualities: Sequence[RecordQuality], *, length_unit: str = "m")
         Of the records.
     """
     unfit = [quality.name for quality in qualities if not quality.usable]
-    doubts = sum(finding.severity == "warning" for quality in qualities for finding in quality.findings)
+    warnings = sum(finding.severity == "warning" for quality in qualities for finding in quality.findings)
     return Summary(
         title="Check",
-        sentences=(_verdict(len(qualities), unfit), *_counted(doubts)),
+        sentences=(_verdict(len(qualities), unfit), *_counted(warnings)),
         tables=(_table(qualities, length_unit),),
         findings=tuple(finding for quality in qualities for finding in quality.findings),
     )
@@ -45,10 +45,12 @@ def _verdict(count: int, unfit: Sequence[str]) -> str:
     return f"{len(unfit)} of {count} records are unfit for identification as they are: {listed(unfit)}."
 
 
-def _counted(doubts: int) -> list[str]:
-    if not doubts:
+def _counted(warnings: int) -> list[str]:
+    if not warnings:
         return []
-    return [f"{'One warning says' if doubts == 1 else f'{doubts} warnings say'} what to know before trusting a number."]
+    return [
+        f"{'One warning says' if warnings == 1 else f'{warnings} warnings say'} what to know before trusting a number."
+    ]
 
 
 def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
@@ -73,7 +75,7 @@ def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
             "Sample time [ms]",
             "Duration [s]",
             f"Noise [{length}]",
-            "Doubts",
+            "Warnings and notes",
             "Usable",
         ),
         rows=tuple(rows),

@@ -12,13 +12,13 @@ from servolens.identification.refine import AT_NOISE
 if TYPE_CHECKING:
     from servolens.identification.refine import Refinement
 
-__all__ = ["above_noise", "doubts"]
+__all__ = ["above_noise", "findings_of"]
 
 ALIKE = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
 
 
-def doubts(refined: Refinement) -> tuple[Finding, ...]:
+def findings_of(refined: Refinement) -> tuple[Finding, ...]:
     """Return what the search itself says against its result."""
     return (*_unfinished(refined), *_non_smooth(refined), *_at_bounds(refined), *_vague(refined), *_alike(refined))
 
