@@ -18,10 +18,9 @@ from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import InitialState
 from servolens.identification.refine import Refinement, minimise_error
+from servolens.identification.runs import ClosedLoop
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import forces_along, is_chance
-from servolens.simulation.circumstances import plant_in
-from servolens.simulation.loop import Simulation, simulate_trial, without_gaps
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,39 +54,21 @@ class LoopRun:
     """A record in closed loop; what is missed is whitened, and the initial state is held to its prior."""
 
     def __init__(self, record: Record, group: int, noise: NoiseModel) -> None:
-        assert record.reference is not None  # noqa: S101 - fit_loop
-        assert record.controller is not None  # noqa: S101 - fit_loop
-        self.group, self.record, self.measured = group, record, record.position
+        self.group, self.measured = group, record.position
         self.samples = record.position.size
         speed = speed_of(record.time, record.position)
         self.whiten = Whitener(record.position, speed, noise)
         self._initial = InitialState.of(record, noise.floor)
-        self.time, held, self._index = without_gaps(record.time)
-        self._reference = np.ascontiguousarray(record.reference[held])
-        self._added = None if record.feedforward is None else record.feedforward[held]
-        self._controller = record.controller
-        self.sample_time = float(np.max(np.diff(self.time)))
+        self._loop = ClosedLoop(record)
+        self.sample_time = self._loop.sample_time
         travel = SHIFT * max(float(np.ptp(record.position)), 1e-12)
         self.start = self._initial.mean
         self.shifts: tuple[float, ...] = (travel, travel / max(record.duration, 1e-3))
 
-    def simulated(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> Simulation:
-        """Return the loop on a grid without gaps."""
-        return simulate_trial(
-            plant_in(plant, self.record),
-            self._controller,
-            self.time,
-            self._reference,
-            feedforward=self._added,
-            start=(float(start[0]), float(start[1])),
-            before=self.record.voltage_before,
-            substeps=substeps,
-        )
-
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return simulated minus measured position, shape (n,) [m or rad]."""
-        found = self.simulated(plant, start, substeps).measured
-        return np.asarray((found if self._index is None else found[self._index]) - self.measured)
+        run = self._loop.simulated(plant, (float(start[0]), float(start[1])), substeps)
+        return np.asarray(self._loop.logged(run.measured) - self.measured)
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the same whitened, and how far the initial state is from its prior, in standard deviations."""
@@ -101,13 +82,15 @@ class LoopRun:
         """
         from scipy.signal import bilinear, lfilter
 
-        run = self.simulated(plant, start, substeps)
-        signals = (run.position, run.velocity, run.voltage)
-        y, v, u = (s if self._index is None else s[self._index] for s in signals)
+        run, controller = (
+            self._loop.simulated(plant, (float(start[0]), float(start[1])), substeps),
+            self._loop.controller,
+        )
+        y, v, u = (self._loop.logged(signal) for signal in (run.position, run.velocity, run.voltage))
         forces = forces_along([(y, v, u)])[0]
-        kp, kd = self._controller.kp, self._controller.kd
+        kp, kd = controller.kp, controller.kd
         loop = [1.0, plant.damping + plant.gain * kd, plant.gain * kp]
-        weights = bilinear([1.0], loop, 1.0 / float(np.median(np.diff(self.time))))
+        weights = bilinear([1.0], loop, 1.0 / float(np.median(np.diff(self._loop.time))))
         return self.whiten(np.ascontiguousarray(lfilter(*weights, forces, axis=1).T))
 
 

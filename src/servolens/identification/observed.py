@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
-from servolens.identification.runs import rest
+from servolens.identification.runs import ClosedLoop, rest
 from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.loop import simulate_observed, simulate_trial, without_gaps
+from servolens.simulation.loop import simulate_observed, without_gaps
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -36,15 +36,6 @@ FOLLOWS = 8.0
 """Rate of the observer that tells the speed, in units of the loops' own: of a plant that is only about the axis."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
-
-
-Value = TypeVar("Value")
-
-
-def required(value: Value | None) -> Value:
-    """Return what the caller has made sure is there."""
-    assert value is not None  # noqa: S101 - see above
-    return value
 
 
 @final
@@ -139,7 +130,8 @@ def _observed_speed(
 ) -> NDArray[np.float64]:
     """Return the velocity of an observer, which knows when the voltage steps: smoothing the position does not."""
     noise = replace(NoiseModel.white(1.0), rate=FOLLOWS * rate, corner=1e3 * rate, damping=max(plant.damping, 0.0))
-    observer = required(observer_of(noise, time, time, voltage))
+    observer = observer_of(noise, time, time, voltage)
+    assert observer is not None  # noqa: S101 - of this noise there is one
     try:
         return simulate_observed(
             plant,
@@ -257,16 +249,11 @@ class SimulatedRun:
         record = signals.record
         self.whiten = Whitener(record.position, np.zeros(len(record)), noise)
         self.samples = len(record)
-        self.sample_time = float(np.max(np.diff(record.time)))
+        self._loop = ClosedLoop(record, 0.0 if unpowered and applied_before(record) is None else None)
+        self.sample_time = self._loop.sample_time
         self.start: NDArray[np.float64] = np.empty(0)
         self.shifts: tuple[float, ...] = ()
         self._begin = (float(signals.initial.mean[0]), float(signals.initial.mean[1]))
-        self._time, held, self._index = without_gaps(record.time)
-        self._reference = np.ascontiguousarray(required(record.reference)[held])
-        self._added = np.zeros(self._time.size) if record.feedforward is None else record.feedforward[held]
-        self._before = applied_before(record)
-        if unpowered and self._before is None:
-            self._before = 0.0
 
     def missed(
         self,
@@ -280,19 +267,8 @@ class SimulatedRun:
 
         It begins as the first samples show; `start` is empty.
         """
-        record = self.signals.record
-        run = simulate_trial(
-            plant_in(plant, record),
-            required(record.controller),
-            self._time,
-            self._reference,
-            feedforward=self._added if push is None else self._added + push,
-            start=self._begin,
-            before=self._before,
-            substeps=substeps,
-        )
-        shown = run.measured if self._index is None else run.measured[self._index]
-        return shown - record.position
+        run = self._loop.simulated(plant, self._begin, substeps, push)
+        return np.asarray(self._loop.logged(run.measured) - self.signals.record.position)
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the difference in standard deviations."""

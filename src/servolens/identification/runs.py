@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     from servolens.identification.segments import Segment
     from servolens.plant import Plant
     from servolens.record import Record
+    from servolens.simulation.loop import Simulation
 
-__all__ = ["ClosedRun", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
+__all__ = ["ClosedLoop", "ClosedRun", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
 
 LONGEST_REST = 40
 """Most samples of rest before a step that are looked at."""
@@ -70,6 +71,48 @@ class Run(Protocol):
 
 
 @final
+class ClosedLoop:
+    """A record that is simulated from its reference, behind the amplifier's limit, on a grid without gaps.
+
+    Parameters
+    ----------
+    record : Record
+        With reference and controller.
+    before : float, optional
+        Voltage applied before it; what the record itself says when None.
+    """
+
+    def __init__(self, record: Record, before: float | None = None) -> None:
+        assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - callers see to it
+        self.record, self.controller = record, record.controller
+        self.time, held, self._index = without_gaps(record.time)
+        self._reference = np.ascontiguousarray(record.reference[held])
+        self._added = None if record.feedforward is None else record.feedforward[held]
+        self._before = applied_before(record) if before is None else before
+        self.sample_time = float(np.max(np.diff(self.time)))
+
+    def simulated(
+        self, plant: Plant, start: tuple[float, float], substeps: int, push: NDArray[np.float64] | None = None
+    ) -> Simulation:
+        """Return the loop from initial position and velocity `start`, with a voltage `push` added, if any."""
+        added = self._added if push is None else push if self._added is None else self._added + push
+        return simulate_trial(
+            _as_it_was(plant, self.record),
+            self.controller,
+            self.time,
+            self._reference,
+            feedforward=added,
+            start=start,
+            before=self._before,
+            substeps=substeps,
+        )
+
+    def logged(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what of a simulated `signal` stands at the record's own samples."""
+        return signal if self._index is None else signal[self._index]
+
+
+@final
 class ClosedRun:
     """A record in closed loop from the reference, behind the amplifier's limit.
 
@@ -101,17 +144,12 @@ class ClosedRun:
     ) -> None:
         if in_motion:
             record = with_history(record)
-        self.group, self._record, self._compared = group, record, compared
+        self.group, self._loop, self._compared = group, ClosedLoop(record), compared
         self.measured = applied_voltage(record) if compared == "voltage" else record.position
         self.samples = self.measured.size
         speed = np.abs(smooth(record.time, self.measured, min(21, self.samples))[1])
         self.whiten = Whitener(self.measured, speed, noise)
-        self._time, held, self._index = without_gaps(record.time)
-        assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - closed_runs
-        self._reference = np.ascontiguousarray(record.reference[held])
-        self._added = None if record.feedforward is None else record.feedforward[held]
-        self._controller, self._before = record.controller, applied_before(record)
-        self.sample_time = float(np.max(np.diff(self._time)))
+        self.sample_time = self._loop.sample_time
         self.start, self.shifts = _moving(record.time, record.position)
         self._deviation = np.inf
         if not in_motion:
@@ -122,21 +160,12 @@ class ClosedRun:
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
-        limit = self._record.voltage_limit
-        run = simulate_trial(
-            _as_it_was(plant, self._record),
-            self._controller,
-            self._time,
-            self._reference,
-            feedforward=self._added,
-            start=(float(start[0]), float(start[1]) if start.size > 1 else 0.0),
-            before=self._before,
-            substeps=substeps,
-        )
+        begin = float(start[0]), float(start[1]) if start.size > 1 else 0.0
+        run, limit = self._loop.simulated(plant, begin, substeps), self._loop.record.voltage_limit
         seen = run.measured
         if self._compared == "voltage":
             seen = run.voltage if limit is None else np.clip(run.voltage, -limit, limit)
-        return (seen if self._index is None else seen[self._index]) - self.measured
+        return np.asarray(self._loop.logged(seen) - self.measured)
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
