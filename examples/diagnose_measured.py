@@ -71,6 +71,8 @@ def show(
         before, after = (100.0 * error / steps[gain.name] for error in (gain.before, gain.after))
         what = gain.name + (", held out" if gain.heldout else "")
         print(f"   {what:28} {before:8.3g} → {after:.3g} % of the step")
+    left = found.remainder
+    print(f"   left: {100.0 * left.of_travel:.2g} % of the travel, {'material' if left.material else 'immaterial'}")
     for finding in found.findings:
         if finding.code in ("extrapolation", "small_remainder"):
             print(f"   {finding.record}: {finding.message}" if finding.record else f"   {finding.message}")

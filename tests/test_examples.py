@@ -15,7 +15,7 @@ SAYS = {
     "quickstart": "nonlinear model: kd = 3.8",
     "python_control": "phase margin",
     "cu_rotary_arm": "average, not used (held out)",
-    "diagnose_measured": "found on kP 1, 3 and 5: partly_explained",
+    "diagnose_measured": "% of the travel, immaterial",
     "emps": "fitted                  test (held out)       1.7",
     "kawata_arm": "this arm is a linear plant",
     "kawata_cart": "the cause is another one",

@@ -57,7 +57,7 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
     path, findings = _confirmed(found, case)
     first = Decision(case, found, tuple(path), tuple(findings))
-    if case.is_enough(path[-1]):
+    if case.is_enough(path[-1]) and not _is_stand_in(case, path[-1]):
         return first
     return _simulated(first, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
 
@@ -105,11 +105,26 @@ def _simulated(first: Decision, effort: Effort, tell: Callable[[str, float], Non
         return first
     other = _cross_validated(simulating, other)
     again = tuple(h for h in (case.likelihood.judged(step.plant) for step in other.path) if h is not None)
-    if len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1]):
+    explains = len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1])
+    if explains and not _is_stand_in(case, again[-1]):
         return Decision(case, replace(found, path=again), again, first.findings)
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):
         return first
     return Decision(simulating, other, other.path, ())
+
+
+def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether gain and damping alone, fitted to simulations, are closer to records that were not fitted.
+
+    Then the causes only help an observer to follow what they do not explain.
+    """
+    if not hypothesis.causes or hypothesis.noise.rate == 0.0:
+        return False
+    try:
+        simulating = case.simulating()
+    except NumericalError:
+        return False
+    return simulating.gains([simulating.base]).tested(0) < case.gains([hypothesis]).tested(0)
 
 
 def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:

@@ -66,7 +66,9 @@ def rival_plants(found: Search, chosen: Hypothesis, cause: Cause) -> tuple[Plant
 
 def _posterior(found: Search, chosen: Hypothesis, cause: str) -> float:
     """Return the share of the likelihood, prices paid, of the hypotheses that contain `cause`, or a general form."""
-    weights = {h.causes: (h, float(np.exp(-0.5 * (h.total - chosen.total)))) for h in (*found.judged, chosen)}
+    known = (*found.judged, chosen)
+    least = min(h.total for h in known)
+    weights = {h.causes: (h, float(np.exp(-0.5 * (h.total - least)))) for h in known}
     having = sum(w for h, w in weights.values() if _contains(h, cause))
     return having / max(sum(w for _, w in weights.values()), 1e-300)
 
