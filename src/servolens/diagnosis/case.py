@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Case"]
 
+REFITTED = 5e6
+"""Samples times substeps that a refit without one record may simulate: it begins at the optimum of all."""
 RIPPLES = 3
 """Times that a ripple of the mains is looked for: the strongest lines hide others."""
 
@@ -230,7 +232,7 @@ class Case:
             others = (*others, record.slice(float(record.time[0]), float(record.time[cut - 1])))
         try:
             found = self.likelihood.on(others).tried(
-                hypothesis.plant, hypothesis.noise, SOME, unpowered=hypothesis.unpowered
+                hypothesis.plant, hypothesis.noise, SOME, unpowered=hypothesis.unpowered, allowance=REFITTED
             )
         except (InputError, NumericalError):
             found = None

@@ -55,14 +55,14 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     if case.contradiction() is not None:  # no effect makes one axis of two
         return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
     found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
-    path, findings = _confirmed(found, case)
-    first = Decision(case, found, tuple(path), tuple(findings))
-    if case.is_enough(path[-1]) and not _is_stand_in(case, path[-1]):
-        return first
-    return _simulated(first, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+    if case.is_enough(found.chosen):
+        first = _confirmed(case, found)
+        if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
+            return first
+    return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
 
 
-def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Finding]]:
+def _confirmed(case: Case, found: Search) -> Decision:
     """Take the last causes off the path that records to which they were not fitted do not confirm."""
     path, findings = list(found.path), []
     while len(path) > 1 and not _is_confirmed(case, path):
@@ -70,7 +70,7 @@ def _confirmed(found: Search, case: Case) -> tuple[list[Hypothesis], list[Findin
         message = f"{lost} explains the training records only, not those held out; it is left out."
         findings.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
-    return path, findings
+    return Decision(case, found, tuple(path), tuple(findings))
 
 
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
@@ -85,31 +85,32 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     return path[-1].noise.rate == 0.0 or gains.tested(-1) < min(gains.tested(i) for i in range(len(path) - 1))
 
 
-def _simulated(first: Decision, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
+def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
     """Return what a search by simulations finds instead, where that predicts records better that were not fitted.
 
     A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
     who tunes wants the step. What the first search has found is where the second one begins: in closed loop effects
     hide each other, such as friction that damps and a delay that does the contrary.
     """
-    case, found, chosen = first.case, first.found, first.path[-1]
+    chosen = found.chosen
     try:
         simulating = case.simulating()
         base = simulating.base
         if _is_immaterial(simulating, base) and not _is_near(case, chosen):
             alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
-            return Decision(simulating, alone, (base,), first.findings)
-        known = simulating.fitted_to_simulations([h.plant for h in found.path[1:]])
+            return Decision(simulating, alone, (base,), ())
+        begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
+        known = simulating.fitted_to_simulations(list(begun.values()))
         other = search(simulating.trials, simulating.base, replace(effort, work=SECOND * effort.work), tell, known)
     except NumericalError:
-        return first
+        return _confirmed(case, found)
     other = _cross_validated(simulating, other)
     again = tuple(h for h in (case.likelihood.judged(step.plant) for step in other.path) if h is not None)
     explains = len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
-        return Decision(case, replace(found, path=again), again, first.findings)
+        return Decision(case, replace(found, path=again), again, ())
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):
-        return first
+        return _confirmed(case, found)
     return Decision(simulating, other, other.path, ())
 
 

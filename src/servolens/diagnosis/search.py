@@ -68,8 +68,8 @@ class Effort:
 
 
 EFFORT = {
-    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=6e7),
-    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=2.4e8),
+    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=5e7),
+    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=1.6e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
 """A hundred million samples and substeps take about eight seconds of one processor."""
