@@ -20,7 +20,7 @@ from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
-from servolens.identification.structure import depends_on_inputs, loop_depends_on_inputs
+from servolens.identification.structure import can_tell, depends_on_inputs, loop_depends_on_inputs
 from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
@@ -148,6 +148,8 @@ class Case:
             return True
         remembered = noise.memory() * self.records[0].sample_time
         rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
+        if noise.rate > 0.0 and not can_tell(self.records, errors, rate):
+            return True
         return loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate)
 
     def contradiction(self) -> Finding | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.diagnosis.json_values import finite
 from servolens.identification.segments import applied_voltage
+from servolens.identification.structure import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["MATERIAL", "Remainder", "remainder_of", "unexplained_acceleration"]
-
-MATERIAL = 0.005
-"""Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 
 
 @final

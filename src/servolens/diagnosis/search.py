@@ -161,7 +161,7 @@ class _Explorer:
         self.begun = self.likelihood.work
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
-        self._seen: set[frozenset[str]] = set()
+        self._seen: set[tuple[frozenset[str], bool]] = set()
 
     @property
     def left(self) -> float:
@@ -175,9 +175,11 @@ class _Explorer:
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         found: list[Hypothesis] = []
+        if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
+            beam = beam[:1]  # what leaves no more than sensor noise is no impostor
+        elif not self.likelihood.simulates:
+            beam = [*beam, *self._unobserved(beam[0])]
         for place, hypothesis in enumerate(beam):
-            if place > 0 and beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
-                break  # what leaves no more than sensor noise is no impostor
             found += self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
         found.sort(key=_total)
         if number == 0:
@@ -185,6 +187,12 @@ class _Explorer:
         known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = _distinct(found)[: self.effort.judged]
         return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
+
+    def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
+        likelihood = self.likelihood
+        found = likelihood.tried(hypothesis.plant, likelihood.white, SOME, unpowered=hypothesis.unpowered)
+        return [found] if found is not None else []
 
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
         """Tell whether rounding alone may make the `richer` hypothesis as much likelier."""
@@ -198,8 +206,9 @@ class _Explorer:
         trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
-        names = [n for n in catalogue() if frozenset((*hypothesis.causes, n)) not in self._seen]
-        self._seen |= {frozenset((*hypothesis.causes, name)) for name in names}
+        is_observed = hypothesis.noise.rate > 0.0
+        names = [n for n in catalogue() if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
+        self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
         scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
@@ -317,7 +326,10 @@ def _united(plant: Plant) -> Iterator[Plant]:
 
 def _distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the first of each set of effects."""
-    return list({frozenset(h.causes): h for h in reversed(found)}.values())[::-1]
+    first: dict[frozenset[str], Hypothesis] = {}
+    for hypothesis in found:
+        first.setdefault(frozenset(hypothesis.causes), hypothesis)
+    return list(first.values())
 
 
 def _total(hypothesis: Hypothesis) -> float:

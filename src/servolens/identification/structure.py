@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking", "loop_depends_on_inputs"]
+__all__ = [
+    "MATERIAL",
+    "can_tell",
+    "depends_on_inputs",
+    "forces_along",
+    "is_chance",
+    "is_shaking",
+    "loop_depends_on_inputs",
+]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -37,6 +45,8 @@ TOGETHER = 16
 """Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
 LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
+MATERIAL = 0.005
+"""Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 REGRESSORS, TESTABLE = 6 + len(LOOP_LAGS), 3.0
 """Of a loop's error: the simulation's motion, and the reference at these lags. Samples for each: with 20 degrees of
 freedom left, the F test at 0.001 finds what is 5 times the rest; with 2, only what is 1000 times."""
@@ -68,7 +78,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
 
     Asked are its innovations, and the loop simulated from the reference, which no observer corrects. Records too short
-    for the latter cannot tell; then it is not taken for granted.
+    for the latter cannot tell; then what matters is not taken for shaking.
     """
     try:
         if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
@@ -78,8 +88,26 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     except (InputError, NumericalError):
         return False
     errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    long_enough = _counted(likelihood.records, likelihood.rate) > TESTABLE * REGRESSORS
-    return long_enough and not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
+    if not can_tell(likelihood.records, errors, likelihood.rate):
+        return False
+    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
+
+
+def can_tell(records: Sequence[Record], errors: Sequence[NDArray[np.float64]], rate: float) -> bool:
+    """Tell whether records are long enough to call their simulations' errors shaking, or these too small to matter.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        With reference and controller.
+    errors : sequence of ndarray, shape (n,)
+        Of the simulation of each [m or rad].
+    rate : float
+        Of the loops [rad/s].
+    """
+    travel = max(float(np.ptp(record.position)) for record in records)
+    is_small = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= MATERIAL * travel
+    return is_small or _counted(records, rate) > TESTABLE * REGRESSORS
 
 
 def _counted(records: Sequence[Record], rate: float) -> float:
