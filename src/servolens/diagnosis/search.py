@@ -183,7 +183,7 @@ class _Explorer:
             found += self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
         found.sort(key=_total)
         if number == 0:
-            self.singles += found
+            self.singles += _distinct(found)
         known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = _distinct(found)[: self.effort.judged]
         return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
