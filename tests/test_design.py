@@ -55,7 +55,7 @@ def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
 def test_the_nonlinear_program_agrees_with_the_search(name: str, control: Literal["sampled", "continuous"]) -> None:
     spec = PDSpec(kp=100.0, settling_time=0.5, control=control)
     design = tune(MODELS[name], spec, with_program=True)
-    assert design.doubt is None
+    assert design.disagreement is None
     for candidate, (low, high) in zip(design.candidates, design.intervals, strict=True):
         assert candidate is not None
         assert low <= candidate <= high
@@ -69,9 +69,9 @@ def test_a_program_that_disagrees_is_said_and_its_infeasible_gain_is_not_printed
     monkeypatch.setattr("servolens.design.program.local_optimum", lambda *_: 3.7)
     design = tune(MODELS["NLm3"], SPEC, with_program=True)
     assert design.candidates == (None, None)
-    assert design.doubt is not None
-    assert "3.7 where the search found 3.78" in design.doubt
-    assert "disagrees" in str(design.to_json()["doubt"])
+    assert design.disagreement is not None
+    assert "3.7 where the search found 3.78" in design.disagreement
+    assert "disagrees" in str(design.to_json()["disagreement"])
 
 
 def test_a_gain_for_all_three_nonlinear_models() -> None:

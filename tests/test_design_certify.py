@@ -56,7 +56,7 @@ def test_a_linear_design_is_proven() -> None:
     proven = tune(LINEAR, COARSE, certify=True)
     assert found.certificate.kind == "sensitivity"
     assert proven.certificate.kind == "enclosure"
-    assert proven.doubt is None
+    assert proven.disagreement is None
     assert proven.intervals == found.intervals
     assert proven.certificate.gap <= 2.0 * found.certificate.gap
 
@@ -65,9 +65,9 @@ def test_a_wrong_design_is_contradicted() -> None:
     found = tune(LINEAR, COARSE)
     (low, high) = found.intervals[0]
     for intervals in (((low - 1.0, high),), ((low + 1.0, high),), ()):
-        _, doubt = proven_gap((LINEAR,), replace(found, intervals=intervals), 2.0)
-        assert doubt is not None
-        assert "contradicts the search at kd" in doubt
+        _, disagreement = proven_gap((LINEAR,), replace(found, intervals=intervals), 2.0)
+        assert disagreement is not None
+        assert "contradicts the search at kd" in disagreement
 
 
 @pytest.mark.parametrize("control", ["sampled", "continuous"])

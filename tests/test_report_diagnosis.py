@@ -31,7 +31,7 @@ from servolens.report.plots_diagnosis import (
 )
 from servolens.report.wording import symbol_text
 from servolens.summaries import diagnosis_summary
-from servolens.summaries.diagnosis import grouped, log_findings
+from servolens.summaries.diagnosis import findings_of_logs, grouped
 from servolens.summaries.diagnosis_tables import data_kinds
 from servolens.summaries.evidence import instrument_sentence, where_phrase
 
@@ -142,7 +142,7 @@ def test_first_doubt_of_a_kind_names_the_other_records(healthy):
     found = tuple(
         Finding(code="gaps", severity="warning", message=f"{n} samples are lost.", record=f"run {n}") for n in (3, 4, 5)
     )
-    (told,) = log_findings(replace(healthy, findings=found))
+    (told,) = findings_of_logs(replace(healthy, findings=found))
     assert (told.record, told.message) == ("run 3", "3 samples are lost. Likewise run 4 and run 5.")
 
 

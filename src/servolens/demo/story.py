@@ -54,7 +54,14 @@ def write_story(path: Path, demo: Demo) -> None:
         " physics and numerics are written separately from those that identify and simulate it; it obeys the very"
         " law that is fitted, so the errors here are what remains when the law is right, which no real machine grants.",
     )
-    sections = (_data(demo), _doubts(demo), _fit(demo), _validation(demo), design_section(demo), paper_section(demo))
+    sections = (
+        _data(demo),
+        _open_questions(demo),
+        _fit(demo),
+        _validation(demo),
+        design_section(demo),
+        paper_section(demo),
+    )
     write_page(path, "From measured steps to a PD gain: the paper's cart", " ".join(told[:2]), more, sections)
 
 
@@ -77,7 +84,7 @@ def _data(demo: Demo) -> Section:
     return Section(key="data", title="The data", blocks=blocks)
 
 
-def _doubts(demo: Demo) -> Section:
+def _open_questions(demo: Demo) -> Section:
     fastest = max(float(np.abs(simulate(demo.truth, r).velocity).max()) for r in demo.training)
     blocks: list[Block] = [
         f"The cart never moves faster than {number(fastest, 3)} m/s: damping beyond that speed is extrapolated.",

@@ -127,7 +127,7 @@ class Design:
     candidates : tuple of float or None
         On request: the local optimum of CasADi's nonlinear program in each interval. None where it found none, or one
         that fails when it is simulated. The program smooths dry friction; the ends of `intervals` are the exact loop's.
-    doubt : str or None
+    disagreement : str or None
         Where the nonlinear program, or a proof, contradicts the search by more than the gap.
     verified : tuple of Response
         Exact simulation at `kd`, a model each.
@@ -144,7 +144,7 @@ class Design:
     intervals: tuple[tuple[float, float], ...]
     certificate: Certificate
     candidates: tuple[float | None, ...] = ()
-    doubt: str | None = None
+    disagreement: str | None = None
     verified: tuple[Response, ...] = ()
     conflict: tuple[str, ...] = ()
     nearest: tuple[Relaxed, ...] = ()
@@ -181,8 +181,8 @@ class Design:
             result["reason"] = self.reason
             result["conflict"] = list(self.conflict)
             result["nearest"] = [relaxed.to_json() for relaxed in self.nearest]
-        if self.doubt is not None:
-            result["doubt"] = self.doubt
+        if self.disagreement is not None:
+            result["disagreement"] = self.disagreement
         return result
 
 

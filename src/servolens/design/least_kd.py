@@ -101,9 +101,9 @@ def _certified(
     """Return the design with a proof, or with what contradicts it."""
     from servolens.design.certify import proven_gap
 
-    gap, doubt = proven_gap(models, design, scale, progress)
-    if doubt is not None:
-        return replace(design, doubt=doubt)
+    gap, disagreement = proven_gap(models, design, scale, progress)
+    if disagreement is not None:
+        return replace(design, disagreement=disagreement)
     return replace(design, certificate=replace(design.certificate, kind="enclosure", gap=gap))
 
 
@@ -113,15 +113,15 @@ def _with_program(models: tuple[Plant, ...], design: Design) -> Design:
 
     spec, gap = design.spec, design.certificate.gap
     candidates: list[float | None] = []
-    doubts = []
+    differences = []
     for low, high in design.intervals:
         found = [local_optimum(model, spec, (low, high)) for model in models]
         best = max((kd for kd in found if kd is not None), default=None)
         fits = best is not None and all(evaluate(model, spec, best).meets for model in models)
         candidates.append(best if fits else None)
         if best is None or None in found:
-            doubts.append(f"it found none from {low:.5g} on")
+            differences.append(f"it found none from {low:.5g} on")
         elif abs(best - low) > gap:
-            doubts.append(f"it found {best:.5g} where the search found {low:.5g}")
-    doubt = f"CasADi's program disagrees with the search: {'; '.join(doubts)}" if doubts else None
-    return replace(design, candidates=tuple(candidates), doubt=doubt)
+            differences.append(f"it found {best:.5g} where the search found {low:.5g}")
+    disagreement = f"CasADi's program disagrees with the search: {'; '.join(differences)}" if differences else None
+    return replace(design, candidates=tuple(candidates), disagreement=disagreement)

@@ -85,26 +85,34 @@ class Case:
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._contradiction: tuple[Finding | None] | None = None
+        self._simulating: Case | None = None
 
     def simulating(self) -> Case:
-        """Return the case by simulations in closed loop, for models that are known not to be the axis.
+        """Return the case by simulations in closed loop, for models that are known not to be the axis; made once.
 
         Raises
         ------
         NumericalError
             If gain and damping alone cannot be simulated in closed loop.
         """
+        if self._simulating is not None:
+            return self._simulating
         other = copy(self)
         other.trials = self.trials.simulating()
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
         other._dependent, other._left_out = {}, {}
+        self._simulating = other
         return other
 
-    def fitted_to_simulations(self, plants: Sequence[Plant]) -> list[Hypothesis]:
-        """Return `plants` as fitted, from where they are and as much heavier or lighter as the base is."""
+    def fitted_to_simulations(self, plants: Sequence[Plant], work: float) -> list[Hypothesis]:
+        """Return `plants` as fitted, from where they are and as much heavier or lighter as the base is.
+
+        All together may simulate about so many samples times substeps as `work` says.
+        """
         begun = [start for plant in plants for start in (plant, plant.scaled(self.base.plant.gain / plant.gain))]
-        fits = in_parallel(partial(self.likelihood.judged, iterations=SOME), begun)
+        share = work / max(len(begun), 1)
+        fits = in_parallel(partial(self.likelihood.judged, iterations=SOME, allowance=share), begun)
         return [h for h in fits if h is not None]
 
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.remainder import MATERIAL, remainder_of
-from servolens.diagnosis.search import Search, search
+from servolens.diagnosis.search import SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
@@ -100,8 +100,9 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
             alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
-        known = simulating.fitted_to_simulations(list(begun.values()))
-        other = search(simulating.trials, simulating.base, replace(effort, work=SECOND * effort.work), tell, known)
+        work = SECOND * effort.work
+        known = simulating.fitted_to_simulations(list(begun.values()), SHARE * work)
+        other = search(simulating.trials, base, replace(effort, work=(1.0 - SHARE) * work), tell, known)
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)

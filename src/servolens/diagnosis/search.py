@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
-__all__ = ["EFFORT", "Effort", "Search", "search"]
+__all__ = ["EFFORT", "SHARE", "Effort", "Search", "search"]
 
 PROMISING = 0.5
 """Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
@@ -191,7 +191,13 @@ class _Explorer:
     def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
         likelihood = self.likelihood
-        found = likelihood.tried(hypothesis.plant, likelihood.white, SOME, unpowered=hypothesis.unpowered)
+        found = likelihood.tried(
+            hypothesis.plant,
+            likelihood.white,
+            SOME,
+            unpowered=hypothesis.unpowered,
+            allowance=self._allowance(1),
+        )
         return [found] if found is not None else []
 
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:

@@ -120,7 +120,7 @@ def _diagnosed(
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
-    fits = [fitted(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
+    fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     remainder = remainder_of(case, path[-1], gains)
     model = fits[-1].model
     causes = causes_of(case, found, path, fits[-1], gains, verdict)

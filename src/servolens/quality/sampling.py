@@ -1,4 +1,4 @@
-"""What the log's clock and the position sensor are like, and what of it is a doubt."""
+"""What the log's clock and the position sensor are like, and what of it is a finding."""
 
 from __future__ import annotations
 

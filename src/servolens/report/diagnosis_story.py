@@ -20,10 +20,10 @@ from servolens.report.page import write_page
 from servolens.report.wording import shown, symbol_text
 from servolens.summaries.diagnosis import (
     advice,
-    findings_of,
-    log_findings,
+    findings_of_logs,
     next_sentences,
     noise_sentences,
+    other_findings,
     remaining_sentences,
     verdict_sentence,
     why_enough,
@@ -87,7 +87,7 @@ def diagnosis_section(diagnosis: Diagnosis) -> Section:
 
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:
     """Return what is wrong with the logs, which comes before all physics."""
-    found = log_findings(diagnosis)
+    found = findings_of_logs(diagnosis)
     return ["First mend the logs: what follows may come of this.", Findings(findings=found)] if found else []
 
 
@@ -155,5 +155,5 @@ def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
 
 
 def _findings(diagnosis: Diagnosis) -> tuple[Block, ...]:
-    found = findings_of(diagnosis)
-    return (Findings(findings=found),) if found else ("Neither the records nor the fits gave cause for doubt.",)
+    found = other_findings(diagnosis)
+    return (Findings(findings=found),) if found else ("Neither the records nor the fits gave a warning or a note.",)

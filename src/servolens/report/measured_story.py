@@ -47,7 +47,7 @@ def write_measured(path: Path, measured: Measured) -> None:
     names = [shown(record.name) for record in measured.records]
     sections = [
         _data(measured),
-        _doubts(measured),
+        _open_questions(measured),
         _models(measured),
         _validation(measured),
         _wrong(measured),
@@ -109,12 +109,12 @@ def _settings(measured: Measured) -> Table:
     )
 
 
-def _doubts(measured: Measured) -> Section:
+def _open_questions(measured: Measured) -> Section:
     blocks: list[Block] = []
     if measured.findings:
         blocks.append(Findings(findings=measured.findings))
     else:
-        blocks.append("Neither the records nor the identification gave cause for doubt.")
+        blocks.append("Neither the records nor the identification gave a warning or a note.")
     record = measured.records[0]
     fastest = max(quality.top_speed for quality in measured.qualities)
     blocks.append(

@@ -27,11 +27,11 @@ __all__ = [
     "diagnosis_summary",
     "experiment_sentence",
     "experiment_summary",
-    "findings_of",
+    "findings_of_logs",
     "grouped",
-    "log_findings",
     "next_sentences",
     "noise_sentences",
+    "other_findings",
     "remaining_sentences",
     "spoken",
     "verdict_sentence",
@@ -66,7 +66,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
         tables=(parameters_table(diagnosis), records_table(diagnosis), *([best] if best else [])),
-        findings=findings_of(diagnosis),
+        findings=other_findings(diagnosis),
     )
 
 
@@ -114,12 +114,12 @@ def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the sentence that matters most; where the logs are in doubt, it says so."""
     told = _verdict(diagnosis)
-    if not log_findings(diagnosis):
+    if not findings_of_logs(diagnosis):
         return capital(told)
     return f"The logs are in doubt; taken as they are, {told}"
 
 
-def log_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+def findings_of_logs(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return what the logs themselves have wrong that may look like physics: of each kind one, the gravest first."""
     found = grouped([finding for finding in diagnosis.findings if is_blamed(finding)])
     told = []
@@ -143,7 +143,7 @@ def grouped(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     )
 
 
-def findings_of(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return the findings that no sentence tells already, grouped."""
     told = (*SURROUNDINGS, "immaterial_remainder")
     return grouped([finding for finding in diagnosis.findings if finding.code not in told])
@@ -268,7 +268,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
 
 def _first_the_log(diagnosis: Diagnosis) -> list[str]:
     """Say what the logs themselves have wrong, before physics is blamed."""
-    blamed = log_findings(diagnosis)
+    blamed = findings_of_logs(diagnosis)
     if not blamed:
         return []
     told = " ".join(f"{finding.record}: {finding.message}" for finding in blamed)

@@ -122,8 +122,8 @@ def _simulated(design: Design, command_unit: str) -> list[str]:
 
 
 def _program(design: Design) -> list[str]:
-    if design.doubt is not None:
-        return [_stop(design.doubt)]
+    if design.disagreement is not None:
+        return [_stop(design.disagreement)]
     if not design.candidates:
         return []
     return ["CasADi's nonlinear program finds the same least gains within the search's gap."]
