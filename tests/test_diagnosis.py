@@ -124,7 +124,16 @@ def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
     assert diagnosis.remainder.times_noise > 3.0
     assert diagnosis.remainder.depends_on_inputs
-    assert diagnosis.verdict in ("partly_explained", "unexplained")
+    assert (diagnosis.verdict, diagnosis.causes) == ("unexplained", ())
+    assert not diagnosis.remainder.material  # 0.2 % of the travel: none of the causes that would take most of it
+
+
+def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"delay": {"time": 0.03}, "coulomb_friction": {"level": 0.3}})
+    sheet = Prior(value=2.4, deviation=0.05)
+    found = diagnose(steps_of(axis, [(40, 0), (80, 0)]), priors={"gain": sheet})
+    assert abs(found.linear.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
+    assert abs(found.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
 
 
 def test_knocks_that_know_no_input_are_no_cause_and_told_with_their_size():
