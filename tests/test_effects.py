@@ -65,17 +65,45 @@ CONTRACT: dict[str, tuple[str, dict[str, str]]] = {
 }
 
 TYPICAL = Seen(
-    low=0.0, high=0.4, speed=0.6, command=10.0, gain=1.9, damping=6.0, sample_time=1e-3, duration=10.0, noise=1e-5
+    low=0.0,
+    high=0.4,
+    usual=(0.0, 0.3),
+    speed=0.6,
+    command=10.0,
+    gain=1.9,
+    damping=6.0,
+    sample_time=1e-3,
+    duration=10.0,
+    noise=1e-5,
 )
 SEEN = {
     "cart": TYPICAL,
-    "arm that falls": replace(TYPICAL, low=-9.0, high=-2.0, speed=30.0, gain=-45.0, command=3.0),
+    "arm that falls": replace(TYPICAL, low=-9.0, high=-2.0, usual=(-8.0, -3.0), speed=30.0, gain=-45.0, command=3.0),
     "coarse encoder": replace(TYPICAL, high=1e-4, noise=1e-3),
-    "nothing moves": replace(TYPICAL, high=0.0, speed=0.0, command=0.0, damping=-1.0, noise=0.0),
+    "nothing moves": replace(TYPICAL, high=0.0, usual=(0.0, 0.0), speed=0.0, command=0.0, damping=-1.0, noise=0.0),
     "nothing at all": Seen(
-        low=0.0, high=0.0, speed=0.0, command=0.0, gain=0.0, damping=0.0, sample_time=0.0, duration=0.0, noise=0.0
+        low=0.0,
+        high=0.0,
+        usual=(0.0, 0.0),
+        speed=0.0,
+        command=0.0,
+        gain=0.0,
+        damping=0.0,
+        sample_time=0.0,
+        duration=0.0,
+        noise=0.0,
     ),
-    "huge": replace(TYPICAL, low=-1e9, high=1e9, speed=1e15, command=1e15, gain=1e12, sample_time=9.0, duration=1e9),
+    "huge": replace(
+        TYPICAL,
+        low=-1e9,
+        high=1e9,
+        usual=(-1e9, 1e9),
+        speed=1e15,
+        command=1e15,
+        gain=1e12,
+        sample_time=9.0,
+        duration=1e9,
+    ),
 }
 
 every_effect = pytest.mark.parametrize("cls", CATALOGUE.values(), ids=CATALOGUE)

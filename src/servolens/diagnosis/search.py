@@ -201,11 +201,15 @@ class _Explorer:
         return [found] if found is not None else []
 
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
-        """Tell whether rounding alone may make the `richer` hypothesis as much likelier."""
-        if not dominates(simpler.noise) or self.likelihood.simulates:
+        """Tell whether rounding alone may make the `richer` hypothesis as much likelier.
+
+        Beside the noise of the richer: that of the simpler one holds what it lacks.
+        """
+        if not dominates(richer.noise) or self.likelihood.simulates:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
-        return (simpler.misfit - richer.misfit) / ScoreTest(self.likelihood, simpler).inflation(richer.plant) < paid
+        test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
+        return (simpler.misfit - richer.misfit) / test.inflation(richer.plant) < paid
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.effects import Drive, DryFriction, effect_class
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import Hypothesis, Likelihood, fixed
+from servolens.identification.likelihood import Hypothesis, Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
 from servolens.identification.score import FALSE_ALARM
@@ -132,7 +132,7 @@ class Trials:
         """
         from scipy.stats import chi2
 
-        free = max(len(cls.parameters()) - len(fixed(cls)), 1)
+        free = max(len(cls.parameters()), 1)
         entry = float(chi2.isf(FALSE_ALARM / max(self.candidates, 1), free))
         return max(entry, free * float(np.log(self.likelihood.counted)))
 
@@ -144,6 +144,7 @@ class Trials:
         plant, cls = test.hypothesis.plant, effect_class(name)
         if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
             return []
+        parts = [effect for effect in plant.effects if effect.name in cls.generalises]
         for special in cls.generalises:
             plant = plant.without_effect(special)
         try:
@@ -151,6 +152,9 @@ class Trials:
         except (InputError, NumericalError):
             return []
         found = [Start(p, test.gain(p)) for p in tried if not self.likelihood.is_too_stiff(p)]
+        for general in cls.generalised(parts, self.seen) if parts else ():
+            same = plant.with_effect(general)
+            found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))
         return sorted(found, key=lambda start: -start.gain)
 
     def _proposed(self, plant: Plant, cls: type[Effect]) -> list[Plant]:

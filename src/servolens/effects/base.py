@@ -17,7 +17,7 @@ import numpy as np
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 __all__ = ["Axis", "Effect", "Parameter", "Seen", "State", "parameter"]
 
@@ -118,6 +118,8 @@ class Seen:
     ----------
     low, high : float
         Range of the position [m or rad].
+    usual : tuple of float
+        Range of the position for nine tenths of the time [m or rad].
     speed, command : float
         Largest |velocity| and |command|.
     gain, damping : float
@@ -130,6 +132,7 @@ class Seen:
 
     low: float
     high: float
+    usual: tuple[float, float]
     speed: float
     command: float
     gain: float
@@ -176,8 +179,8 @@ class Effect(ABC):
         Names of effects, in or outside the catalogue, with which any axis gives the same records at suitable values.
     unites : tuple of str
         Names of effects that together are this one; see `united`.
-    fixed : tuple of str
-        Names of parameters that a fit holds at the values it starts from.
+    found_last : tuple of str
+        Names of parameters that a fit holds at the values it starts from until it has found the others.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
@@ -200,7 +203,7 @@ class Effect(ABC):
     twin: ClassVar[str] = ""
     same_structure: ClassVar[tuple[str, ...]] = ()
     unites: ClassVar[tuple[str, ...]] = ()
-    fixed: ClassVar[tuple[str, ...]] = ()
+    found_last: ClassVar[tuple[str, ...]] = ()
     passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0
@@ -234,6 +237,14 @@ class Effect(ABC):
     def united(cls, *parts: Effect) -> Self | None:
         """Return what `parts`, effects of the names in ``unites``, are together; None where they are more than that."""
         return None
+
+    @classmethod
+    def generalised(cls, parts: Sequence[Effect], seen: Seen) -> Iterator[Self]:
+        """Yield this effect doing what `parts`, of the names in ``generalises``, do: a fit begins where theirs ended.
+
+        Nothing where what :meth:`starts` yields is as good.
+        """
+        yield from ()
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -6,15 +6,17 @@ from dataclasses import dataclass
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
+import numpy as np
+
 from servolens.effects._grids import within
-from servolens.effects.base import parameter
+from servolens.effects.base import Axis, parameter
 from servolens.effects.kinds import DryFriction
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from servolens.effects.base import Axis, Seen
+    from servolens.effects.base import Effect, Seen
 
 __all__ = ["FrictionMap"]
 
@@ -42,7 +44,7 @@ class FrictionMap(DryFriction):
     latex = r"F_\pm(y)\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.0)
     generalises = ("coulomb_friction", "asymmetric_friction", "position_friction")
-    fixed = ("low", "high")
+    found_last = ("low", "high")
     looks_like = (
         "How far from its target the axis stops depends on the place and on the direction of approach; "
         "moves over the same stretch repeat well."
@@ -89,7 +91,26 @@ class FrictionMap(DryFriction):
         return level
 
     @classmethod
+    def generalised(cls, parts: Sequence[Effect], seen: Seen) -> Iterator[FrictionMap]:
+        """See :meth:`servolens.effects.base.Effect.generalised`: at each knot the sum of their levels."""
+        for like in cls.starts(seen):
+            places = np.linspace(like.low, like.high, KNOTS)
+            levels = {
+                name: sum(_level_at(float(place), direction, part) for part in parts)
+                for names, direction in ((POSITIVE, 1.0), (NEGATIVE, -1.0))
+                for name, place in zip(names, places, strict=True)
+            }
+            yield within(cls, **levels, low=like.low, high=like.high)
+
+    @classmethod
     def starts(cls, seen: Seen) -> Iterator[FrictionMap]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
         levels = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.1 * seen.push)
-        yield within(cls, **levels, low=seen.low, high=max(seen.low + seen.travel, nextafter(seen.low, inf)))
+        for low, high in (seen.usual, (seen.low, seen.high)):
+            yield within(cls, **levels, low=low, high=max(high, nextafter(low, inf)))
+
+
+def _level_at(place: float, direction: float, friction: Effect) -> float:
+    """Return the level of a dry `friction` that depends on place and direction alone."""
+    here = Axis(position=place, velocity=direction, speed=1.0, direction=direction, time=0.0)
+    return float(type(friction).physics(here, friction))

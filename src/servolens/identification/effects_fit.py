@@ -16,7 +16,6 @@ from servolens.identification.fitting import (
     likelihood_of,
     simulation_error,
 )
-from servolens.identification.likelihood import fixed
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
@@ -152,7 +151,7 @@ def fit_effects(
     )
     check_names((*asked.priors, *asked.bounds, *asked.held, *asked.local), plant.parameters)
     _check_free(plant, asked)
-    held = [f"{effect.name}.{name}" for effect in effects for name in fixed(type(effect))]
+    held = [f"{effect.name}.{name}" for effect in effects for name in effect.found_last]
     asked = replace(asked, held=tuple(dict.fromkeys([*asked.held, *held])))
     check_loops(runs, asked)
     screen = Screen.of(moving_parts(motion_segments(runs)))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "fixed"]
+__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "found_last"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
@@ -178,10 +178,13 @@ class Likelihood:
         """How many samples count by themselves, at least 2."""
         return max(self.samples / self.white.discount, 2.0)
 
-    def options(self, plant: Plant) -> FitOptions:
-        """Return how `plant` is fitted: options on its own parameters, and phases of each record's own."""
+    def options(self, plant: Plant, *, is_rough: bool = False) -> FitOptions:
+        """Return how `plant` is fitted: options on its own parameters, and phases of each record's own.
+
+        Roughly, without the parameters that are found last.
+        """
         names, asked = plant.parameters, self._options
-        held = [f"{effect.name}.{name}" for effect in plant.effects for name in fixed(type(effect))]
+        held = found_last(plant) if is_rough else ()
         local = own_phases(plant) if self._are_phases_own else ()
         return replace(
             asked,
@@ -209,11 +212,30 @@ class Likelihood:
         """
         choices = (False, True) if self.may_be_unpowered and _remembers(plant) else (False,)
         share = allowance / len(choices)
-        found = [h for h in (self._judged(plant, like, iterations, share, unpowered=u) for u in choices) if h]
+        found = [h for h in (self._in_turn(plant, like, iterations, share, unpowered=u) for u in choices) if h]
         return min(found, key=lambda h: h.total, default=None)
 
-    def _judged(
+    def _in_turn(
         self, plant: Plant, like: Hypothesis | None, iterations: int, allowance: float, *, unpowered: bool
+    ) -> Hypothesis | None:
+        """Return `plant` fitted, the parameters that are found last after the others."""
+        if not found_last(plant):
+            return self._judged(plant, like, iterations, allowance, unpowered=unpowered)
+        begun = self._judged(plant, like, iterations, 0.5 * allowance, unpowered=unpowered, is_rough=True)
+        if begun is None:
+            return None
+        found = self._judged(begun.plant, begun, iterations, 0.5 * allowance, unpowered=unpowered)
+        return begun if found is None or begun.total <= found.total else found
+
+    def _judged(
+        self,
+        plant: Plant,
+        like: Hypothesis | None,
+        iterations: int,
+        allowance: float,
+        *,
+        unpowered: bool,
+        is_rough: bool = False,
     ) -> Hypothesis | None:
         noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
         best: Hypothesis | None = None
@@ -223,7 +245,9 @@ class Likelihood:
                 break
             noise = waiting.pop()
             try:
-                problem, point = self.led(plant, noise, iterations, unpowered=unpowered, allowance=allowance)
+                problem, point = self.led(
+                    plant, noise, iterations, unpowered=unpowered, is_rough=is_rough, allowance=allowance
+                )
             except (InputError, NumericalError):
                 continue
             allowance -= problem.simulated
@@ -250,7 +274,9 @@ class Likelihood:
         if noise is None:
             noise = self._first_noise(plant, unpowered=unpowered)
         try:
-            problem, point = self.led(plant, noise, iterations, unpowered=unpowered, coarse=True, allowance=allowance)
+            problem, point = self.led(
+                plant, noise, iterations, unpowered=unpowered, is_coarse=True, is_rough=True, allowance=allowance
+            )
         except (InputError, NumericalError):
             return None
         return self._profiled(problem, point, noise, unpowered=unpowered, is_screened=True)
@@ -262,7 +288,8 @@ class Likelihood:
         iterations: int,
         *,
         unpowered: bool = False,
-        coarse: bool = False,
+        is_coarse: bool = False,
+        is_rough: bool = False,
         allowance: float = np.inf,
     ) -> tuple[Problem, Point]:
         """Return where a descent from `plant` beside this noise leads.
@@ -272,7 +299,7 @@ class Likelihood:
         NumericalError
             If `plant` cannot be simulated, or only with very small steps.
         """
-        problem = Problem(plant, self.runs(noise, unpowered=unpowered), self.options(plant), 1.0)
+        problem = Problem(plant, self.runs(noise, unpowered=unpowered), self.options(plant, is_rough=is_rough), 1.0)
         problem.allowance = allowance
         problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
         start = problem.start()
@@ -280,7 +307,7 @@ class Likelihood:
             raise NumericalError("the plant to start from cannot be simulated on these records")
         problem.weigh_priors(start)
         if plant.has_contacts:
-            way = ((COARSE, iterations),) if coarse else ((COARSE, iterations), (FINE, iterations))
+            way = ((COARSE, iterations),) if is_coarse else ((COARSE, iterations), (FINE, iterations))
             point, _ = by_way_of(problem, start, way, NEGLIGIBLE_ON_THE_WAY)
         else:
             point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
@@ -425,9 +452,9 @@ class Likelihood:
         return any(substeps_for(plant, float(np.max(np.diff(s.time)))) > self.most_substeps for s in self.signals)
 
 
-def fixed(cls: type[Effect]) -> tuple[str, ...]:
-    """Return the parameters of an effect that a fit holds at what its start gives them."""
-    return tuple(getattr(cls, "fixed", ()))
+def found_last(plant: Plant) -> list[str]:
+    """Return the parameters of the plant's effects that a fit holds until it has found the others."""
+    return [f"{effect.name}.{name}" for effect in plant.effects for name in effect.found_last]
 
 
 def _remembers(plant: Plant) -> bool:

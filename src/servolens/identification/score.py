@@ -26,6 +26,9 @@ __all__ = ["FALSE_ALARM", "ScoreTest"]
 FALSE_ALARM = 1e-3
 """Familywise error rate: probability that any of all that is tried enters a model that lacks none."""
 
+PERTURBED = 0.05
+"""Share of its largest by which sizes are moved: dry friction's effect on a standing axis comes in steps."""
+
 
 @final
 class ScoreTest:
@@ -98,6 +101,25 @@ class ScoreTest:
             return 0.0
         reached = self.free_of_own(self.residual + columns[:, 0]) if columns.shape[1] == 1 else self._left
         return max(self.explained(columns), float(self._left @ self._left - reached @ reached))
+
+    def gain_of_sizes(self, plant: Plant, sizes: Sequence[str]) -> float:
+        """Return the score statistic of the last effect's `sizes`, each free, about where `plant` is; else 0.
+
+        Of an effect that generalises one of the hypothesis: there `plant` does what the hypothesis does.
+        """
+        effect, index = plant.effects[-1], len(plant.values) - len(plant.effects[-1].values)
+        names = [spec.name for spec in effect.parameters()]
+        step = PERTURBED * max((abs(getattr(effect, name)) for name in sizes), default=0.0)
+        try:
+            here = self._missed(plant)
+            columns = []
+            for name in sizes:
+                values = list(plant.values)
+                values[index + names.index(name)] += step
+                columns.append(self._missed(plant.with_values(values)) - here)
+        except (InputError, NumericalError):
+            return 0.0
+        return self.explained(np.column_stack(columns)) if columns else 0.0
 
     def inflation(self, plant: Plant) -> float:
         """Return the variance of rounded noise along the direction to `plant`, in units of white noise's; at least 1.
