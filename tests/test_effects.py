@@ -417,7 +417,7 @@ def test_starts_are_admissible(cls, seen):
         ("backlash", "gap", 4e-5, 1.2e-2, 6),
         ("speed_servo", "proportional", 3.0, 200.0, 5),
         ("load_friction", "share", 0.03, 0.3, 3),
-        ("friction_map", "high", 0.4, 0.4, 1),
+        ("friction_map", "high", 0.3, 0.4, 2),
         ("end_stop", "high", 0.4 - 0.02 * 0.4 - 4e-5, 0.8, 3),
     ],
 )
@@ -506,8 +506,20 @@ def test_effects_that_no_data_can_tell_apart_know_of_each_other():
 
 
 @every_effect
-def test_what_a_fit_holds_are_parameters(cls):
-    assert set(cls.fixed) <= set(names_of(cls))
+def test_what_a_fit_finds_last_are_parameters(cls):
+    assert set(cls.found_last) <= set(names_of(cls))
+
+
+def test_friction_map_takes_the_levels_of_the_friction_it_generalises():
+    coulomb = CATALOGUE["coulomb_friction"](level=0.5)
+    place = CATALOGUE["position_friction"](level=2.0, centre=0.2, width=0.1)
+    found = [*CATALOGUE["friction_map"].generalised([coulomb, place], TYPICAL)]
+    whole = next(one for one in found if one.high == 0.4)
+    assert whole.positive_0 == whole.negative_0 == pytest.approx(0.5 + 2.0 * np.exp(-4.0))
+    assert whole.positive_2 == whole.negative_2 == pytest.approx(2.5)
+    uneven = CATALOGUE["asymmetric_friction"](level_positive=0.7, level_negative=0.1)
+    for one in CATALOGUE["friction_map"].generalised([uneven], TYPICAL):
+        np.testing.assert_allclose(one.values[:10], [0.7] * 5 + [0.1] * 5)
 
 
 @pytest.mark.parametrize(("high", "whole"), [(0.399, True), (0.40003, True), (0.41, False)])

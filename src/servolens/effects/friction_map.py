@@ -96,7 +96,7 @@ class FrictionMap(DryFriction):
         for like in cls.starts(seen):
             places = np.linspace(like.low, like.high, KNOTS)
             levels = {
-                name: sum(_level_at(float(place), direction, part) for part in parts)
+                name: sum(_level_at(float(place), direction, part) for part in parts if isinstance(part, DryFriction))
                 for names, direction in ((POSITIVE, 1.0), (NEGATIVE, -1.0))
                 for name, place in zip(names, places, strict=True)
             }
@@ -110,7 +110,7 @@ class FrictionMap(DryFriction):
             yield within(cls, **levels, low=low, high=max(high, nextafter(low, inf)))
 
 
-def _level_at(place: float, direction: float, friction: Effect) -> float:
+def _level_at(place: float, direction: float, friction: DryFriction) -> float:
     """Return the level of a dry `friction` that depends on place and direction alone."""
     here = Axis(position=place, velocity=direction, speed=1.0, direction=direction, time=0.0)
     return float(type(friction).physics(here, friction))

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.effects import Effect
     from servolens.identification.error_problem import Point
     from servolens.identification.options import FitOptions
     from servolens.plant import Plant

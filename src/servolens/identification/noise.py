@@ -203,6 +203,11 @@ class Whitener:
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
 
+    @property
+    def evening(self) -> float:
+        """By how much evening lowers the variance of what lasts as long as equal readings; 1 where none is evened."""
+        return float(np.sum(self._counts / self._kept**2) / self.samples) if self._first.size else 1.0
+
     def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), each by its weight."""
         return rows if self._weight is None else np.asarray((rows.T * self._weight).T)

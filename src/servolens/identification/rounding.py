@@ -14,7 +14,7 @@ from servolens.identification.noise import Whitener
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,6 +29,9 @@ DOMINATES = 0.5
 
 DRAWS = 40
 """Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
+FREQUENCIES, BAND, RAISED, LEAST = 1024, 5, 2, 1e-6
+"""Frequencies of a spectrum; of them, those over which one of draws is smoothed; times that it is raised; share of the
+noise below which nothing but rounding is left of it."""
 
 
 def is_rounded(noise: NoiseModel) -> bool:
@@ -55,26 +58,74 @@ def rounded(
     plants, starts : sequence
         The plant of each run and its initial state.
     """
+    positions = [
+        run.whiten.position + run.missed(plant, start, substeps_for(plant, run.sample_time))
+        for run, plant, start in zip(runs, plants, starts, strict=True)
+    ]
+    noise = runs[0].noise
+    spectrum = _own_spectrum(runs, positions, noise)
     stream = np.random.default_rng(0)
-    found = []
-    for run, plant, start in zip(runs, plants, starts, strict=True):
-        missed = run.missed(plant, start, substeps_for(plant, run.sample_time))
-        found.append(_drawn(run, run.whiten.position + missed, stream))
-    return found
+    return [
+        np.column_stack([w(error) for w, error in _drawn(run, position, spectrum, stream)])
+        for run, position in zip(runs, positions, strict=True)
+    ]
+
+
+def _own_spectrum(
+    runs: Sequence[ObservedRun | SimulatedRun], positions: Sequence[NDArray[np.float64]], noise: NoiseModel
+) -> NDArray[np.float64]:
+    """Return the spectrum of the sensor's noise as the encoder has not rounded it yet, at even frequencies up to half.
+
+    It begins with the spectrum of the noise model less what rounding adds evenly at all frequencies. The model is that
+    of residuals that were evened, which takes some of slow noise away: the spectrum is raised until draws that are
+    rounded and evened have the model's (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+    """
+    shown = (noise.innovation / np.maximum(np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES)), 1e-12)) ** 2
+    own = shown - noise.rounding**2 / 12.0
+    own[own < LEAST * shown] = 0.0
+    most = max(run.whiten.evening for run in runs)
+    if most == 1.0:
+        return own
+    for _ in range(RAISED):
+        stream, power, samples = np.random.default_rng(1), np.zeros(own.size), 0
+        for run, position in zip(runs, positions, strict=True):
+            for whiten, error in _drawn(run, position, own, stream):
+                power += _power(whiten.evened(error))
+                samples += error.size
+        own = own * np.clip(shown * samples / np.maximum(power, 1e-300), 1.0, most)
+    return own
 
 
 def _drawn(
-    run: ObservedRun | SimulatedRun, position: NDArray[np.float64], stream: np.random.Generator
-) -> NDArray[np.float64]:
-    from scipy.signal import lfilter
+    run: ObservedRun | SimulatedRun,
+    position: NDArray[np.float64],
+    spectrum: NDArray[np.float64],
+    stream: np.random.Generator,
+) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
+    """Yield what the encoder would make of `position` beside noise of this `spectrum`, and the filter that whitens it.
 
-    noise = run.noise
-    scale = noise.innovation * float(np.sqrt(max(1.0 - noise.share, 0.0)))
-    innovations = scale * stream.standard_normal((position.size, DRAWS))
-    place = stream.uniform(0.0, noise.rounding, DRAWS)  # where the encoder's steps lie
-    exact = position[:, None] + np.asarray(lfilter([1.0], noise.filters[-1], innovations, axis=0)) + place
-    shown = noise.rounding * np.round(exact / noise.rounding) - place
-    return np.column_stack([Whitener(one, run.whiten.speed, noise)(position - one) for one in shown.T])
+    The error, shape (n,), is the position less what is shown.
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    step, samples = run.noise.rounding, position.size
+    size = next_fast_len(2 * samples, real=True)
+    at = np.linspace(0.0, spectrum.size - 1.0, size // 2 + 1)
+    response = np.sqrt(np.interp(at, np.arange(spectrum.size), spectrum))
+    waves = rfft(stream.standard_normal((size, DRAWS)), axis=0)
+    own = np.asarray(irfft(response[:, None] * waves, size, axis=0)[:samples])
+    for one, place in zip(own.T, stream.uniform(0.0, step, DRAWS), strict=True):  # where the encoder's steps lie
+        shown = step * np.round((position + one + place) / step) - place
+        yield Whitener(shown, run.whiten.speed, run.noise), position - shown
+
+
+def _power(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return n times the spectrum of `signal`, shape (n,), smoothed over neighbouring frequencies."""
+    from scipy.ndimage import uniform_filter1d
+
+    found = np.abs(np.fft.rfft(signal, max(signal.size, 2 * FREQUENCIES))) ** 2
+    found = uniform_filter1d(found, max(found.size // FREQUENCIES, 1) * BAND)
+    return np.asarray(np.interp(np.linspace(0.0, found.size - 1.0, FREQUENCIES + 1), np.arange(found.size), found))
 
 
 def limit_of(draws: NDArray[np.float64], level: float) -> float:
