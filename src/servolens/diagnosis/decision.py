@@ -9,6 +9,7 @@ from servolens.diagnosis.remainder import MATERIAL, remainder_of
 from servolens.diagnosis.search import SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
+from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
 
 if TYPE_CHECKING:
@@ -77,12 +78,15 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
     An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less than
-    that of any simpler model, too.
+    that of any simpler model, too, of those with the same waves: whose phases no simulation foretells.
     """
     if not case.misfit(path[-1]) < case.misfit(path[-2]):
         return False
-    gains = case.gains(path)
-    return path[-1].noise.rate == 0.0 or gains.tested(-1) < min(gains.tested(i) for i in range(len(path) - 1))
+    if path[-1].noise.rate == 0.0:
+        return True
+    alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
+    gains = case.gains(alike)
+    return all(gains.tested(-1) < gains.tested(i) for i in range(len(alike) - 1))
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:

@@ -13,7 +13,7 @@ import numpy as np
 
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
-from servolens.identification.likelihood import FEW, FULL, SOME
+from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.processors import in_parallel
@@ -254,7 +254,7 @@ class _Explorer:
         led = [
             self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=each) for s in starts[:several]
         ]
-        return min((h for h in led if h), key=_total, default=None)
+        return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads as a simulation, without an observer that hides what is slow."""

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "SOME", "Hypothesis", "Likelihood", "found_last"]
+__all__ = ["FEW", "FULL", "NO_BETTER", "SOME", "Hypothesis", "Likelihood", "found_last"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
