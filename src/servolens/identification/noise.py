@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.slow_noise import SLOW_PARAMETERS, slow_filters
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -21,8 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["NoiseModel", "Whitener", "burg", "instants"]
 
-SHORT_RUN = 2
-"""Samples that an encoder shows the same, on average, up to which noise smears its rounding to noise of its own."""
 SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
 REWEIGHTED, LEAST = 8, 1e-4
@@ -48,10 +48,12 @@ class NoiseModel:
         Prediction-error filters of order 0, 1 … p, each beginning with 1.
     scales : ndarray, shape (p + 1,)
         Standard deviation of what each of them leaves [m or rad].
+    parameters : int
+        Of the autoregressive part, beside its size: its order, or those of slow noise beside white noise.
     rounding : float
         Step of the encoder [m or rad]; 0 where it is not known.
     share : float
-        Of the noise's variance that is rounding, 0 to 1: within a run of equal readings it does not average out.
+        Of the noise's variance that is rounding, 0 to 1: at rest it does not average out.
     spread : float
         Standard deviation of the noise [m or rad]; of an observer's innovations in units of what it expects of a
         sensor's noise of 1.
@@ -81,6 +83,7 @@ class NoiseModel:
     gain: float = 0.0
     damping: float = 0.0
     discount: float = 1.0
+    parameters: int = 0
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
@@ -114,7 +117,7 @@ class NoiseModel:
 
     def bleached(self, white: NoiseModel) -> NoiseModel:
         """Return the same observer beside `white` noise."""
-        return replace(self, filters=white.filters, scales=white.scales, share=white.share)
+        return replace(self, filters=white.filters, scales=white.scales, share=white.share, parameters=0)
 
     @property
     def wanders(self) -> bool:
@@ -157,12 +160,16 @@ class NoiseModel:
         self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool = False
     ) -> NoiseModel:
         """Return the model whose autoregressive part suits `residuals` beside the observer that left them."""
-        evened = [whitener.evened(r) for whitener, r in zip(whiteners, residuals, strict=True)]
-        filters, scales = burg(evened, MOST_ORDER, price=2.0 if for_errors else None)
+        weighed = [whitener.weighed(r) for whitener, r in zip(whiteners, residuals, strict=True)]
         samples = sum(r.size for r in residuals)
-        squares = [w.weighed(r) ** 2 for w, r in zip(whiteners, residuals, strict=True)]
-        spread = float(np.sqrt(sum(float(np.sum(s)) for s in squares) / samples))
-        return replace(self, filters=filters, scales=scales, spread=spread)
+        price = 2.0 if for_errors else float(np.log(samples))
+        filters, scales = burg(weighed, MOST_ORDER, price)
+        parameters = len(filters) - 1
+        if parameters >= min(SLOW_PARAMETERS):
+            others = [(parameters, filters, scales), *slow_filters(weighed, MOST_ORDER)]
+            parameters, filters, scales = min(others, key=lambda o: 2.0 * samples * np.log(o[2][-1]) + price * o[0])
+        spread = float(np.sqrt(sum(float(w @ w) for w in weighed) / samples))
+        return replace(self, filters=filters, scales=scales, parameters=parameters, spread=spread)
 
 
 @final
@@ -192,52 +199,30 @@ class Whitener:
         self._weight = weight
         if noise.jitter > 0.0 and weight is None:
             self._weight = 1.0 / np.sqrt(1.0 + (noise.jitter * speed / max(noise.floor, 1e-300)) ** 2)
-        self.noise, self.samples, self._first = noise, position.size, np.empty(0, dtype=np.intp)
-        first = _steady_runs(position) if noise.share > 0.0 else self._first
-        if noise.share > 0.0 and position.size > SHORT_RUN * first.size:  # else its own noise smears the rounding
-            self._first, self._counts = first, np.diff(first, append=position.size)
-            self._kept = 1.0 / np.sqrt(1.0 + self._counts * noise.share)
+        self.noise, self.samples = noise, position.size
         begun = min(noise.order, position.size)
         self._begin = np.zeros((begun, begun))
         for k in range(begun):  # the first samples have no past as long as the filter
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
 
-    @property
-    def evening(self) -> float:
-        """By how much evening lowers the variance of what lasts as long as equal readings; 1 where none is evened."""
-        return float(np.sum(self._counts / self._kept**2) / self.samples) if self._first.size else 1.0
-
     def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), each by its weight."""
         return rows if self._weight is None else np.asarray((rows.T * self._weight).T)
 
-    def evened(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return `rows`, shape (n,) or (n, k), with equal weight for each run of equal readings.
-
-        Rounding is the same error all through such a run: its mean counts as few samples, not as many.
-        """
-        rows = self.weighed(rows)
-        if self._first.size == 0:
-            return rows
-        weight = (1.0 - self._kept) / self._counts
-        sums = np.add.reduceat(rows, self._first, axis=0)
-        lowered = np.repeat((sums.T * weight).T, self._counts, axis=0)
-        return np.asarray(rows - lowered)
-
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), whitened."""
-        evened = self.evened(rows)
+        weighed = self.weighed(rows)
         if rows.size == 0:
-            return evened
+            return weighed
         if rows.ndim == 1:
-            white = np.convolve(evened, self._filter)[: rows.size]
+            white = np.convolve(weighed, self._filter)[: rows.size]
         else:
             from scipy.signal import lfilter
 
-            white = np.asarray(lfilter(self._filter, [1.0], evened, axis=0))
+            white = np.asarray(lfilter(self._filter, [1.0], weighed, axis=0))
         begun = self._begin.shape[0]
-        white[:begun] = self._begin @ evened[:begun]
+        white[:begun] = self._begin @ weighed[:begun]
         return white
 
     def deviations(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -249,12 +234,7 @@ class Whitener:
 
         if self._weight is not None:
             weights = (weights.T / self._weight).T
-        spread = np.asarray(lfilter([1.0], self._filter, weights[::-1], axis=0))[::-1]
-        if self._first.size == 0:
-            return spread
-        sums = np.add.reduceat(spread, self._first, axis=0)
-        raised = np.repeat((sums.T * ((1.0 / self._kept - 1.0) / self._counts)).T, self._counts, axis=0)
-        return np.asarray(spread + raised)
+        return np.asarray(lfilter([1.0], self._filter, weights[::-1], axis=0))[::-1]
 
     @property
     def log_determinant(self) -> float:
@@ -264,7 +244,7 @@ class Whitener:
         found = float(np.sum(np.log(noise.scales[:begun]))) + (samples - begun) * float(np.log(noise.innovation))
         if self._weight is not None:
             found -= float(np.sum(np.log(self._weight)))
-        return 2.0 * (found - (float(np.sum(np.log(self._kept))) if self._first.size else 0.0)) / noise.discount
+        return 2.0 * found / noise.discount
 
 
 def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
@@ -288,22 +268,12 @@ def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[
     return (float(np.sqrt(slope)) if slope > SEEN * error else 0.0), float(np.sqrt(level))
 
 
-def _steady_runs(position: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return where runs of equal readings begin; a reading that goes to a neighbour and back is one run."""
-    first = np.concatenate([[0], np.flatnonzero(np.diff(position)) + 1])
-    values = position[first]
-    returns = np.flatnonzero(values[2:] == values[:-2])
-    kept = np.ones(first.size, dtype=bool)
-    kept[returns + 1] = kept[returns + 2] = False
-    return first[kept]
-
-
 def burg(
-    signals: Sequence[NDArray[np.float64]], most: int, price: float | None = None
+    signals: Sequence[NDArray[np.float64]], most: int, price: float
 ) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
     """Return the prediction-error filters of order 0 … p of an autoregressive process, and what each leaves.
 
-    Burg's method over all `signals` together; p by the Bayesian information criterion, or by another price.
+    Burg's method over all `signals` together; p makes the likelihood, its price paid, largest.
 
     Parameters
     ----------
@@ -311,8 +281,8 @@ def burg(
         Realisations of one process with mean 0.
     most : int
         Highest order.
-    price : float, optional
-        Of an order, in −2 log-likelihood; the logarithm of the number of samples when None.
+    price : float
+        Of an order, in −2 log-likelihood.
 
     References
     ----------
@@ -331,6 +301,6 @@ def burg(
         longer = np.append(filters[-1], 0.0)
         filters.append(longer - reflection * longer[::-1])
         powers.append(max(powers[-1] * (1.0 - reflection**2), 1e-300))
-    costs = (np.log(samples) if price is None else price) * np.arange(len(powers))
+    costs = price * np.arange(len(powers))
     order = int(np.argmin(samples * np.log(powers) + costs))
     return tuple(filters[: order + 1]), np.sqrt(powers[: order + 1])

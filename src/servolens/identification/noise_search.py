@@ -121,7 +121,7 @@ class NoiseTrials:
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf
-        parameters = noise.order + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
+        parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
         misfit = parameters * float(np.log(likelihood.counted))
         for run, error, start in zip(likelihood.runs(noise, unpowered=self.unpowered), missed, begun, strict=True):
             white, initial = run.whiten(error), run.signals.initial

@@ -29,9 +29,11 @@ DOMINATES = 0.5
 
 DRAWS = 40
 """Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
-FREQUENCIES, BAND, RAISED, LEAST = 1024, 5, 2, 1e-6
-"""Frequencies of a spectrum; of them, those over which one of draws is smoothed; times that it is raised; share of the
-noise below which nothing but rounding is left of it."""
+FREQUENCIES, BAND, LEAST = 1024, 5, 1e-6
+"""Frequencies of a spectrum; of them, those over which one of draws is smoothed; share of the noise below which nothing
+but rounding is left of it."""
+CORRECTED, MOST_CORRECTED = 2, 3.0
+"""Times that it is corrected, and by what factor at most: 40 draws are known to a few percent."""
 
 
 def is_rounded(noise: NoiseModel) -> bool:
@@ -76,23 +78,20 @@ def _own_spectrum(
 ) -> NDArray[np.float64]:
     """Return the spectrum of the sensor's noise as the encoder has not rounded it yet, at even frequencies up to half.
 
-    It begins with the spectrum of the noise model less what rounding adds evenly at all frequencies. The model is that
-    of residuals that were evened, which takes some of slow noise away: the spectrum is raised until draws that are
-    rounded and evened have the model's (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+    It begins with the spectrum of the noise model less what rounding adds evenly at all frequencies. An axis at rest
+    shows rounding at low frequencies only: the spectrum is corrected until draws that are rounded have the model's
+    (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
     """
     shown = (noise.innovation / np.maximum(np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES)), 1e-12)) ** 2
     own = shown - noise.rounding**2 / 12.0
     own[own < LEAST * shown] = 0.0
-    most = max(run.whiten.evening for run in runs)
-    if most == 1.0:
-        return own
-    for _ in range(RAISED):
+    for _ in range(CORRECTED):
         stream, power, samples = np.random.default_rng(1), np.zeros(own.size), 0
         for run, position in zip(runs, positions, strict=True):
-            for whiten, error in _drawn(run, position, own, stream):
-                power += _power(whiten.evened(error))
+            for _, error in _drawn(run, position, own, stream):
+                power += _power(error)
                 samples += error.size
-        own = own * np.clip(shown * samples / np.maximum(power, 1e-300), 1.0, most)
+        own = own * np.clip(shown * samples / np.maximum(power, 1e-300), 1.0 / MOST_CORRECTED, MOST_CORRECTED)
     return own
 
 
