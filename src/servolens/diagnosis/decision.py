@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.remainder import MATERIAL, remainder_of
-from servolens.diagnosis.search import SHARE, Search, search
+from servolens.diagnosis.search import INDISTINCT, SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
@@ -152,12 +152,14 @@ def _cross_validated(case: Case, found: Search) -> Search:
     """Return `found` with those that were likeliest weighed by records to which they were not fitted.
 
     Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What each predicts of the
-    other records does not (Yao et al. 2018, doi:10.1214/17-BA1091).
+    other records does not (Yao et al. 2018, doi:10.1214/17-BA1091). Of those that these cannot tell apart, the one
+    with the fewest causes.
     """
     others = [h for h in found.judged if h.causes][:CONTENDERS]
     contenders = list({h.causes: h for h in (*found.path, *others)}.values())
     weighed = sorted((replace(h, total=case.misfit(h)) for h in contenders), key=lambda h: h.total)
-    base, best = next(h for h in weighed if not h.causes), weighed[0]
+    base = next(h for h in weighed if not h.causes)
+    best = min((h for h in weighed if h.total <= weighed[0].total + INDISTINCT), key=lambda h: len(h.causes))
     between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]
     path = [base, *between, best] if best.causes else [base]
     return replace(found, path=tuple(path), judged=tuple(weighed))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
-__all__ = ["EFFORT", "SHARE", "Effort", "Search", "search"]
+__all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
 PROMISING = 0.5
 """Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
@@ -209,7 +209,7 @@ class _Explorer:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
         test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
-        return (simpler.misfit - richer.misfit) / test.inflation(richer.plant) < paid
+        return test.gain(richer.plant) / test.inflation(richer.plant) < paid
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
