@@ -123,7 +123,16 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
-    simulation = simulate(plant, record, initial_velocity=initial_motion(record))
+    """Return what the simulation misses from the likelier beginning: at rest, or as fast as the first samples tell.
+
+    A lagging axis that is pushed off at once looks as if it had been moving.
+    """
+    found = [_from(plant, record, velocity) for velocity in dict.fromkeys((0.0, initial_motion(record)))]
+    return min(found, key=lambda missed: float(missed @ missed))
+
+
+def _from(plant: Plant, record: Record, velocity: float) -> NDArray[np.float64]:
+    simulation = simulate(plant, record, initial_velocity=velocity)
     shown = simulation.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else simulation.position
     return np.asarray(shown - record.position)
 

@@ -16,6 +16,7 @@ from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
+from servolens.identification.noise_in_loop import drawn_loop_errors
 from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.score import ScoreTest
@@ -158,7 +159,16 @@ class Case:
         rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
         if noise.rate > 0.0 and not can_tell(self.records, errors, rate):
             return True
-        return loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate)
+        if not loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate):
+            return False
+        if noise.rate > 0.0:
+            return True
+        ripples = [
+            np.interp(record.time, signals.time, wave)
+            for record, signals, wave in zip(self.records, self.likelihood.signals, self.ripple.waves, strict=True)
+        ]
+        drawn = drawn_loop_errors(hypothesis.plant, self.records, noise, ripples)
+        return not drawn or loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate, drawn)
 
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.

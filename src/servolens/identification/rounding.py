@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
 
-__all__ = ["DRAWS", "dominates", "is_rounded", "limit_of", "rounded"]
+__all__ = ["DRAWS", "dominates", "drawn_noise", "is_rounded", "limit_of", "rounded", "spectrum_of"]
 
 DOMINATES = 0.5
 """Share of rounding in the noise's variance from which on it is what decides: an axis at rest shows no noise."""
@@ -82,7 +82,7 @@ def _own_spectrum(
     shows rounding at low frequencies only: the spectrum is corrected until draws that are rounded have the model's
     (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
     """
-    shown = (noise.innovation / np.maximum(np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES)), 1e-12)) ** 2
+    shown = spectrum_of(noise)
     own = shown - noise.rounding**2 / 12.0
     own[own < LEAST * shown] = 0.0
     for _ in range(CORRECTED):
@@ -105,17 +105,28 @@ def _drawn(
 
     The error, shape (n,), is the position less what is shown.
     """
+    step = run.noise.rounding
+    own = drawn_noise(spectrum, position.size, stream)
+    for one, place in zip(own.T, stream.uniform(0.0, step, DRAWS), strict=True):  # where the encoder's steps lie
+        shown = step * np.round((position + one + place) / step) - place
+        yield Whitener(shown, run.whiten.speed, run.noise), position - shown
+
+
+def spectrum_of(noise: NoiseModel) -> NDArray[np.float64]:
+    """Return the spectrum of a noise model at even frequencies up to half, in variance a sample, shape (m,)."""
+    response = np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES))
+    return np.asarray((noise.innovation / np.maximum(response, 1e-12)) ** 2)
+
+
+def drawn_noise(spectrum: NDArray[np.float64], samples: int, stream: np.random.Generator) -> NDArray[np.float64]:
+    """Return draws of noise of a `spectrum` at even frequencies, shape (samples, draws)."""
     from scipy.fft import irfft, next_fast_len, rfft
 
-    step, samples = run.noise.rounding, position.size
     size = next_fast_len(2 * samples, real=True)
     at = np.linspace(0.0, spectrum.size - 1.0, size // 2 + 1)
     response = np.sqrt(np.interp(at, np.arange(spectrum.size), spectrum))
     waves = rfft(stream.standard_normal((size, DRAWS)), axis=0)
-    own = np.asarray(irfft(response[:, None] * waves, size, axis=0)[:samples])
-    for one, place in zip(own.T, stream.uniform(0.0, step, DRAWS), strict=True):  # where the encoder's steps lie
-        shown = step * np.round((position + one + place) / step) - place
-        yield Whitener(shown, run.whiten.speed, run.noise), position - shown
+    return np.asarray(irfft(response[:, None] * waves, size, axis=0)[:samples])
 
 
 def _power(signal: NDArray[np.float64]) -> NDArray[np.float64]:

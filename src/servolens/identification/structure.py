@@ -116,7 +116,11 @@ def _counted(records: Sequence[Record], rate: float) -> float:
 
 
 def loop_depends_on_inputs(
-    records: Sequence[Record], residuals: Sequence[NDArray[np.float64]], plant: Plant, rate: float
+    records: Sequence[Record],
+    residuals: Sequence[NDArray[np.float64]],
+    plant: Plant,
+    rate: float,
+    drawn: Sequence[Sequence[NDArray[np.float64]]] = (),
 ) -> bool:
     """Tell whether the error of simulations in closed loop depends on the inputs.
 
@@ -134,27 +138,41 @@ def loop_depends_on_inputs(
         That was simulated.
     rate : float
         ω of the loops [rad/s].
+    drawn : sequence of sequence of ndarray, optional
+        Draws of what noise alone would do: it explains more where the axis sticks, hunts, or is slow to forget.
     """
     from scipy.stats import f
 
-    columns, errors = [], []
-    for record, residual in zip(records, residuals, strict=True):
+    columns = []
+    for record in records:
         run = simulate(plant, record)
         reference = np.asarray(record.reference)
         lags = [int(share / rate / record.sample_time) for share in LOOP_LAGS]
         moved = [_shifted(reference - reference[0], lag) - _shifted(reference - reference[0], 2 * lag) for lag in lags]
         own = [run.velocity, np.sign(run.velocity), run.velocity * np.abs(run.velocity), run.position - reference]
         columns.append(np.column_stack([np.ones(len(record)), *own, run.voltage, *moved]))
-        errors.append(residual)
-    rows, error = np.concatenate(columns), np.concatenate(errors)
-    counted = _counted(records, rate)
-    rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    explained = error - rows @ np.linalg.lstsq(rows, error, rcond=1e-9)[0]
-    left, free = float(explained @ explained), counted - rows.shape[1]
-    if free < 2.0 or left <= 0.0:
+    rows = np.concatenate(columns)
+    counted, size = _counted(records, rate), rows.shape[1]
+    if counted - size < 2.0:
         return False
-    ratio = (float(error @ error) - left) / rows.shape[1] / (left / free)
-    return bool(f.sf(ratio, rows.shape[1], free) < FALSE_ALARM)
+    basis = _spanned(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
+
+    def explained(errors: Sequence[NDArray[np.float64]]) -> float:
+        error = np.concatenate(errors)
+        along = float(np.sum((basis.T @ error) ** 2))
+        left = float(error @ error) - along
+        return float(along / size / max(left / (counted - size), 1e-300))
+
+    limit = float(f.isf(FALSE_ALARM, size, counted - size))
+    if drawn:
+        limit = max(limit, limit_of(np.array([explained(errors) for errors in drawn]), FALSE_ALARM))
+    return explained(residuals) > limit
+
+
+def _spanned(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of what the columns of `rows` span."""
+    left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(left[:, singular > 1e-9 * singular[0]])
 
 
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
