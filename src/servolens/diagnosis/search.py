@@ -14,6 +14,7 @@ import numpy as np
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
+from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.processors import in_parallel
@@ -203,9 +204,11 @@ class _Explorer:
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
         """Tell whether rounding alone may make the `richer` hypothesis as much likelier.
 
-        Beside the noise of the richer: that of the simpler one holds what it lacks.
+        Beside the noise of the richer: that of the simpler one holds what it lacks. Rounding is no matter where the
+        simpler one misses more than noise and rounding can.
         """
-        if not dominates(richer.noise) or self.likelihood.simulates:
+        is_close = simpler.noise.spread <= AT_NOISE * self.likelihood.white.spread
+        if not is_close or not dominates(richer.noise) or self.likelihood.simulates:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
         test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
@@ -237,11 +240,12 @@ class _Explorer:
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
         share_of_work = self._allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
-        found = sorted((h for h in begun if h), key=_total)
+        found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=_total)
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
         share_of_work = self._allowance(len(close))
         further = in_parallel(lambda h: told(self._simulated(h, share_of_work)), close)
+        further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
 

@@ -120,8 +120,14 @@ class Trials:
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
     def _is_admissible(self, plant: Plant) -> bool:
-        """Tell whether the records show the effects as a whole, and none is nothing."""
-        return all(e.is_whole(self.seen) and not e.absent for e in plant.effects)
+        """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
+
+        A drive with a loop of its own sets the gain, which no bound of the fit holds then.
+        """
+        values = dict(zip(plant.parameters, plant.values, strict=True))
+        known = ((values[name], *_range(prior)) for name, prior in self.priors.items() if name in values)
+        agrees = all(low <= value <= high for value, low, high in known)
+        return agrees and all(e.is_whole(self.seen) and not e.absent for e in plant.effects)
 
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter.
@@ -151,7 +157,8 @@ class Trials:
             tried = self._proposed(plant, cls)
         except (InputError, NumericalError):
             return []
-        found = [Start(p, test.gain(p)) for p in tried if not self.likelihood.is_too_stiff(p)]
+        whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))
+        found = [Start(p, test.gain(p)) for p in whole]
         for general in cls.generalised(parts, self.seen) if parts else ():
             same = plant.with_effect(general)
             found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))

@@ -128,7 +128,7 @@ class Likelihood:
     ) -> None:
         self.records, self._options = tuple(records), options
         self._rates, self._are_phases_own = tuple(rates), are_phases_own and len(self.records) > 1
-        self._price, self._is_admissible = price, is_admissible
+        self._price, self.is_admissible = price, is_admissible
         self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
         self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
         self._like, self.rate = plant, loop_rate(plant, records)
@@ -255,7 +255,7 @@ class Likelihood:
                 continue
             best, plant = found, found.plant
             waiting = [found.noise] if found.noise.rate == 0.0 else [self.white, found.noise]
-        return best if best is not None and self._is_admissible(best.plant) else None
+        return best if best is not None and self.is_admissible(best.plant) else None
 
     def tried(
         self,

@@ -119,6 +119,8 @@ class NoiseTrials:
             self._left = missed
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
+        if noise.wanders:  # which is what the model lacks, and no noise: a filter would hide it
+            noise = first.scaled(missed)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf
         parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
