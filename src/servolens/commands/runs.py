@@ -27,6 +27,7 @@ from servolens.summary import Summary
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servolens.model import Model
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -121,12 +122,20 @@ def identify(
             return _unidentified(f"{error}", (*refused, *quality), json_file)
     findings = together(refused, quality, result.findings)
     if out and not refused:
-        write_json(out, "model", result.model.to_json(), findings)
+        write_json(out, "model", _with_fatal(result.model, quality).to_json(), findings)
     if json_file:
         write_json(json_file, "identification", result.to_json(), findings)
     stream = STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
     show(replace(identification_summary(result), findings=findings), stream)
     return 1 if refused else 0
+
+
+def _with_fatal(model: Model, quality: Sequence[Finding]) -> Model:
+    """Let a model that is written by force remember what speaks against it."""
+    from servolens.quality import fatal
+
+    against = tuple(f"{finding.record}: {finding.message}" for finding in fatal(quality))
+    return replace(model, evidence=model.evidence and replace(model.evidence, fatal=against))
 
 
 def _unidentified(reason: str, findings: tuple[Finding, ...], json_file: str | None) -> int:

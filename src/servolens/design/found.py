@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
 
-__all__ = ["Certificate", "Comparison", "Design", "Relaxed", "Response"]
+__all__ = ["Certificate", "Comparison", "Design", "Light", "Recommended", "Relaxed", "Response"]
 
 
 @final
@@ -28,18 +28,21 @@ class Response:
         Fraction of the step.
     peak_voltage : float
         Largest |V| that the controller asks for [V].
+    peak_speed : float
+        Largest |velocity| [m/s or rad/s].
     final_error : float
         Fraction of the step.
     meets : bool
         Whether all of the spec holds.
     stable : bool
-        Whether the axis stays within all bounds; if not, overshoot, voltage and error are infinite.
+        Whether the axis stays within all bounds; if not, overshoot, voltage, speed and error are infinite.
     """
 
     kd: float
     settling_time: float | None
     overshoot: float
     peak_voltage: float
+    peak_speed: float
     final_error: float
     meets: bool
     stable: bool = True
@@ -111,6 +114,74 @@ class Relaxed:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Recommended:
+    """The gain to use: from the widest feasible place, over what is not known of the axis.
+
+    Attributes
+    ----------
+    kp, kd : float
+        Gains [V/m, V s/m].
+    settling_time : float or None
+        On the models as they are, the slowest of them [s]; None where one does not settle.
+    overshoot : float
+        On the models as they are, the largest, as a fraction of the step.
+    worst : Response
+        The slowest of all scenarios, with its own realised gain.
+    probability : float
+        Share of the scenarios that meet the spec.
+    interval : tuple of float
+        Its 95 % confidence interval (Clopper and Pearson).
+    scenarios : int
+        How many; none of them took part in the choice of the gain.
+    why : str
+        One sentence: what speaks for this gain.
+    risk : str
+        One sentence: what the least gain risks.
+    """
+
+    kp: float
+    kd: float
+    settling_time: float | None
+    overshoot: float
+    worst: Response
+    probability: float
+    interval: tuple[float, float]
+    scenarios: int
+    why: str
+    risk: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``recommended`` in ``servolens.design/1``."""
+        return {
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("interval", "probability")},
+            "worst": self.worst.to_json(),
+            "probability": {"value": self.probability, "interval": list(self.interval)},
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """How far something can be trusted.
+
+    Attributes
+    ----------
+    light : {"green", "amber", "red"}
+        As of a traffic light.
+    sentence : str
+        Why.
+    """
+
+    light: Literal["green", "amber", "red"]
+    sentence: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {"light": self.light, "sentence": self.sentence}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
     """The least derivative gain that meets a spec.
 
@@ -137,6 +208,8 @@ class Design:
         Specs that can be met, with as few fields changed as possible.
     reason : str or None
         Why there is none.
+    recommended : Recommended or None
+        The gain to use, beside the least one; None until :func:`servolens.design.recommend` looked for it.
     """
 
     spec: PDSpec
@@ -149,6 +222,7 @@ class Design:
     conflict: tuple[str, ...] = ()
     nearest: tuple[Relaxed, ...] = ()
     reason: str | None = None
+    recommended: Recommended | None = None
 
     @property
     def feasible(self) -> bool:
@@ -176,6 +250,7 @@ class Design:
             "verified": None if worst is None else worst.to_json(),
             "models": [response.to_json() for response in self.verified],
             "spec": self.spec.to_json(),
+            "recommended": None if self.recommended is None else self.recommended.to_json(),
         }
         if self.reason is not None:
             result["reason"] = self.reason

@@ -87,7 +87,7 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
     try:
         run = step_response(plant, spec, kd, horizon(plant, spec))
     except NumericalError:
-        nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "final_error": np.inf}
+        nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "peak_speed": np.inf, "final_error": np.inf}
         return Response(kd=kd, settling_time=None, meets=False, stable=False, **nothing)
     step = abs(spec.reference)
     error = (spec.reference - run.position) / step
@@ -102,6 +102,7 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
         settling_time=settled,
         overshoot=overshoot,
         peak_voltage=peak,
+        peak_speed=float(np.abs(run.velocity).max()),
         final_error=float(error[-1]),
         meets=bool(meets),
     )

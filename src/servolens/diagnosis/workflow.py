@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
-from servolens.diagnosis.remainder import MATERIAL, remainder_of
+from servolens.diagnosis.remainder import MATERIAL, evidence_of, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
@@ -122,7 +123,9 @@ def _diagnosed(
         gains = case.gains(path)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     remainder = remainder_of(case, path[-1], gains)
-    model = fits[-1].model
+    told = (*findings, *decision.findings, *fits[-1].findings)
+    told = (*told, *said(case, found, path[-1], gains, verdict, remainder))
+    model = replace(fits[-1].model, evidence=evidence_of(case, gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
     sure = {cause.effect: cause.confidence for cause in causes}
@@ -141,12 +144,7 @@ def _diagnosed(
         model=model,
         rival_plants=rivals,
         next_experiment=proposed(model.plant, rivals, sure, case.records, noise=gains.noise),
-        findings=(
-            *findings,
-            *decision.findings,
-            *fits[-1].findings,
-            *said(case, found, path[-1], gains, verdict, remainder),
-        ),
+        findings=told,
         records=case.records,
         heldout=case.heldout,
     )
