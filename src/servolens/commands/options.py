@@ -191,7 +191,7 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
         _number("--kp", "Proportional gain to design for [V/m or V/rad].", required=required),
         _number("--settling-time", "In the band from this time on [s].", required=required),
         _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
-        _number("--reference", "Size of the step [m or rad].  [default: 0.1]"),
+        _number("--reference", "Size of the step [m or rad].  [default: that of the model's records, else 0.1]"),
         _number("--overshoot", "Largest overshoot as a fraction of the step."),
         _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
         _number("--kd-max", "End of the search, which begins at 0.  [default: from the plant]"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -190,7 +190,7 @@ class Design:
     spec : PDSpec
         What was asked, with the end of the search.
     kd : float or None
-        The least gain; None if none meets the spec.
+        The least gain; None if none meets the spec, or where it is withheld.
     intervals : tuple of (float, float)
         All feasible gains in the searched range, for all models at once.
     certificate : Certificate
@@ -226,19 +226,29 @@ class Design:
 
     @property
     def feasible(self) -> bool:
-        """Whether any gain meets the spec."""
-        return self.kd is not None
+        """Whether any gain meets the spec on the models."""
+        return bool(self.intervals)
+
+    @property
+    def withheld(self) -> bool:
+        """Whether no gain is given although some meet the spec on the models."""
+        return self.feasible and self.kd is None
 
     @property
     def margin(self) -> float | None:
         """How far the gain may rise before the spec breaks [V s/m]."""
         return None if self.kd is None else self.intervals[0][1] - self.kd
 
+    def withhold(self, reason: str) -> Design:
+        """Return the design without its gains, for a `reason` that is told; the intervals stay."""
+        return replace(self, kd=None, recommended=None, verified=(), reason=reason)
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.design/1`` without the file's header."""
         worst = max(self.verified, key=lambda r: np.inf if r.settling_time is None else r.settling_time, default=None)
         result: dict[str, Any] = {
             "feasible": self.feasible,
+            "withheld": self.withheld,
             "kd": self.kd,
             "kp": self.spec.kp,
             "settling_time": None if worst is None else worst.settling_time,

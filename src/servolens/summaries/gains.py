@@ -8,7 +8,9 @@ from servolens.summaries.wording import inside, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from servolens.design.found import Comparison, Design, Response
+    from collections.abc import Mapping
+
+    from servolens.design.found import Comparison, Design, Light, Response
     from servolens.design.spec import PDSpec
 
 __all__ = ["comparison_summary", "design_summary"]
@@ -17,25 +19,42 @@ FRAGILE = 0.05
 """A margin below this share of the gain is worth a sentence."""
 
 
-def design_summary(design: Design, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
-    """Tell the least gain, where else the spec holds, and what the simulated step does there.
+def design_summary(
+    design: Design,
+    *,
+    lights: Mapping[str, Light] | None = None,
+    forced: bool = False,
+    length_unit: str = "m",
+    command_unit: str = "V",
+) -> Summary:
+    """Tell the gain to use, the least gain, where else the spec holds, and what the simulated step does there.
 
     Parameters
     ----------
     design : Design
         What was found.
+    lights : mapping of str to Light, optional
+        How far what it names can be trusted.
+    forced : bool
+        Whether the gain is given although it should be withheld.
     length_unit, command_unit : str
         Of the plant.
     """
     spec = design.spec
     kd_unit = f"{command_unit} s/{length_unit}"
+    trusted = [f"{name}: {light.light}. {light.sentence}" for name, light in (lights or {}).items()]
     if design.kd is None:
-        sentences = [_stop(design.reason), _asked(spec, length_unit, command_unit)]
-        return Summary(title="Design", sentences=tuple(sentences))
+        verdict = "The gain is withheld; --force gives it all the same." if design.withheld else _stop(design.reason)
+        sentences = [verdict, *trusted, _asked(spec, length_unit, command_unit)]
+        tables = (_intervals(design, kd_unit),) if design.withheld else ()
+        return Summary(title="Design", sentences=tuple(sentences), tables=tables)
     sentences = [
+        *(["Forced: this gain would be withheld."] if forced else []),
+        *_recommended(design, kd_unit),
         f"kd = {_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
+        *trusted,
         _asked(spec, length_unit, command_unit),
         *_program(design),
     ]
@@ -62,6 +81,16 @@ def comparison_summary(comparison: Comparison, *, length_unit: str = "m", comman
         sentences=tuple(sentences),
         tables=(_side_by_side(comparison, kd_unit, command_unit),) if linear.feasible or nonlinear.feasible else (),
     )
+
+
+def _recommended(design: Design, kd_unit: str) -> list[str]:
+    chosen = design.recommended
+    if chosen is None:
+        return []
+    return [
+        f"kd = {number(chosen.kd)} {kd_unit} is recommended: it {_stop(chosen.why, capital=False)}",
+        _stop(chosen.risk),
+    ]
 
 
 def _gain(design: Design) -> str:
@@ -218,6 +247,6 @@ def _side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Ta
     return Table(title="Side by side", columns=("", "Linear", "Nonlinear"), rows=rows)
 
 
-def _stop(reason: str | None) -> str:
+def _stop(reason: str | None, *, capital: bool = True) -> str:
     text = (reason or "no gain meets the spec").rstrip(".")
-    return f"{text[0].upper()}{text[1:]}."
+    return f"{text[0].upper() if capital else text[0]}{text[1:]}."
