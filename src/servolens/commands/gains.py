@@ -63,8 +63,10 @@ def design(
     from servolens.design import PDSpec, recommend, trust, tune
     from servolens.summaries import design_summary
 
+    wanted = PDSpec(**spec.given)
     models = load_models(model_files)
-    wanted = PDSpec(**{**_step_of_records(models), **spec.given})
+    if "reference" not in spec.given:
+        wanted = replace(wanted, reference=_step_of_records(models) or wanted.reference)
     plants = [model.plant for model in models]
     with progress_bar() as progress, about(*model_files):
         result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
@@ -84,10 +86,10 @@ def design(
     return 0 if result.kd is not None else 1
 
 
-def _step_of_records(models: Sequence[Model]) -> dict[str, float]:
-    """Return the largest step that all models have seen, to three digits, as the field of a specification."""
+def _step_of_records(models: Sequence[Model]) -> float | None:
+    """Return the largest step that all models have seen, to three digits; None where it is not known."""
     steps = [model.evidence.range.step for model in models if model.evidence is not None]
-    return {"reference": float(f"{min(steps):.3g}")} if steps and min(steps) > 0.0 else {}
+    return float(f"{min(steps):.3g}") if steps else None
 
 
 @click.command(cls=Documented, epilog="servolens compare kp60.csv --kp 100 --settling-time 0.5")

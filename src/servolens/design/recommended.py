@@ -37,8 +37,8 @@ CHOICE = 40
 """Scenarios by which the gain is chosen: one that fails in a tenth of all is noticed in 98 of 100 cases."""
 GAINS, FEWEST = 40, 3
 """Gains that are tried in all intervals together, and in each at least."""
-GLANCE = 1.25
-"""Settling times for which a step is watched at first: most gains that fail do so soon."""
+WATCHED = 3.0
+"""Settling times for which a step is watched while the gain is chosen; those that tell are watched to the end."""
 
 
 def recommend(
@@ -151,12 +151,8 @@ def _grids(intervals: Sequence[tuple[float, float]], scale: float) -> list[NDArr
 def _tried(job: tuple[float, Scenario]) -> tuple[float, float]:
     """Return whether the spec holds, and the overshoot."""
     kd, scenario = job
-    spec = scenario.spec
-    soon = scenario.response(kd, GLANCE * spec.settling_time)
-    if not soon.meets:
-        return 0.0, soon.overshoot
-    whole = scenario.response(kd)
-    return float(whole.meets), whole.overshoot
+    response = scenario.response(kd, WATCHED * scenario.spec.settling_time)
+    return float(response.meets), response.overshoot
 
 
 def _middle(grids: Sequence[NDArray[np.float64]], good: NDArray[np.bool_], scale: float) -> float:
