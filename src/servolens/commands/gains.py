@@ -1,4 +1,4 @@
-"""Commands that give gains: design, compare."""
+"""The command that designs on models: design."""
 
 from __future__ import annotations
 
@@ -7,24 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import (
-    about,
-    check_outputs,
-    load_models,
-    load_records,
-    priors_from,
-    quality_findings,
-    together,
-)
-from servolens.commands.options import (
-    Documented,
-    Recordings,
-    SpecOptions,
-    json_option,
-    prior,
-    recordings,
-    specification,
-)
+from servolens.commands.files import about, check_outputs, load_models
+from servolens.commands.options import Documented, SpecOptions, json_option, specification
 from servolens.commands.terminal import progress_bar, show
 from servolens.results import write_json
 
@@ -33,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.model import Model
 
-__all__ = ["compare", "design"]
+__all__ = ["design"]
 
 
 @click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
@@ -90,52 +74,3 @@ def _step_of_records(models: Sequence[Model]) -> float | None:
     """Return the largest step that all models have seen, to three digits; None where it is not known."""
     steps = [model.evidence.range.step for model in models if model.evidence is not None]
     return float(f"{min(steps):.3g}") if steps else None
-
-
-@click.command(cls=Documented, epilog="servolens compare kp60.csv --kp 100 --settling-time 0.5")
-@recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
-@specification()
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    type=prior,
-    metavar="NAME=MEAN,SD",
-    help="Data-sheet knowledge: gain=45,2. May be repeated.",
-)
-@json_option
-def compare(
-    recordings: Recordings, spec: SpecOptions, priors: tuple[tuple[str, float, float], ...], json_file: str | None
-) -> int:
-    """Compare the gain that a linear model recommends with that of the nonlinear one.
-
-    Both models are identified from the records; both recommendations are run on the nonlinear model. Exit status 1 if
-    no gain meets the specification there.
-    """
-    check_outputs({"--json": json_file}, recordings.paths)
-    from servolens.design import PDSpec
-    from servolens.design import compare as compare_designs
-    from servolens.identification import identify
-    from servolens.summaries import comparison_summary
-
-    wanted = PDSpec(**spec.given)
-    with progress_bar() as progress:
-        records = load_records(recordings, {"--json": json_file}, progress)
-        findings = quality_findings(records)
-        progress("Identifying", 0, 0)
-        with about(*recordings.paths):
-            known = priors_from(priors)
-            fits = [
-                identify(records, model="constant", priors=known),
-                identify(records, model="velocity", priors=known),
-            ]
-            linear, nonlinear = (fit.model for fit in fits)
-            result = compare_designs(linear.plant, nonlinear.plant, wanted, progress=progress)
-    findings = together(findings, *(fit.findings for fit in fits))
-    if json_file:
-        models = {"constant": linear.to_json(), "velocity": nonlinear.to_json()}
-        write_json(json_file, "comparison", {**result.to_json(), "models": models}, findings)
-    first = records[0]
-    summary = comparison_summary(result, length_unit=first.length_unit, command_unit=first.command_unit)
-    show(replace(summary, findings=findings), json_file)
-    return 0 if result.nonlinear.kd is not None else 1

@@ -57,7 +57,7 @@ def demo(out: str, json_file: str | None) -> int:
 
 @click.command(cls=Documented, epilog="servolens report kp60.csv --kp 100 --settling-time 0.5 --out report.html")
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
-@specification(required=False)
+@specification(required=())
 @effort_option
 @click.option("--out", required=True, metavar="FILE.html", help="The page to write.")
 @json_option

@@ -17,7 +17,15 @@ from servolens.commands.files import (
     refusal,
     together,
 )
-from servolens.commands.options import Documented, Recordings, finite, force_option, json_option, prior, recordings
+from servolens.commands.options import (
+    Documented,
+    Recordings,
+    finite,
+    force_option,
+    json_option,
+    prior_option,
+    recordings,
+)
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
@@ -74,14 +82,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
 @click.option(
     "--piece", type=finite, metavar="NUMBER", help="Varying: length of a piece [s]; by default from the reversals."
 )
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    type=prior,
-    metavar="NAME=MEAN,SD",
-    help="Data-sheet knowledge: gain=45,2. May be repeated.",
-)
+@prior_option
 @click.option("--out", metavar="FILE", help="Write the model: the chosen one, with 'all' the velocity model.")
 @force_option
 @json_option

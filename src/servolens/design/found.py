@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from servolens.design.spec import PDSpec
+    from servolens.diagnosis import Diagnosis
+    from servolens.plant import Plant
+    from servolens.quality import RecordQuality
 
 __all__ = ["Certificate", "Comparison", "Design", "Light", "Recommended", "Relaxed", "Response"]
 
@@ -210,6 +215,12 @@ class Design:
         Why there is none.
     recommended : Recommended or None
         The gain to use, beside the least one; None until :func:`servolens.design.recommend` looked for it.
+    lights : mapping of str to Light
+        How far ``"model"`` and ``"gain"`` can be trusted, from records also ``"data"``; empty where nobody judged.
+    check : tuple of RecordQuality
+        Of the records, where it was made from these.
+    diagnosis : Diagnosis or None
+        What was found from the records, where it was made from these.
     """
 
     spec: PDSpec
@@ -223,6 +234,9 @@ class Design:
     nearest: tuple[Relaxed, ...] = ()
     reason: str | None = None
     recommended: Recommended | None = None
+    lights: Mapping[str, Light] = field(default_factory=dict)
+    check: tuple[RecordQuality, ...] = ()
+    diagnosis: Diagnosis | None = None
 
     @property
     def feasible(self) -> bool:
@@ -274,25 +288,60 @@ class Design:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """Linear and nonlinear recommendation side by side.
+    """Linear, nonlinear and diagnosed recommendation side by side.
 
     Attributes
     ----------
+    plants : tuple of Plant
+        The linear, the nonlinear and, where there is one, the diagnosed plant.
     linear, nonlinear : Design
         Each designed on its own model.
     linear_on_nonlinear : Response or None
         The linear recommendation run on the nonlinear plant; None if there is none.
+    diagnosed : Design or None
+        Designed on the model with the causes that were found; None where none was looked for.
+    linear_on_diagnosed, nonlinear_on_diagnosed : Response or None
+        Recommendations run on the diagnosed plant; None where there is no such gain or plant.
     """
 
+    plants: tuple[Plant, ...]
     linear: Design
     nonlinear: Design
     linear_on_nonlinear: Response | None
+    diagnosed: Design | None = None
+    linear_on_diagnosed: Response | None = None
+    nonlinear_on_diagnosed: Response | None = None
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        """The designs, that on the plant which the data support best last."""
+        return (self.linear, self.nonlinear, *(() if self.diagnosed is None else (self.diagnosed,)))
+
+    @property
+    def on_best(self) -> tuple[Response | None, ...]:
+        """Each recommendation, run on the plant that the data support best: the last one."""
+        own = next(iter(self.designs[-1].verified), None)
+        if self.diagnosed is None:
+            return self.linear_on_nonlinear, own
+        return self.linear_on_diagnosed, self.nonlinear_on_diagnosed, own
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.comparison/1`` without the file's header."""
-        on = self.linear_on_nonlinear
-        own = self.nonlinear.verified[0].to_json() if self.nonlinear.verified else None
+        own = next(iter(self.nonlinear.verified), None)
         return {
-            "linear": {**self.linear.to_json(), "on_nonlinear": None if on is None else on.to_json()},
-            "nonlinear": {**self.nonlinear.to_json(), "on_nonlinear": own},
+            "linear": {
+                **self.linear.to_json(),
+                "on_nonlinear": _optional(self.linear_on_nonlinear),
+                "on_diagnosed": _optional(self.linear_on_diagnosed),
+            },
+            "nonlinear": {
+                **self.nonlinear.to_json(),
+                "on_nonlinear": _optional(own),
+                "on_diagnosed": _optional(self.nonlinear_on_diagnosed),
+            },
+            "diagnosed": _optional(self.diagnosed),
         }
+
+
+def _optional(value: Response | Design | None) -> dict[str, Any] | None:
+    return None if value is None else value.to_json()

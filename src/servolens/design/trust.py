@@ -30,7 +30,7 @@ measured step), and from which on it is not to be given."""
 ORDER = ("green", "amber", "red")
 
 
-def trust(models: Model | Plant | Sequence[Model | Plant], design: Design) -> tuple[Light, Light]:
+def trust(models: Model | Plant | Sequence[Model | Plant], design: Design | None) -> tuple[Light, Light]:
     """Judge the models by their evidence, and the gain of a design by its models, its scenarios and the data's range.
 
     The verdict of a diagnosis alone decides nothing. A red gain is to be withheld.
@@ -39,8 +39,8 @@ def trust(models: Model | Plant | Sequence[Model | Plant], design: Design) -> tu
     ----------
     models : Model, Plant, or sequence of them
         What the design was made for.
-    design : Design
-        With its recommended gain, where it was looked for.
+    design : Design or None
+        With its recommended gain, where it was looked for; None where nothing was designed.
 
     Returns
     -------
@@ -55,6 +55,8 @@ def trust(models: Model | Plant | Sequence[Model | Plant], design: Design) -> tu
     """
     known = as_models(models)
     of_model = _worst([_model_light(model.evidence) for model in known])
+    if design is None:
+        return of_model, Light(light="red", sentence="No gain was sought.")
     return of_model, _gain_light(known, design, of_model)
 
 

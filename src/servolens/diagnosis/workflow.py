@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Hypothesis
     from servolens.record import Record
 
-__all__ = ["diagnose"]
+__all__ = ["check_request", "diagnose"]
 
 
 @single_threaded_blas
@@ -89,10 +89,7 @@ def diagnose(
     runs = together(records)
     others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
     together((*runs, *others))
-    _check_priors(priors or {})
-    _check_copies(runs, others)
-    if effort not in EFFORT:
-        raise InputError(f"effort must be one of {', '.join(EFFORT)}; got {effort!r}")
+    check_request(runs, others, priors or {}, effort)
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
@@ -150,6 +147,21 @@ def _diagnosed(
     )
     progress("measuring the gain", 100, 100)
     return diagnosis
+
+
+def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: Iterable[str], effort: str) -> None:
+    """Refuse what cannot be asked of a diagnosis, whatever the records hold.
+
+    Raises
+    ------
+    InputError
+        If a prior is on what no plant has, a held-out record is a copy of one that is fitted, or there is no such
+        effort.
+    """
+    _check_priors(priors)
+    _check_copies(records, heldout)
+    if effort not in EFFORT:
+        raise InputError(f"effort must be one of {', '.join(EFFORT)}; got {effort!r}")
 
 
 def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:
