@@ -120,6 +120,17 @@ def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: 
 
 
 def _plant(model: Model, random: np.random.Generator) -> Plant:
+    """Draw a plant, with phases anew of waves that do not know when a step begins."""
+    from servolens.identification.phases import own_phases  # here, for it brings SciPy
+
+    plant = _within_covariance(model, random)
+    phases = {name: float(random.uniform(-pi, pi)) for name in own_phases(plant)}
+    if not phases:
+        return plant
+    return plant.with_values([phases.get(name, v) for name, v in zip(plant.parameters, plant.values, strict=True)])
+
+
+def _within_covariance(model: Model, random: np.random.Generator) -> Plant:
     """Draw a plant from the covariance, within the bounds of its parameters; what has no error is held."""
     if model.covariance is None:
         return model.plant

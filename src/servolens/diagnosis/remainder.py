@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.diagnosis.errors import pooled, residual
 from servolens.identification.data_range import data_range
+from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
 from servolens.identification.structure import MATERIAL
 from servolens.model_evidence import Evidence, Remainder
@@ -31,11 +33,11 @@ __all__ = ["MATERIAL", "Remainder", "evidence_of", "remainder_of", "unexplained_
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     """Return what `chosen`, the last of `gains`, misses of the training records."""
-    error, noise = gains.train(-1), gains.noise
-    travel = case.travel
+    trained, noise = _trained(case, chosen, gains), gains.noise
+    error, travel = pooled(trained), case.travel
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
     missed, lasts = unexplained_acceleration(
-        chosen.plant, case.records, gains.trained[-1], rate=case.likelihood.rate, noise=noise
+        chosen.plant, case.records, trained, rate=case.likelihood.rate, noise=noise
     )
     missed = missed if np.isfinite(error) else error
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
@@ -51,12 +53,13 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     )
 
 
-def evidence_of(case: Case, gains: Gains, verdict: str, remainder: Remainder, findings: Sequence[Finding]) -> Evidence:
-    """Return what the records say for and against the last model of `gains`."""
-    records = gains.heldout or gains.records
+def evidence_of(
+    case: Case, chosen: Hypothesis, gains: Gains, verdict: str, remainder: Remainder, findings: Sequence[Finding]
+) -> Evidence:
+    """Return what the records say for and against `chosen`, the last of `gains`."""
     missed = [
-        float(np.sqrt(np.mean(error**2))) / record.step_size
-        for record, error in zip(records, gains.held[-1], strict=True)
+        pooled([error]) / record.step_size
+        for record, error in zip(case.heldout or case.records, _held(case, chosen, gains), strict=True)
         if record.step_size > 0.0
     ]
     against = [f"{finding.record}: {finding.message}" for finding in fatal(findings)]
@@ -69,6 +72,27 @@ def evidence_of(case: Case, gains: Gains, verdict: str, remainder: Remainder, fi
         heldout_of_step=max(missed, default=None),
         fatal=tuple(against),
     )
+
+
+def _trained(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
+    """Return the residuals of the training records, each with the phases of its own."""
+    if not own_phases(chosen.plant):
+        return gains.trained[-1]
+    return [_in_phase(chosen.plant, record) for record in case.records]
+
+
+def _held(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
+    """Return the residuals where the plant was not fitted, but for phases of a record's own."""
+    if not own_phases(chosen.plant):
+        return gains.held[-1]
+    if case.heldout:
+        return [_in_phase(chosen.plant, record) for record in case.heldout]
+    left_out = zip(case.left_out(chosen), case.records, case.cuts, strict=True)
+    return [_in_phase(plant, record)[cut:] for plant, record, cut in left_out]
+
+
+def _in_phase(plant: Plant, record: Record) -> Array:
+    return residual(synchronised(plant, lambda turned: pooled([residual(turned, record)])), record)
 
 
 def unexplained_acceleration(
@@ -96,12 +120,12 @@ def unexplained_acceleration(
         Standard deviation of the sensor's noise [m or rad].
     """
     squares, samples = np.zeros(2), 0
-    for record, residual in zip(records, residuals, strict=True):
+    for record, error in zip(records, residuals, strict=True):
         window = int(min(max(2.0 / rate / record.sample_time, 7), len(record) // 2)) // 2 * 2 + 1
-        if window < 5 or residual.size <= window or not np.isfinite(residual).all():
+        if window < 5 or error.size <= window or not np.isfinite(error).all():
             continue
-        squares += _mean_squares(plant.for_record(record), record, residual, window, noise) * residual.size
-        samples += residual.size
+        squares += _mean_squares(plant.for_record(record), record, error, window, noise) * error.size
+        samples += error.size
     longest = max(record.duration for record in records)
     if samples == 0 or squares[0] == 0.0:
         return 0.0, longest
@@ -109,7 +133,7 @@ def unexplained_acceleration(
     return float(np.sqrt(squares[0] / samples)), float(min(lasts, longest))
 
 
-def _mean_squares(plant: Plant, record: Record, residual: Array, window: int, noise: float) -> Array:
+def _mean_squares(plant: Plant, record: Record, error: Array, window: int, noise: float) -> Array:
     """Return the mean squares, shape (2,), of the acceleration and of its rate without the noise's share."""
     from scipy.signal import savgol_coeffs, savgol_filter
 
@@ -118,7 +142,7 @@ def _mean_squares(plant: Plant, record: Record, residual: Array, window: int, no
     if controller is not None:
         stiffness, drag = plant.gain * controller.kp, plant.damping + plant.gain * controller.kd
     step = record.sample_time
-    curves = [savgol_filter(residual, window, 3, deriv=k, delta=step) for k in range(4)]
+    curves = [savgol_filter(error, window, 3, deriv=k, delta=step) for k in range(4)]
     weights = [savgol_coeffs(window, 3, deriv=k, delta=step) for k in range(4)]
     found = []
     for k in range(2):

@@ -122,7 +122,7 @@ def _diagnosed(
     remainder = remainder_of(case, path[-1], gains)
     told = (*findings, *decision.findings, *fits[-1].findings)
     told = (*told, *said(case, found, path[-1], gains, verdict, remainder))
-    model = replace(fits[-1].model, evidence=evidence_of(case, gains, verdict, remainder, told))
+    model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
     sure = {cause.effect: cause.confidence for cause in causes}
