@@ -37,14 +37,15 @@ def demo(out: str, json_file: str | None) -> int:
     """Run the whole workflow on the built-in virtual cart.
 
     Three step records and the eight gain pairs of a published table; models, their prediction errors, figures and the
-    design comparison, as DIR/report.html and DIR/results.json.
+    design comparison; then an axis in which the laboratory hides an effect, found from its records and designed on. As
+    DIR/report.html and DIR/results.json.
     """
     folder = Path(out)
     if not out.strip() or (folder.exists() and not folder.is_dir()):
         raise InputError(f"{out or '--out'}: is not a folder; name one, it is created if needed")
     check_outputs({"--json": json_file})
     from servolens.demo import run_demo
-    from servolens.summaries import demo_summary
+    from servolens.summaries import demo_summary, hidden_summary
 
     with progress_bar() as progress, writing(folder):
         body = run_demo(folder, progress=progress)
@@ -52,6 +53,8 @@ def demo(out: str, json_file: str | None) -> int:
         told = json.loads((folder / "results.json").read_text(encoding="utf-8"))["findings"]
         write_json(json_file, "demo", body, [Finding(**finding) for finding in told])
     show(demo_summary(body, out), json_file)
+    click.echo(err=json_file == STANDARD_OUTPUT)
+    show(hidden_summary(body), json_file)
     return 0
 
 

@@ -29,6 +29,7 @@ from servolens.summaries import (
     gain_sentences,
     identification_summary,
 )
+from servolens.summaries.diagnosis import verdict_sentence
 from servolens.summaries.wording import listed, number, percent
 from servolens.summary import Summary, Table
 
@@ -65,8 +66,9 @@ def write_measured(path: Path, study: Study, held_out: Prediction | None, findin
 def _lead(study: Study) -> tuple[str, tuple[str, ...]]:
     """Return the gain or why there is none, and what else matters most."""
     first = gain_sentences(study)[0]
-    told = () if study.fit is None else identification_summary(study.fit).sentences[:2]
-    return first, told
+    if study.diagnosis is not None:
+        return first, (verdict_sentence(study.diagnosis),)
+    return first, () if study.fit is None else identification_summary(study.fit).sentences[:2]
 
 
 def _data(study: Study) -> Section:

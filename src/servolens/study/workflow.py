@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from servolens.identification import identify
 from servolens.identification.door import together
 from servolens.identification.velocity import SHAPE, SIZE
 from servolens.model_evidence import Evidence
+from servolens.processors import single_threaded_blas
 from servolens.quality import assess, fatal
 from servolens.study.amplifier import with_amplifier
 from servolens.study.lights import data_light, is_fit, study_lights
@@ -25,8 +27,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from servolens.design import PDSpec
+    from servolens.diagnosis import Diagnosis
     from servolens.findings import Finding
-    from servolens.identification import Prior
+    from servolens.identification import Identification, Prior
     from servolens.model import Model
     from servolens.quality import RecordQuality
     from servolens.record import Record
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["study_records"]
 
+Made = TypeVar("Made")
+
 OF_THE_LAW = ("gain", "damping", SIZE, SHAPE)
 """Parameters of the models of constant and of speed-dependent damping."""
 LAW = "beyond_the_law"
@@ -42,6 +47,7 @@ LAW = "beyond_the_law"
 SEVERITIES = ("error", "warning", "note")
 
 
+@single_threaded_blas
 def study_records(
     records: Record | Sequence[Record],
     spec: PDSpec | None = None,
@@ -127,23 +133,41 @@ def _modelled(
     if not records:
         return replace(found, why_undiagnosed="no record is fit for it")
     progress("Identifying", 2, 100)
-    try:
-        fit = identify(records, priors={name: prior for name, prior in priors.items() if name in OF_THE_LAW})
-    except ServolensError as error:
-        if not fatal(_findings(found.check)):
-            raise
-        return replace(found, why_undiagnosed=f"{error}")
-    try:
-        diagnosis = diagnose(
+    law = {name: prior for name, prior in priors.items() if name in OF_THE_LAW}
+    fit, diagnosis = _side_by_side(
+        lambda: identify(records, priors=law),
+        lambda: diagnose(
             records,
             heldout=heldout,
             priors=priors,
             effort=effort,
             progress=lambda what, done, _: progress(what, 10 + round(0.7 * done), 100),
-        )
-    except ServolensError as error:
-        return replace(found, fit=fit, why_undiagnosed=f"{error}", model=_in_doubt(fit.model, f"{error}"))
+        ),
+    )
+    if isinstance(fit, ServolensError):
+        if not fatal(_findings(found.check)):
+            raise fit
+        return replace(found, why_undiagnosed=f"{fit}")
+    if isinstance(diagnosis, ServolensError):
+        why = f"{diagnosis}"
+        return replace(found, fit=fit, why_undiagnosed=why, model=_in_doubt(fit.model, why))
     return replace(found, fit=fit, diagnosis=diagnosis, model=diagnosis.model)
+
+
+def _side_by_side(
+    one: Callable[[], Identification], other: Callable[[], Diagnosis]
+) -> tuple[Identification | ServolensError, Diagnosis | ServolensError]:
+    """Return what both make, or why they do not, one on each processor."""
+    with ThreadPoolExecutor(1) as pool:
+        second = pool.submit(_attempted, other)
+        return _attempted(one), second.result()
+
+
+def _attempted(job: Callable[[], Made]) -> Made | ServolensError:
+    try:
+        return job()
+    except ServolensError as error:
+        return error
 
 
 def _in_doubt(model: Model, why: str) -> Model:
