@@ -108,6 +108,7 @@ def _tried(campaign: HiddenCampaign, name: str, kd: float, spec: PDSpec) -> Trie
         run = campaign.tried(controller, [spec.reference], WATCHED * spec.settling_time, spec.sample_time)
     except NumericalError:
         return TriedGain(name=name, kd=kd, settling_time=None, meets=False)
-    error = np.asarray((spec.reference - run.position) / spec.reference, dtype=np.float64)
-    found = settling_time(spec.sample_time * np.arange(error.size), error, spec.band)
+    error = (spec.reference - run.position) / spec.reference
+    time = spec.sample_time * np.arange(error.size, dtype=np.float64)
+    found = settling_time(time, error, spec.band)
     return TriedGain(name=name, kd=kd, settling_time=found, meets=found is not None and found <= spec.settling_time)
