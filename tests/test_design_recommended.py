@@ -253,6 +253,13 @@ def test_remainder_that_breaks_the_spec_turns_the_gain_red(least):
     assert "nine of ten" in of_gain.sentence
 
 
+def test_held_out_error_beyond_the_band_is_a_doubt(least):
+    known = Evidence(range=SHOWN, verdict="unexplained", remainder=leaving(0.01), heldout_of_step=0.029)
+    of_model, of_gain = lights(least, known)
+    assert (of_model.light, of_gain.light) == ("amber", "amber")
+    assert "2.9 %" in of_gain.sentence
+
+
 AGAINST = {
     "fatal finding": {"fatal": ("kp60: its voltage has the wrong sign.",)},
     "held-out error": {"heldout_of_step": 0.06},

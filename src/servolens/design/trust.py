@@ -11,6 +11,7 @@ from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import as_models
 from servolens.design.settle import evaluate
 from servolens.effects import Saturation
+from servolens.identification.structure import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,6 +91,14 @@ def _model_light(evidence: Evidence | None) -> Light:
                 f"The model misses {share} beyond the noise, which nothing explains; the scenarios carry it as a force."
             ),
         )
+    if missed is not None and missed > MATERIAL:
+        return Light(
+            light="amber",
+            sentence=(
+                f"The simulation misses {share} beyond the noise, but on data that took no part in the fit"
+                f" {100 * missed:.2g} % of the step: fit these data too."
+            ),
+        )
     tested = "" if missed is None else f", and on data that took no part in the fit {100 * missed:.2g} % of the step"
     verdict = "" if evidence.verdict is None else f"{evidence.verdict.replace('_', ' ').capitalize()}: "
     return Light(light="green", sentence=f"{verdict}the simulation misses {share} beyond the noise{tested}.")
@@ -113,6 +122,15 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     beyond = _worst([_beyond(model, design, kd) for model in models])
     if beyond.light != "green":
         return beyond
+    missed = max((m.evidence.heldout_of_step or 0.0 for m in models if m.evidence is not None), default=0.0)
+    if missed > design.spec.band:
+        return Light(
+            light="amber",
+            sentence=(
+                f"Data that took no part in the fit are missed by {100 * missed:.2g} % of the step (r.m.s.), more than"
+                f" the band of {100 * design.spec.band:.2g} %: when the axis settles is not certain."
+            ),
+        )
     if chosen is None:
         return Light(light="green", sentence=f"kd = {kd:.4g} meets the spec on the model.")
     if chosen.interval[0] < NINE_OF_TEN:
