@@ -213,7 +213,7 @@ def _risk(design: Design, least: Sequence[Response]) -> str:
     share = sum(response.meets for response in least) / len(least)
     worst = max(least, key=_slowness)
     return (
-        f"the least gain, kd = {design.kd:.4g}, meets the spec in {100.0 * share:.3g} % of these plants"
+        f"the least gain meets the spec in {100.0 * share:.3g} % of these plants"
         f" (worst {_time(worst.settling_time)}, overshoot up to {100.0 * max(r.overshoot for r in least):.3g} %)"
     )
 

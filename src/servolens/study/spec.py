@@ -46,7 +46,7 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     >>> runs = [lab.step_record(lab.NLM1, kp=kp) for kp in (60, 80)]
     >>> spec = completed_spec(runs, {"settling_time": 0.5})
     >>> spec.kp, spec.reference, spec.sample_time
-    (80.0, 0.1, 0.001)
+    (80, 0.1, 0.001)
     """
     record = _fastest(records)
     if record is None and "kp" not in given:
@@ -86,7 +86,7 @@ def _loop_of(record: Record) -> dict[str, float]:
     assert record.controller is not None  # noqa: S101 - chosen so
     return {
         "kp": record.controller.kp,
-        "sample_time": record.controller.control_period or record.sample_time,
+        "sample_time": float(f"{record.controller.control_period or record.sample_time:.6g}"),
         "derivative_filter": record.controller.derivative_filter,
     }
 

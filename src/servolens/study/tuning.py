@@ -79,7 +79,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     >>> from servolens import Plant, PDSpec
     >>> design = tune(Plant(gain=1.7866, damping=4.5866), PDSpec(kp=100, settling_time=0.5))
     >>> round(design.kd, 1), design.recommended.kd > design.kd
-    (6.4, True)
+    (6.3, True)
     """
     given = tuple(source) if isinstance(source, Sequence) and not isinstance(source, str) else (source,)
     records = [one for one in given if isinstance(one, Record)]
