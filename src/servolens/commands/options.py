@@ -186,14 +186,19 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
     return decorate
 
 
-def specification(*, required: Collection[str] = ("--kp", "--settling-time")) -> Callable[[Command], Command]:
+def specification(
+    *, required: Collection[str] = ("--kp", "--settling-time"), of_records: bool = False
+) -> Callable[[Command], Command]:
     """Give a command the options of a design, as one ``spec``.
 
     Parameters
     ----------
     required : collection of str
         Options that must be given.
+    of_records : bool
+        Whether the loop of the records stands for what is not given.
     """
+    records = "that of the records, else " if of_records else ""
     decorators = (
         _number("--kp", "Proportional gain to design for [V/m or V/rad].", required="--kp" in required),
         _number("--settling-time", "In the band from this time on [s].", required="--settling-time" in required),
@@ -207,8 +212,8 @@ def specification(*, required: Collection[str] = ("--kp", "--settling-time")) ->
             type=click.Choice(["sampled", "continuous"]),
             help="A digital loop, or an ideal continuous PD.  [default: sampled]",
         ),
-        _number("--sample-time", "Of the digital loop [s].  [default: 0.001]"),
-        _number("--derivative-filter", "Of the digital loop; 1 is none.  [default: 1]"),
+        _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
+        _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
     )
 
     def decorate(command: Command) -> Command:

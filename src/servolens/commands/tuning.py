@@ -31,7 +31,7 @@ __all__ = ["compare", "tune"]
 
 @click.command(cls=Documented, epilog="servolens tune kp60.csv kp80.csv --settling-time 0.5 --report tuning.html")
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
-@specification(required=("--settling-time",))
+@specification(required=("--settling-time",), of_records=True)
 @heldout_option
 @prior_option
 @effort_option
@@ -76,7 +76,7 @@ def tune(
 
 @click.command(cls=Documented, epilog="servolens compare kp80.csv kp100.csv --kp 100 --settling-time 0.5")
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
-@specification()
+@specification(of_records=True)
 @prior_option
 @effort_option
 @json_option
