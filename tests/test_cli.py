@@ -295,7 +295,7 @@ def test_compare_shows_the_linear_gain_breaking_the_spec(bench):
     assert body["linear"]["on_nonlinear"]["settling_time"] > 0.5
     assert body["nonlinear"]["feasible"] is True
     text = " ".join(run("compare", bench / "kp100.csv", *SPEC).stdout.split())
-    assert re.search(r"the nonlinear plant settles in 0\.5\d* s and misses the 0\.5 s target", text)
+    assert re.search(r"the diagnosed plant settles in 0\.5\d* s and misses the 0\.5 s target", text)
 
 
 def test_compare_exits_with_1_where_no_gain_meets_the_spec(bench):
@@ -361,7 +361,7 @@ def test_constant_position_is_unfit_for_identification(here):
 
 
 USAGE = {
-    "unknown command": (["tune"], "no such command 'tune'"),
+    "unknown command": (["tuned"], "no such command 'tuned'"),
     "unknown option": (["check", "r.csv", "--fast"], "no such option"),
     "missing record": (["check"], "missing argument"),
     "missing file": (["check", "nowhere.csv"], "nowhere.csv: "),

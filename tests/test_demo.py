@@ -11,6 +11,7 @@ import pytest
 from servolens.demo import run_demo
 from servolens.demo.experiment import RECOMPUTED
 from servolens.errors import InputError
+from servolens.summaries import hidden_summary
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,22 @@ def test_linear_gain_breaks_the_spec_and_nonlinear_gain_meets_it(demo):
         assert comparison["nonlinear"]["kd"] < comparison["linear"]["kd"]
 
 
+def test_hidden_effect_is_found_and_the_recommended_gain_meets_the_spec_on_the_truth(demo):
+    hidden = demo[1]["hidden"]
+    assert [cause["effect"] for cause in hidden["diagnosis"]["causes"]] == list(hidden["truth"]["effects"])
+    found = hidden["diagnosis"]["model"]["gain"]["value"]
+    assert found == pytest.approx(hidden["truth"]["gain"], rel=0.01)
+    assert [hidden[name]["light"] for name in ("data", "model", "gain")] == ["green", "green", "green"]
+    tried = {run["gain"]: run for run in hidden["on_axis"]}
+    assert tried["recommended"]["meets"] is True
+    assert tried["least"]["meets"] is False
+
+
+def test_terminal_ends_with_the_three_lights(demo):
+    told = hidden_summary(demo[1]).sentences
+    assert [sentence.partition(":")[0] for sentence in told[-3:]] == ["Data", "Model", "Gain"]
+
+
 def test_direct_law_finds_the_true_gain_and_the_pieces_do_not(demo):
     routes = demo[1]["routes"]
     for direct, pieces in zip(routes["from_integral_equation"], routes["from_pieces"], strict=True):
@@ -83,7 +100,7 @@ def test_constraint_binds_on_short_pieces(demo):
 
 def test_page_shows_all_figures_and_loads_nothing(demo):
     text = (demo[0] / "report.html").read_text(encoding="utf-8")
-    assert text.count("<figure") == 11
+    assert text.count("<figure") == 14
     assert "http" not in text
     assert "<script" not in text
     for figure in ("3", "4 and 5", "6", "7", "8", "9", "10"):

@@ -47,6 +47,7 @@ REMAINDER = {
     "times_noise",
     "of_travel",
     "acceleration_rms",
+    "correlation_time",
     "of_motor",
     "depends_on_inputs",
     "material",

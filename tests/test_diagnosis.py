@@ -290,7 +290,8 @@ def test_diagnosis_survives_json(rubbing):
     assert set(data["causes"][0]["gain"]) == {"train", "heldout", "unit"}
     assert data["model"]["effects"][0]["effect"] == "coulomb_friction"
     assert set(data["remainder"]) == {
-        "rms", "times_noise", "of_travel", "acceleration_rms", "of_motor", "depends_on_inputs", "material"
+        "rms", "times_noise", "of_travel", "acceleration_rms", "correlation_time", "of_motor", "depends_on_inputs",
+        "material",
     }  # fmt: skip
     assert isinstance(diagnosis.plant, Plant)
 

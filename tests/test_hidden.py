@@ -205,3 +205,15 @@ def test_the_linear_view_agrees_with_a_state_space_loop(closed, damping):
     rms, *found = linear_error([run], 0.8 * gain, 1.3 * damping)
     assert rms < 1e-8
     np.testing.assert_allclose(found, [gain, damping], rtol=1e-5)
+
+
+@pytest.mark.parametrize("hidden", [{"effects": ["coulomb_friction"]}, {"foreign": "position_gain"}], ids=str)
+def test_hidden_axis_tried_again_does_what_was_logged(hidden):
+    campaign = lab.hidden_campaign(11, **hidden)
+    record = campaign.records[0]
+    first = int(np.argmax(np.diff(record.reference) != 0.0)) + 1 if np.ptp(record.reference) else 0
+    level, h = float(record.reference[first]), record.sample_time
+    samples = min(int(0.5 / h), len(record) - first)
+    run = campaign.tried(record.controller, [level], samples * h, h)
+    missed = run.position - (record.position[first : first + samples] - record.position[:1].mean())
+    assert np.sqrt(np.mean(missed**2)) < 5.0 * campaign.floor + 0.01 * abs(level)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map, tune
+    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -65,13 +65,14 @@ if TYPE_CHECKING:
         simulate_many,
         simulate_voltage,
     )
+    from servolens.study import Study, study_records, tune
 
 __version__ = "0.1.0"
 
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map", "tune"),
+    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map"),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -128,6 +129,7 @@ _HOMES = {
         "simulate_many",
         "simulate_voltage",
     ),
+    "study": ("Study", "study_records", "tune"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -178,6 +180,7 @@ __all__ = [
     "Simulation",
     "SpeedServo",
     "StribeckFriction",
+    "Study",
     "VelocityDecayDamping",
     "__version__",
     "assess",
@@ -203,6 +206,7 @@ __all__ = [
     "simulate_loop",
     "simulate_many",
     "simulate_voltage",
+    "study_records",
     "to_control",
     "tune",
     "write_report",

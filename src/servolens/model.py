@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
@@ -85,12 +86,15 @@ class Model:
         Names of the records.
     reasons : mapping of str to str
         By qualified name, why a parameter has no standard error.
+    evidence : Evidence, optional
+        How far the records support it; None where that is not known.
     """
 
     plant: Plant
     covariance: NDArray[np.float64] | None = None
     identified_from: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
+    evidence: Evidence | None = None
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -126,8 +130,9 @@ class Model:
             "length_unit": self.plant.length_unit,
             "command_unit": self.plant.command_unit,
             **{name: value for name in OPTIONAL if (value := getattr(self.plant, name)) is not None},
-            "covariance": _finite_lists(self.covariance),
+            "covariance": _named_matrix(self.plant, self.covariance),
             "identified_from": list(self.identified_from),
+            **({} if self.evidence is None else self.evidence.to_json()),
         }
 
     @classmethod
@@ -158,12 +163,13 @@ class Model:
             _check_units(data, plant)
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
+            evidence = Evidence.from_json(data)
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
             if isinstance(error, InputError):
                 raise
             missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
             raise InputError(f"not a model of schema {SCHEMA}: {missing}") from None
-        return cls(plant=plant, covariance=covariance, identified_from=names)
+        return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
 
 
 def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
@@ -234,13 +240,18 @@ def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | 
         if all(e is None for e in errors):
             return None
         return np.diag([np.nan if e is None else float(e) ** 2 for e in errors])
-    matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in rows], dtype=np.float64)
+    named = rows if isinstance(rows, dict) else {"names": list(plant.parameters), "matrix": rows}
+    matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in named["matrix"]], dtype=np.float64)
     if matrix.shape != (len(plant.values),) * 2:
         raise InputError(f"covariance has shape {matrix.shape}, the model has {len(plant.values)} parameters")
-    return matrix
+    if sorted(named["names"]) != sorted(plant.parameters):
+        raise InputError(f"covariance must name {', '.join(plant.parameters)}; got {str(named['names'])[:40]!r}")
+    order = [named["names"].index(name) for name in plant.parameters]
+    return matrix[np.ix_(order, order)]
 
 
-def _finite_lists(matrix: NDArray[np.float64] | None) -> list[list[float | None]] | None:
+def _named_matrix(plant: Plant, matrix: NDArray[np.float64] | None) -> dict[str, Any] | None:
     if matrix is None:
         return None
-    return [[float(v) if np.isfinite(v) else None for v in row] for row in matrix]
+    rows = [[float(v) if np.isfinite(v) else None for v in row] for row in matrix]
+    return {"names": list(plant.parameters), "matrix": rows}

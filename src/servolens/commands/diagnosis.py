@@ -4,60 +4,40 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from servolens.commands.files import (
     about,
+    check_apart,
     check_outputs,
     load_records,
     priors_from,
     refusal,
-    same_file,
     writing,
 )
 from servolens.commands.options import (
     Documented,
-    Paths,
     Recordings,
     effort_option,
     finite,
     force_option,
+    heldout_option,
     json_option,
-    prior,
+    prior_option,
     recordings,
 )
 from servolens.commands.terminal import progress_bar, show
-from servolens.errors import InputError
 from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from servolens.record import Record
 
 __all__ = ["diagnose", "next_"]
 
 
 @click.command(cls=Documented, epilog="servolens diagnose kp60.csv kp80.csv --heldout kp100.csv --out model.json")
 @recordings()
-@click.option(
-    "--heldout",
-    cls=Paths,
-    multiple=True,
-    metavar="RECORD...",
-    help="Records that only test what was found: every path up to the next option. May be repeated.",
-)
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    type=prior,
-    metavar="NAME=MEAN,SD",
-    help="Data-sheet knowledge: gain=45,2. May be repeated.",
-)
+@heldout_option
+@prior_option
 @effort_option
 @click.option("--out", metavar="FILE", help="Write the extended model.")
 @click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
@@ -92,7 +72,7 @@ def diagnose(
     with progress_bar() as progress:
         records = load_records(recordings, outputs, progress)
         others = load_records(replace(recordings, paths=heldout), outputs, progress) if heldout else ()
-        _check_apart(records, others)
+        check_apart(records, others)
         with about(*recordings.paths, *heldout):
             result = find(records, heldout=others, priors=known, effort=effort, progress=progress)
     refused = refusal(result.findings, force=force)
@@ -145,12 +125,6 @@ def next_(file: str, kp: float | None, reference: float | None, json_file: str |
     units = {"length_unit": found.length_unit, "command_unit": found.command_unit}
     show(replace(experiment_summary(found.experiment, **units), findings=found.findings), json_file)
     return 0
-
-
-def _check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:
-    for record in heldout:
-        if any(same_file(record.source, other.source) for other in records):
-            raise InputError(f"{record.source}: is given both as training and as held out; keep one of the two")
 
 
 def _sentence(reason: str | None) -> str:

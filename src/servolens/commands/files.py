@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "about",
+    "check_apart",
     "check_outputs",
     "load_models",
     "load_records",
@@ -76,6 +77,13 @@ def load_records(
     )
     check_outputs(outputs, [record.source for record in records if record.source])
     return records
+
+
+def check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:
+    """Refuse a file that is given both as training and as held out."""
+    for record in heldout:
+        if any(same_file(record.source, other.source) for other in records):
+            raise InputError(f"{record.source}: is given both as training and as held out; keep one of the two")
 
 
 def quality_findings(records: Sequence[Record]) -> tuple[Finding, ...]:

@@ -1,33 +1,23 @@
-"""Commands that give gains: design, compare."""
+"""The command that designs on models: design."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import (
-    about,
-    check_outputs,
-    load_models,
-    load_records,
-    priors_from,
-    quality_findings,
-    together,
-)
-from servolens.commands.options import (
-    Documented,
-    Recordings,
-    SpecOptions,
-    json_option,
-    prior,
-    recordings,
-    specification,
-)
+from servolens.commands.files import about, check_outputs, load_models
+from servolens.commands.options import Documented, SpecOptions, json_option, specification
 from servolens.commands.terminal import progress_bar, show
 from servolens.results import write_json
 
-__all__ = ["compare", "design"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.model import Model
+
+__all__ = ["design"]
 
 
 @click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
@@ -37,73 +27,50 @@ __all__ = ["compare", "design"]
     "--program", "with_program", is_flag=True, help="Solve for the least gain by CasADi and IPOPT as well, and compare."
 )
 @click.option("--certify", is_flag=True, help="Prove the search by enclosures: smooth plants, a minute or more.")
+@click.option("--force", is_flag=True, help="Give the gain although the model's evidence speaks against it.")
 @json_option
 def design(
-    model_files: tuple[str, ...], spec: SpecOptions, with_program: bool, certify: bool, json_file: str | None
+    model_files: tuple[str, ...],
+    spec: SpecOptions,
+    with_program: bool,
+    certify: bool,
+    force: bool,
+    json_file: str | None,
 ) -> int:
-    """Find the least derivative gain that settles in time.
+    """Find the derivative gain to use, and the least one, that settle in time.
 
-    With several models the gain holds for all of them. Exit status 1 if no gain meets the specification.
+    With several models the gains hold for all of them. Exit status 1 if no gain meets the specification, or if the
+    gain is withheld: the model is known to be wrong, hardly a plant like it would meet the specification, or the step
+    lies far beyond what the records showed.
     """
     check_outputs({"--json": json_file}, model_files)
-    from servolens.design import PDSpec, tune
+    from servolens.design import PDSpec, recommend, trust, tune
     from servolens.summaries import design_summary
 
     wanted = PDSpec(**spec.given)
-    plants = [model.plant for model in load_models(model_files)]
+    models = load_models(model_files)
+    if "reference" not in spec.given:
+        wanted = replace(wanted, reference=_step_of_records(models) or wanted.reference)
+    plants = [model.plant for model in models]
     with progress_bar() as progress, about(*model_files):
         result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
-    summary = design_summary(result, length_unit=plants[0].length_unit, command_unit=plants[0].command_unit)
+        progress("Simulating scenarios", 0, 0)
+        result = recommend(models, result)
+        of_model, of_gain = trust(models, result)
+    is_wrong = of_gain.light == "red" and result.feasible
+    if is_wrong and not force:
+        result = result.withhold(of_gain.sentence)
+    units = {"length_unit": plants[0].length_unit, "command_unit": plants[0].command_unit}
+    summary = design_summary(result, lights={"Model": of_model, "Gain": of_gain}, forced=is_wrong and force, **units)
     if json_file:
-        write_json(json_file, "design", {**result.to_json(), "model_files": list(model_files)}, summary.findings)
+        lights = {"model": of_model.to_json(), "gain": of_gain.to_json()}
+        body = {**result.to_json(), "lights": lights, "forced": is_wrong and force, "model_files": list(model_files)}
+        write_json(json_file, "design", body, summary.findings)
     show(summary, json_file)
-    return 0 if result.feasible else 1
+    return 0 if result.kd is not None else 1
 
 
-@click.command(cls=Documented, epilog="servolens compare kp60.csv --kp 100 --settling-time 0.5")
-@recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
-@specification()
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    type=prior,
-    metavar="NAME=MEAN,SD",
-    help="Data-sheet knowledge: gain=45,2. May be repeated.",
-)
-@json_option
-def compare(
-    recordings: Recordings, spec: SpecOptions, priors: tuple[tuple[str, float, float], ...], json_file: str | None
-) -> int:
-    """Compare the gain that a linear model recommends with that of the nonlinear one.
-
-    Both models are identified from the records; both recommendations are run on the nonlinear model. Exit status 1 if
-    no gain meets the specification there.
-    """
-    check_outputs({"--json": json_file}, recordings.paths)
-    from servolens.design import PDSpec
-    from servolens.design import compare as compare_designs
-    from servolens.identification import identify
-    from servolens.summaries import comparison_summary
-
-    wanted = PDSpec(**spec.given)
-    with progress_bar() as progress:
-        records = load_records(recordings, {"--json": json_file}, progress)
-        findings = quality_findings(records)
-        progress("Identifying", 0, 0)
-        with about(*recordings.paths):
-            known = priors_from(priors)
-            fits = [
-                identify(records, model="constant", priors=known),
-                identify(records, model="velocity", priors=known),
-            ]
-            linear, nonlinear = (fit.model for fit in fits)
-            result = compare_designs(linear.plant, nonlinear.plant, wanted, progress=progress)
-    findings = together(findings, *(fit.findings for fit in fits))
-    if json_file:
-        models = {"constant": linear.to_json(), "velocity": nonlinear.to_json()}
-        write_json(json_file, "comparison", {**result.to_json(), "models": models}, findings)
-    first = records[0]
-    summary = comparison_summary(result, length_unit=first.length_unit, command_unit=first.command_unit)
-    show(replace(summary, findings=findings), json_file)
-    return 0 if result.nonlinear.feasible else 1
+def _step_of_records(models: Sequence[Model]) -> float | None:
+    """Return the largest step that all models have seen, to three digits; None where it is not known."""
+    steps = [model.evidence.range.step for model in models if model.evidence is not None]
+    return float(f"{min(steps):.3g}") if steps else None

@@ -22,8 +22,9 @@ __all__ = [
     "effort_option",
     "finite",
     "force_option",
+    "heldout_option",
     "json_option",
-    "prior",
+    "prior_option",
     "recordings",
     "specification",
 ]
@@ -77,7 +78,7 @@ def finite(value: Any) -> float:
     return number
 
 
-def prior(value: str) -> tuple[str, float, float]:
+def _prior(value: str) -> tuple[str, float, float]:
     """Convert ``parameter=mean,deviation``."""
     name, mark, numbers = value.partition("=")
     mean, comma, deviation = numbers.partition(",")
@@ -185,13 +186,24 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
     return decorate
 
 
-def specification(*, required: bool = True) -> Callable[[Command], Command]:
-    """Give a command the options of a design, as one ``spec``."""
+def specification(
+    *, required: Collection[str] = ("--kp", "--settling-time"), of_records: bool = False
+) -> Callable[[Command], Command]:
+    """Give a command the options of a design, as one ``spec``.
+
+    Parameters
+    ----------
+    required : collection of str
+        Options that must be given.
+    of_records : bool
+        Whether the loop of the records stands for what is not given.
+    """
+    records = "that of the records, else " if of_records else ""
     decorators = (
-        _number("--kp", "Proportional gain to design for [V/m or V/rad].", required=required),
-        _number("--settling-time", "In the band from this time on [s].", required=required),
+        _number("--kp", "Proportional gain to design for [V/m or V/rad].", required="--kp" in required),
+        _number("--settling-time", "In the band from this time on [s].", required="--settling-time" in required),
         _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
-        _number("--reference", "Size of the step [m or rad].  [default: 0.1]"),
+        _number("--reference", "Size of the step [m or rad].  [default: that of the records, else 0.1]"),
         _number("--overshoot", "Largest overshoot as a fraction of the step."),
         _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
         _number("--kd-max", "End of the search, which begins at 0.  [default: from the plant]"),
@@ -200,8 +212,8 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
             type=click.Choice(["sampled", "continuous"]),
             help="A digital loop, or an ideal continuous PD.  [default: sampled]",
         ),
-        _number("--sample-time", "Of the digital loop [s].  [default: 0.001]"),
-        _number("--derivative-filter", "Of the digital loop; 1 is none.  [default: 1]"),
+        _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
+        _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
     )
 
     def decorate(command: Command) -> Command:
@@ -219,6 +231,23 @@ def specification(*, required: bool = True) -> Callable[[Command], Command]:
 
 json_option = click.option(
     "--json", "json_file", metavar="FILE", help="Write the machine-readable result; - is standard output."
+)
+
+prior_option = click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    type=_prior,
+    metavar="NAME=MEAN,SD",
+    help="Data-sheet knowledge: gain=45,2. May be repeated.",
+)
+
+heldout_option = click.option(
+    "--heldout",
+    cls=Paths,
+    multiple=True,
+    metavar="RECORD...",
+    help="Records that only test what was found: every path up to the next option. May be repeated.",
 )
 
 effort_option = click.option(

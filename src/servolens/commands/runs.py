@@ -17,7 +17,15 @@ from servolens.commands.files import (
     refusal,
     together,
 )
-from servolens.commands.options import Documented, Recordings, finite, force_option, json_option, prior, recordings
+from servolens.commands.options import (
+    Documented,
+    Recordings,
+    finite,
+    force_option,
+    json_option,
+    prior_option,
+    recordings,
+)
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
@@ -27,6 +35,7 @@ from servolens.summary import Summary
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servolens.model import Model
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -73,14 +82,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
 @click.option(
     "--piece", type=finite, metavar="NUMBER", help="Varying: length of a piece [s]; by default from the reversals."
 )
-@click.option(
-    "--prior",
-    "priors",
-    multiple=True,
-    type=prior,
-    metavar="NAME=MEAN,SD",
-    help="Data-sheet knowledge: gain=45,2. May be repeated.",
-)
+@prior_option
 @click.option("--out", metavar="FILE", help="Write the model: the chosen one, with 'all' the velocity model.")
 @force_option
 @json_option
@@ -121,12 +123,20 @@ def identify(
             return _unidentified(f"{error}", (*refused, *quality), json_file)
     findings = together(refused, quality, result.findings)
     if out and not refused:
-        write_json(out, "model", result.model.to_json(), findings)
+        write_json(out, "model", _with_fatal(result.model, quality).to_json(), findings)
     if json_file:
         write_json(json_file, "identification", result.to_json(), findings)
     stream = STANDARD_OUTPUT if out == STANDARD_OUTPUT else json_file
     show(replace(identification_summary(result), findings=findings), stream)
     return 1 if refused else 0
+
+
+def _with_fatal(model: Model, quality: Sequence[Finding]) -> Model:
+    """Let a model that is written by force remember what speaks against it."""
+    from servolens.quality import fatal
+
+    against = tuple(f"{finding.record}: {finding.message}" for finding in fatal(quality))
+    return replace(model, evidence=model.evidence and replace(model.evidence, fatal=against))
 
 
 def _unidentified(reason: str, findings: tuple[Finding, ...], json_file: str | None) -> int:

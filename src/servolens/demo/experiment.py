@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens import lab
+from servolens.demo.hidden import study_hidden_axis
 from servolens.design import PDSpec, compare, settling_time, tune
 from servolens.identification import identify
 from servolens.plant import Plant
@@ -16,6 +17,7 @@ from servolens.prediction import predict
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servolens.demo.hidden import HiddenAxis
     from servolens.design import Comparison, Design
     from servolens.findings import Finding
     from servolens.identification import Identification
@@ -102,6 +104,8 @@ class Demo:
         Recommendations from Kp 100, tried on the cart.
     printed : dict of str to Design
         Eq. 36 on the paper's printed models, continuous.
+    hidden : HiddenAxis
+        Another axis, whose lack is found from its records.
     stages : int
         How many steps the work was reported in.
     """
@@ -119,6 +123,7 @@ class Demo:
     on_truth: Design
     on_cart: tuple[CartRun, ...]
     printed: dict[str, Design]
+    hidden: HiddenAxis
     stages: int
 
     @property
@@ -174,6 +179,8 @@ def run_experiment(progress: Callable[[str, int, int], None] | None = None) -> D
     for name, model in PRINTED.items():
         stage(f"designing for the paper's {name}")
         printed[name] = tune(plant_of(model), _spec("continuous"))
+    stage("finding what a hidden axis lacks")
+    hidden = study_hidden_axis()
     stage("writing the page")
     return Demo(
         records=records,
@@ -189,6 +196,7 @@ def run_experiment(progress: Callable[[str, int, int], None] | None = None) -> D
         on_truth=on_truth,
         on_cart=_on_cart(sampled[-1]),
         printed=printed,
+        hidden=hidden,
         stages=stage.total,
     )
 
@@ -202,7 +210,7 @@ def plant_of(truth: lab.Truth) -> Plant:
 class _Stages:
     """Counts what is begun."""
 
-    total = 18
+    total = 19
 
     def __init__(self, progress: Callable[[str, int, int], None] | None) -> None:
         self.progress, self.done = progress, 0

@@ -50,6 +50,7 @@ def results_json(demo: Demo) -> dict[str, Any]:
             name: {**demo.printed[name].to_json(), "paper_kd": PAPER_ANSWERS.get(name), "reason": _no_answer(name)}
             for name in PRINTED
         },
+        "hidden": demo.hidden.to_json(),
     }
 
 

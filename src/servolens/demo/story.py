@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.demo.experiment import DELTA, SHORT_PIECE, SPEC
 from servolens.demo.story_design import design_section, paper_section
+from servolens.demo.story_hidden import hidden_section
 from servolens.report.content import Findings, Section
 from servolens.report.curves import curve
 from servolens.report.figures import (
@@ -61,6 +62,7 @@ def write_story(path: Path, demo: Demo) -> None:
         _validation(demo),
         design_section(demo),
         paper_section(demo),
+        hidden_section(demo.hidden),
     )
     write_page(path, "From measured steps to a PD gain: the paper's cart", " ".join(told[:2]), more, sections)
 

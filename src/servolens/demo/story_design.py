@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.demo.experiment import PAPER_ANSWERS, PRINTED, RECOMPUTED, SPEC, plant_of
 from servolens.design import evaluate
 from servolens.report.content import Section
-from servolens.report.figures_design import settling_figure, steps_figure
+from servolens.report.figures_design import columns, settling_figure, steps_figure
 from servolens.summaries import comparison_summary
 from servolens.summaries.wording import inside, number
 from servolens.summary import Summary, Table
@@ -25,7 +25,7 @@ def design_section(demo: Demo) -> Section:
     fit, comparison = demo.fits[-1], demo.sampled[-1]
     assert fit.constant is not None  # noqa: S101 - the demo asks for all models
     assert fit.velocity is not None  # noqa: S101 - the demo asks for all models
-    linear, nonlinear = fit.constant.plant, fit.velocity.plant
+    models = columns(comparison)
     told = comparison_summary(comparison)
     blocks: tuple[Block, ...] = (
         f"Eq. 36 asks for the least Kd with Kp = {SPEC['kp']:g} V/m such that a step of {SPEC['reference']:g} m stays"
@@ -34,9 +34,7 @@ def design_section(demo: Demo) -> Section:
         Summary(title="", sentences=told.sentences, tables=told.tables),
         settling_figure(
             "settling",
-            comparison,
-            linear,
-            nonlinear,
+            models,
             "Settling time against Kd on both models (digital loop), with the gains that meet the spec shaded (orange:"
             " linear, blue: nonlinear, grey: both). The curves"
             " jump where a swing of the response touches the edge of the band, so the feasible gains need not be one"
@@ -44,8 +42,7 @@ def design_section(demo: Demo) -> Section:
         ),
         steps_figure(
             "steps",
-            comparison,
-            nonlinear,
+            models,
             "Step responses of both recommendations on the nonlinear model, with the band and the time it holds from"
             " (dashed). Simulated, no measured data.",
         ),

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from servolens.design.spec import PDSpec
+    from collections.abc import Mapping
 
-__all__ = ["Certificate", "Comparison", "Design", "Relaxed", "Response"]
+    from servolens.design.spec import PDSpec
+    from servolens.diagnosis import Diagnosis
+    from servolens.plant import Plant
+    from servolens.quality import RecordQuality
+
+__all__ = ["Certificate", "Comparison", "Design", "Light", "Recommended", "Relaxed", "Response"]
 
 
 @final
@@ -28,18 +33,21 @@ class Response:
         Fraction of the step.
     peak_voltage : float
         Largest |V| that the controller asks for [V].
+    peak_speed : float
+        Largest |velocity| [m/s or rad/s].
     final_error : float
         Fraction of the step.
     meets : bool
         Whether all of the spec holds.
     stable : bool
-        Whether the axis stays within all bounds; if not, overshoot, voltage and error are infinite.
+        Whether the axis stays within all bounds; if not, overshoot, voltage, speed and error are infinite.
     """
 
     kd: float
     settling_time: float | None
     overshoot: float
     peak_voltage: float
+    peak_speed: float
     final_error: float
     meets: bool
     stable: bool = True
@@ -111,6 +119,74 @@ class Relaxed:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Recommended:
+    """The gain to use: from the widest feasible place, over what is not known of the axis.
+
+    Attributes
+    ----------
+    kp, kd : float
+        Gains [V/m, V s/m].
+    settling_time : float or None
+        On the models as they are, the slowest of them [s]; None where one does not settle.
+    overshoot : float
+        On the models as they are, the largest, as a fraction of the step.
+    worst : Response
+        The slowest of all scenarios, with its own realised gain.
+    probability : float
+        Share of the scenarios that meet the spec.
+    interval : tuple of float
+        Its 95 % confidence interval (Clopper and Pearson).
+    scenarios : int
+        How many; none of them took part in the choice of the gain.
+    why : str
+        One sentence: what speaks for this gain.
+    risk : str
+        One sentence: what the least gain risks.
+    """
+
+    kp: float
+    kd: float
+    settling_time: float | None
+    overshoot: float
+    worst: Response
+    probability: float
+    interval: tuple[float, float]
+    scenarios: int
+    why: str
+    risk: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``recommended`` in ``servolens.design/1``."""
+        return {
+            **{f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("interval", "probability")},
+            "worst": self.worst.to_json(),
+            "probability": {"value": self.probability, "interval": list(self.interval)},
+        }
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """How far something can be trusted.
+
+    Attributes
+    ----------
+    light : {"green", "amber", "red"}
+        As of a traffic light.
+    sentence : str
+        Why.
+    """
+
+    light: Literal["green", "amber", "red"]
+    sentence: str
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {"light": self.light, "sentence": self.sentence}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Design:
     """The least derivative gain that meets a spec.
 
@@ -119,7 +195,7 @@ class Design:
     spec : PDSpec
         What was asked, with the end of the search.
     kd : float or None
-        The least gain; None if none meets the spec.
+        The least gain; None if none meets the spec, or where it is withheld.
     intervals : tuple of (float, float)
         All feasible gains in the searched range, for all models at once.
     certificate : Certificate
@@ -137,6 +213,14 @@ class Design:
         Specs that can be met, with as few fields changed as possible.
     reason : str or None
         Why there is none.
+    recommended : Recommended or None
+        The gain to use, beside the least one; None until :func:`servolens.design.recommend` looked for it.
+    lights : mapping of str to Light
+        How far ``"model"`` and ``"gain"`` can be trusted, from records also ``"data"``; empty where nobody judged.
+    check : tuple of RecordQuality
+        Of the records, where it was made from these.
+    diagnosis : Diagnosis or None
+        What was found from the records, where it was made from these.
     """
 
     spec: PDSpec
@@ -149,22 +233,36 @@ class Design:
     conflict: tuple[str, ...] = ()
     nearest: tuple[Relaxed, ...] = ()
     reason: str | None = None
+    recommended: Recommended | None = None
+    lights: Mapping[str, Light] = field(default_factory=dict)
+    check: tuple[RecordQuality, ...] = ()
+    diagnosis: Diagnosis | None = None
 
     @property
     def feasible(self) -> bool:
-        """Whether any gain meets the spec."""
-        return self.kd is not None
+        """Whether any gain meets the spec on the models."""
+        return bool(self.intervals)
+
+    @property
+    def withheld(self) -> bool:
+        """Whether no gain is given although some meet the spec on the models."""
+        return self.feasible and self.kd is None
 
     @property
     def margin(self) -> float | None:
         """How far the gain may rise before the spec breaks [V s/m]."""
         return None if self.kd is None else self.intervals[0][1] - self.kd
 
+    def withhold(self, reason: str) -> Design:
+        """Return the design without its gains, for a `reason` that is told; the intervals stay."""
+        return replace(self, kd=None, recommended=None, verified=(), reason=reason)
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.design/1`` without the file's header."""
         worst = max(self.verified, key=lambda r: np.inf if r.settling_time is None else r.settling_time, default=None)
         result: dict[str, Any] = {
             "feasible": self.feasible,
+            "withheld": self.withheld,
             "kd": self.kd,
             "kp": self.spec.kp,
             "settling_time": None if worst is None else worst.settling_time,
@@ -176,6 +274,7 @@ class Design:
             "verified": None if worst is None else worst.to_json(),
             "models": [response.to_json() for response in self.verified],
             "spec": self.spec.to_json(),
+            "recommended": None if self.recommended is None else self.recommended.to_json(),
         }
         if self.reason is not None:
             result["reason"] = self.reason
@@ -189,25 +288,60 @@ class Design:
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """Linear and nonlinear recommendation side by side.
+    """Linear, nonlinear and diagnosed recommendation side by side.
 
     Attributes
     ----------
+    plants : tuple of Plant
+        The linear, the nonlinear and, where there is one, the diagnosed plant.
     linear, nonlinear : Design
         Each designed on its own model.
     linear_on_nonlinear : Response or None
         The linear recommendation run on the nonlinear plant; None if there is none.
+    diagnosed : Design or None
+        Designed on the model with the causes that were found; None where none was looked for.
+    linear_on_diagnosed, nonlinear_on_diagnosed : Response or None
+        Recommendations run on the diagnosed plant; None where there is no such gain or plant.
     """
 
+    plants: tuple[Plant, ...]
     linear: Design
     nonlinear: Design
     linear_on_nonlinear: Response | None
+    diagnosed: Design | None = None
+    linear_on_diagnosed: Response | None = None
+    nonlinear_on_diagnosed: Response | None = None
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        """The designs, that on the plant which the data support best last."""
+        return (self.linear, self.nonlinear, *(() if self.diagnosed is None else (self.diagnosed,)))
+
+    @property
+    def on_best(self) -> tuple[Response | None, ...]:
+        """Each recommendation, run on the plant that the data support best: the last one."""
+        own = next(iter(self.designs[-1].verified), None)
+        if self.diagnosed is None:
+            return self.linear_on_nonlinear, own
+        return self.linear_on_diagnosed, self.nonlinear_on_diagnosed, own
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.comparison/1`` without the file's header."""
-        on = self.linear_on_nonlinear
-        own = self.nonlinear.verified[0].to_json() if self.nonlinear.verified else None
+        own = next(iter(self.nonlinear.verified), None)
         return {
-            "linear": {**self.linear.to_json(), "on_nonlinear": None if on is None else on.to_json()},
-            "nonlinear": {**self.nonlinear.to_json(), "on_nonlinear": own},
+            "linear": {
+                **self.linear.to_json(),
+                "on_nonlinear": _optional(self.linear_on_nonlinear),
+                "on_diagnosed": _optional(self.linear_on_diagnosed),
+            },
+            "nonlinear": {
+                **self.nonlinear.to_json(),
+                "on_nonlinear": _optional(own),
+                "on_diagnosed": _optional(self.nonlinear_on_diagnosed),
+            },
+            "diagnosed": _optional(self.diagnosed),
         }
+
+
+def _optional(value: Response | Design | None) -> dict[str, Any] | None:
+    return None if value is None else value.to_json()

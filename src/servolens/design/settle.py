@@ -62,18 +62,19 @@ def settling_time(
     return float(time[last] + share * (time[last + 1] - time[last]) - time[0])
 
 
-def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float) -> Simulation:
-    """Simulate the step of `spec` from rest with the derivative gain `kd` for `duration` seconds."""
+def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, back: bool = False) -> Simulation:
+    """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0."""
     time = spec.sample_time * np.arange(int(np.ceil(duration / spec.sample_time)) + 1)
-    reference = np.full(time.size, spec.reference)
+    begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
+    reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
-        return simulate_continuous(plant, spec.kp, kd, time, reference)
+        return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
     controller = Controller(kp=spec.kp, kd=kd, derivative_filter=spec.derivative_filter)
-    return simulate_loop(plant, controller, time, reference)
+    return simulate_loop(plant, controller, time, reference, start=start)
 
 
-def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
-    """Simulate the step and measure it against the spec, for as long as :func:`horizon` tells.
+def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, duration: float | None = None) -> Response:
+    """Simulate the step and measure it against the spec.
 
     Parameters
     ----------
@@ -83,16 +84,20 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
         What to reach.
     kd : float
         Derivative gain [V s/m].
+    back : bool
+        Whether the step is the one back, from the reference to 0.
+    duration : float, optional
+        How long the step is watched [s]; None for as long as :func:`horizon` tells.
     """
     try:
-        run = step_response(plant, spec, kd, horizon(plant, spec))
+        run = step_response(plant, spec, kd, duration or horizon(plant, spec), back=back)
     except NumericalError:
-        nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "final_error": np.inf}
+        nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "peak_speed": np.inf, "final_error": np.inf}
         return Response(kd=kd, settling_time=None, meets=False, stable=False, **nothing)
-    step = abs(spec.reference)
-    error = (spec.reference - run.position) / step
-    overshoot = max(0.0, float(np.max(-error * np.sign(spec.reference))))
-    settled = settling_time(run.time, error, spec.band + FEASIBLE)
+    step = -spec.reference if back else spec.reference
+    left = ((0.0 if back else spec.reference) - run.position) / step
+    overshoot = max(0.0, float(-left.min()))
+    settled = settling_time(run.time, left, spec.band + FEASIBLE)
     peak = float(np.abs(run.voltage).max())
     meets = settled is not None and settled <= spec.settling_time * (1 + 1e-9)
     meets = meets and (spec.overshoot is None or overshoot <= spec.overshoot + FEASIBLE)
@@ -102,7 +107,8 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float) -> Response:
         settling_time=settled,
         overshoot=overshoot,
         peak_voltage=peak,
-        final_error=float(error[-1]),
+        peak_speed=float(np.abs(run.velocity).max()),
+        final_error=float(left[-1] * np.sign(step)),
         meets=bool(meets),
     )
 

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.errors import Gains
-    from servolens.diagnosis.remainder import Remainder
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.identification.likelihood import Hypothesis
+    from servolens.model_evidence import Remainder
     from servolens.record import Record
 
 __all__ = ["missed_by_far", "said", "strangers"]

@@ -1,15 +1,18 @@
-"""What the chosen model misses beyond the noise, and how much that is."""
+"""What the chosen model misses beyond the noise, and what the records say for and against it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.json_values import finite
+from servolens.diagnosis.errors import pooled, residual
+from servolens.identification.data_range import data_range
+from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
 from servolens.identification.structure import MATERIAL
+from servolens.model_evidence import Evidence, Remainder
+from servolens.quality import fatal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,54 +21,24 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.errors import Gains
+    from servolens.findings import Finding
     from servolens.identification.likelihood import Hypothesis
+    from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["MATERIAL", "Remainder", "remainder_of", "unexplained_acceleration"]
+    Array = NDArray[np.float64]
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Remainder:
-    """What the chosen model misses beyond the noise.
-
-    Attributes
-    ----------
-    rms : float
-        R.m.s. of the simulation's error beyond the noise, in quadrature [m or rad].
-    times_noise : float or None
-        The simulation's error over the noise floor; None without noise.
-    of_travel : float
-        `rms` over the range of the position.
-    acceleration_rms : float
-        R.m.s. of the acceleration that nothing explains [m/s² or rad/s²].
-    of_motor : float
-        The same over the largest acceleration that the motor gives.
-    depends_on_inputs : bool
-        Whether it depends on reference, feedforward or a column of the catalogue; else it is noise or shaking.
-    material : bool
-        Whether `of_travel` exceeds half a percent.
-    """
-
-    rms: float
-    times_noise: float | None
-    of_travel: float
-    acceleration_rms: float
-    of_motor: float
-    depends_on_inputs: bool
-    material: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields; null with a reason for what is not finite."""
-        return finite({name: getattr(self, name) for name in self.__slots__})
+__all__ = ["MATERIAL", "Remainder", "evidence_of", "remainder_of", "unexplained_acceleration"]
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     """Return what `chosen`, the last of `gains`, misses of the training records."""
-    error, noise = gains.train(-1), gains.noise
-    travel = case.travel
+    trained, noise = _trained(case, chosen, gains), gains.noise
+    error, travel = pooled(trained), case.travel
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
-    missed = unexplained_acceleration(case.records, gains.trained[-1], case.likelihood.rate, noise)
+    missed, lasts = unexplained_acceleration(
+        chosen.plant, case.records, trained, rate=case.likelihood.rate, noise=noise
+    )
     missed = missed if np.isfinite(error) else error
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
     return Remainder(
@@ -73,22 +46,70 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
         times_noise=error / noise if noise > 0.0 else None,
         of_travel=rms / max(travel, 1e-300),
         acceleration_rms=missed,
+        correlation_time=lasts,
         of_motor=missed / max(push, 1e-300),
         depends_on_inputs=not case.is_enough(chosen),
         material=rms > MATERIAL * travel,
     )
 
 
-def unexplained_acceleration(
-    records: Sequence[Record], residuals: Sequence[NDArray[np.float64]], rate: float, noise: float
-) -> float:
-    """Return the r.m.s. acceleration that the residuals of simulations stand for [m/s² or rad/s²].
+def evidence_of(
+    case: Case, chosen: Hypothesis, gains: Gains, verdict: str, remainder: Remainder, findings: Sequence[Finding]
+) -> Evidence:
+    """Return what the records say for and against `chosen`, the last of `gains`."""
+    missed = [
+        pooled([error]) / record.step_size
+        for record, error in zip(case.heldout or case.records, _held(case, chosen, gains), strict=True)
+        if record.step_size > 0.0
+    ]
+    against = [f"{finding.record}: {finding.message}" for finding in fatal(findings)]
+    if not np.isfinite([*missed, remainder.rms]).all():
+        against.append("a record cannot be simulated with this model, or the simulated axis leaves all bounds")
+    return Evidence(
+        range=data_range((*case.records, *case.heldout)),
+        verdict=verdict,
+        remainder=remainder,
+        heldout_of_step=max(missed, default=None),
+        fatal=tuple(against),
+    )
 
-    Second derivatives of local cubics over the time in which the loop acts, 2/`rate`; the share that sensor noise alone
-    would have is taken off.
+
+def _trained(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
+    """Return the residuals of the training records, each with the phases of its own."""
+    if not own_phases(chosen.plant):
+        return gains.trained[-1]
+    return [_in_phase(chosen.plant, record) for record in case.records]
+
+
+def _held(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
+    """Return the residuals where the plant was not fitted, but for phases of a record's own."""
+    if not own_phases(chosen.plant):
+        return gains.held[-1]
+    if case.heldout:
+        return [_in_phase(chosen.plant, record) for record in case.heldout]
+    left_out = zip(case.left_out(chosen), case.records, case.cuts, strict=True)
+    return [_in_phase(plant, record)[cut:] for plant, record, cut in left_out]
+
+
+def _in_phase(plant: Plant, record: Record) -> Array:
+    return residual(synchronised(plant, lambda turned: pooled([residual(turned, record)])), record)
+
+
+def unexplained_acceleration(
+    plant: Plant, records: Sequence[Record], residuals: Sequence[Array], *, rate: float, noise: float
+) -> tuple[float, float]:
+    """Return the acceleration, r.m.s. [m/s² or rad/s²], that would make up the residuals, and its correlation time [s].
+
+    In a loop whose axis has gain β and damping c, an error e that nothing else makes is that of the acceleration
+    ë + (c + β kd)ė + β kp e; in a simulation that the voltage drives, of ë + cė. The derivatives are those of local
+    cubics over the time in which the loop acts, 2/`rate`; the share that white noise of the sensor alone would have is
+    taken off. The correlation time is the root of the ratio of the mean squares of the acceleration and of its rate:
+    T of the correlation exp(−τ²/2T²), and 1/(2πf) of a sine; no more than the longest record.
 
     Parameters
     ----------
+    plant : Plant
+        That was simulated.
     records : sequence of Record
         The measurements.
     residuals : sequence of ndarray, shape (n,)
@@ -98,15 +119,33 @@ def unexplained_acceleration(
     noise : float
         Standard deviation of the sensor's noise [m or rad].
     """
+    squares, samples = np.zeros(2), 0
+    for record, error in zip(records, residuals, strict=True):
+        window = int(min(max(2.0 / rate / record.sample_time, 7), len(record) // 2)) // 2 * 2 + 1
+        if window < 5 or error.size <= window or not np.isfinite(error).all():
+            continue
+        squares += _mean_squares(plant.for_record(record), record, error, window, noise) * error.size
+        samples += error.size
+    longest = max(record.duration for record in records)
+    if samples == 0 or squares[0] == 0.0:
+        return 0.0, longest
+    lasts = np.sqrt(squares[0] / max(squares[1], 1e-300))
+    return float(np.sqrt(squares[0] / samples)), float(min(lasts, longest))
+
+
+def _mean_squares(plant: Plant, record: Record, error: Array, window: int, noise: float) -> Array:
+    """Return the mean squares, shape (2,), of the acceleration and of its rate without the noise's share."""
     from scipy.signal import savgol_coeffs, savgol_filter
 
-    squares, samples = 0.0, 0
-    for record, residual in zip(records, residuals, strict=True):
-        window = int(min(max(2.0 / rate / record.sample_time, 7), len(record) // 2)) // 2 * 2 + 1
-        if window < 5 or residual.size <= window or not np.isfinite(residual).all():
-            continue
-        curve = savgol_filter(residual, window, 3, deriv=2, delta=record.sample_time)
-        weights = savgol_coeffs(window, 3, deriv=2, delta=record.sample_time)
-        squares += max(float(curve @ curve) - curve.size * noise**2 * float(weights @ weights), 0.0)
-        samples += curve.size
-    return float(np.sqrt(squares / samples)) if samples else 0.0
+    controller = record.controller if record.reference is not None else None
+    stiffness, drag = 0.0, plant.damping
+    if controller is not None:
+        stiffness, drag = plant.gain * controller.kp, plant.damping + plant.gain * controller.kd
+    step = record.sample_time
+    curves = [savgol_filter(error, window, 3, deriv=k, delta=step) for k in range(4)]
+    weights = [savgol_coeffs(window, 3, deriv=k, delta=step) for k in range(4)]
+    found = []
+    for k in range(2):
+        curve, weight = (stiffness * s[k] + drag * s[k + 1] + s[k + 2] for s in (curves, weights))
+        found.append(max(float(np.mean(curve**2)) - noise**2 * float(weight @ weight), 0.0))
+    return np.array(found)

@@ -12,10 +12,10 @@ from servolens.effects import effect_class
 if TYPE_CHECKING:
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.next_experiment import Experiment
-    from servolens.diagnosis.remainder import Remainder
     from servolens.effects import Effect
     from servolens.findings import Finding
     from servolens.model import Model, Quantity
+    from servolens.model_evidence import Remainder
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -211,7 +211,7 @@ class Diagnosis:
             "baseline": self.baseline.to_json(),
             "extended": self.extended.to_json(),
             "noise_floor": self.noise_floor,
-            "remainder": self.remainder.to_json(),
+            "remainder": finite(self.remainder.to_json()),
             "unit": unit,
             "where": [share.to_json() for share in self.where],
             "instruments": [instrument.to_json() for instrument in self.instruments],

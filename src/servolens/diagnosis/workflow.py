@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
-from servolens.diagnosis.remainder import MATERIAL, remainder_of
+from servolens.diagnosis.remainder import MATERIAL, evidence_of, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Hypothesis
     from servolens.record import Record
 
-__all__ = ["diagnose"]
+__all__ = ["check_request", "diagnose"]
 
 
 @single_threaded_blas
@@ -88,10 +89,7 @@ def diagnose(
     runs = together(records)
     others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
     together((*runs, *others))
-    _check_priors(priors or {})
-    _check_copies(runs, others)
-    if effort not in EFFORT:
-        raise InputError(f"effort must be one of {', '.join(EFFORT)}; got {effort!r}")
+    check_request(runs, others, priors or {}, effort)
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
@@ -122,7 +120,9 @@ def _diagnosed(
         gains = case.gains(path)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     remainder = remainder_of(case, path[-1], gains)
-    model = fits[-1].model
+    told = (*findings, *decision.findings, *fits[-1].findings)
+    told = (*told, *said(case, found, path[-1], gains, verdict, remainder))
+    model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
     sure = {cause.effect: cause.confidence for cause in causes}
@@ -141,17 +141,27 @@ def _diagnosed(
         model=model,
         rival_plants=rivals,
         next_experiment=proposed(model.plant, rivals, sure, case.records, noise=gains.noise),
-        findings=(
-            *findings,
-            *decision.findings,
-            *fits[-1].findings,
-            *said(case, found, path[-1], gains, verdict, remainder),
-        ),
+        findings=told,
         records=case.records,
         heldout=case.heldout,
     )
     progress("measuring the gain", 100, 100)
     return diagnosis
+
+
+def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: Iterable[str], effort: str) -> None:
+    """Refuse what cannot be asked of a diagnosis, whatever the records hold.
+
+    Raises
+    ------
+    InputError
+        If a prior is on what no plant has, a held-out record is a copy of one that is fitted, or there is no such
+        effort.
+    """
+    _check_priors(priors)
+    _check_copies(records, heldout)
+    if effort not in EFFORT:
+        raise InputError(f"effort must be one of {', '.join(EFFORT)}; got {effort!r}")
 
 
 def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -12,12 +12,14 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import law_from_pieces
+from servolens.identification.data_range import data_range
 from servolens.identification.door import check_priors, together
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
 from servolens.identification.varying import fit_varying
 from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
 from servolens.model import Model, Quantity
+from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
 from servolens.processors import single_threaded_blas
@@ -80,7 +82,7 @@ class Identification:
 
     @property
     def model(self) -> Model:
-        """The richest model with a plant: velocity, else constant.
+        """The richest model with a plant, velocity, else constant, and how far its records reach.
 
         Raises
         ------
@@ -90,7 +92,7 @@ class Identification:
         chosen = self.velocity or self.constant
         if chosen is None:
             raise InputError("time-varying damping predicts no other step; identify 'constant' or 'velocity' as well")
-        return chosen
+        return replace(chosen, evidence=Evidence(range=data_range(self.records)))
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.identification/1`` without the file's header."""

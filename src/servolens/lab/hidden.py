@@ -8,15 +8,16 @@ the training records, beyond noise and in units of it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.lab.disturbances import Drawn
 from servolens.lab.foreign import FOREIGN
-from servolens.lab.loop import run_one
+from servolens.lab.loop import Bench, run_one
 from servolens.lab.scene import NOISES, draw_scene
 from servolens.lab.search import Search, heard, law, missed, sane_run
 from servolens.lab.sizes import SIZES
@@ -25,13 +26,14 @@ from servolens.lab.worlds import Usual, checked_world, draw_surroundings
 from servolens.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from servolens.lab.disturbances import Drawn, Surroundings
-    from servolens.lab.loop import Bench, Run
+    from servolens.lab.disturbances import Surroundings
+    from servolens.lab.loop import Run
+    from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
     from servolens.lab.search import Found
-    from servolens.record import LengthUnit
+    from servolens.record import Controller, LengthUnit
 
 __all__ = ["HiddenCampaign", "hidden_campaign"]
 
@@ -75,6 +77,8 @@ class HiddenCampaign:
         The visibility of each effect, or foreign law, by itself.
     seed : int
         That it is made from.
+    laws : callable
+        Number of a run → the foreign law of a run, None without one.
     """
 
     records: tuple[Record, ...]
@@ -87,6 +91,37 @@ class HiddenCampaign:
     visibility: float
     shares: Mapping[str, float]
     seed: int
+    laws: Callable[[int], Oddity | None] = field(repr=False)
+
+    def tried(self, controller: Controller, levels: Sequence[float], duration: float, sample_time: float) -> Run:
+        """Run the hidden axis, foreign law included, in another loop: from rest at 0, without noise or encoder.
+
+        Parameters
+        ----------
+        controller : Controller
+            Of the loop.
+        levels : sequence of float
+            Reference, level by level [m or rad].
+        duration, sample_time : float
+            Of each level, of the loop [s].
+
+        Raises
+        ------
+        NumericalError
+            If the axis runs away.
+        """
+        samples = round(duration / sample_time)
+        reference = np.repeat(np.asarray(levels, dtype=np.float64), samples)
+        bench = Bench(
+            controller=controller,
+            time=sample_time * np.arange(reference.size, dtype=np.float64),
+            reference=reference,
+            feedforward=None,
+            start=0.0,
+            encoder=0.0,
+            voltage_limit=None,
+        )
+        return run_one(self.truth, bench, Drawn(np.zeros(reference.size), None, None), self.laws(0))
 
     @property
     def noise(self) -> float:
@@ -231,6 +266,7 @@ class _Site:
             visibility=found.look.visibility / self.loudness if found.shares else 0.0,
             shares=MappingProxyType({name: share / self.loudness for name, share in found.shares.items()}),
             seed=self.key[0],
+            laws=odd,
         )
 
     def runs(self) -> list[tuple[int, int]]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "white_noise"]
+__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed", "white_noise"]
 
 FEWEST_SAMPLES = 20
 """Five samples for each of the four unknowns of the smallest model."""
@@ -82,7 +82,6 @@ def measure(record: Record) -> Sampling:
     long = intervals > 1.5 * cycles
     gaps, kept = np.flatnonzero(long), ~long
     y = record.position
-    span = min(SPEED_SPAN, y.size - 1)
     return Sampling(
         sample_time=h,
         jitter=float(np.std((intervals - cycles)[kept])) if kept.any() else 0.0,
@@ -93,8 +92,15 @@ def measure(record: Record) -> Sampling:
         noise=white_noise(y),
         step=quantisation_step(y),
         travel=float(np.ptp(y)),
-        top_speed=float(np.max(np.abs(y[span:] - y[:-span]) / (record.time[span:] - record.time[:-span]))),
+        top_speed=top_speed(record),
     )
+
+
+def top_speed(record: Record) -> float:
+    """Return the largest speed over ten samples [m/s or rad/s]."""
+    span = min(SPEED_SPAN, record.position.size - 1)
+    moved, passed = (signal[span:] - signal[:-span] for signal in (record.position, record.time))
+    return float(np.max(np.abs(moved) / passed))
 
 
 def _cycles(intervals: NDArray[np.float64], sample_time: float) -> NDArray[np.float64]:

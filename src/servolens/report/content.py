@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, final
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from servolens.design import Light
     from servolens.findings import Finding
 
-__all__ = ["Block", "Details", "Drawing", "Findings", "Section"]
+__all__ = ["Block", "Details", "Drawing", "Findings", "Lights", "Section"]
 
 
 @final
@@ -64,7 +67,21 @@ class Findings:
     findings: tuple[Finding, ...]
 
 
-Block = str | Summary | Table | Drawing | Details | Findings
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lights:
+    """How far data, model and gain can be trusted.
+
+    Parameters
+    ----------
+    lights : mapping of str to Light
+        In order.
+    """
+
+    lights: Mapping[str, Light]
+
+
+Block = str | Summary | Table | Drawing | Details | Findings | Lights
 """A ``str`` is a paragraph of plain text."""
 
 

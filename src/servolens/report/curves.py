@@ -14,7 +14,18 @@ if TYPE_CHECKING:
 __all__ = ["Curve", "Role", "curve"]
 
 Role = Literal[
-    "measured", "reference", "command", "constant", "varying", "velocity", "truth", "pieces", "first", "second", "third"
+    "measured",
+    "reference",
+    "command",
+    "constant",
+    "varying",
+    "velocity",
+    "diagnosed",
+    "truth",
+    "pieces",
+    "first",
+    "second",
+    "third",
 ]
 """What a line stands for; its look follows from it, the same in every figure."""
 MOST_POINTS = 900

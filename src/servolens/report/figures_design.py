@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -20,66 +21,99 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design import Comparison, Design, PDSpec
+    from servolens.design import Comparison, Design, PDSpec, Response
     from servolens.plant import Plant
     from servolens.report.curves import Curve, Role
 
-__all__ = ["settling_figure", "steps_figure"]
+__all__ = ["Column", "columns", "settling_figure", "steps_figure"]
 
+NAMES: tuple[tuple[str, Role], ...] = (("linear", "constant"), ("nonlinear", "velocity"), ("diagnosed", "diagnosed"))
+MOST_IN_A_ROW = 2
+"""Names in a row of a legend."""
 GAINS = 201
 JUMP = 0.06
 """A change of settling time from one gain to the next by this share of the loop's undamped period is a gap."""
 
 
-@styled
-def settling_figure(key: str, comparison: Comparison, linear: Plant, nonlinear: Plant, caption: str) -> Drawing:
-    """Draw settling time against Kd of both models, feasible gains shaded, recommendations marked."""
-    spec = comparison.nonlinear.spec
-    top = _last_gain((comparison.linear, comparison.nonlinear))
-    gains = np.linspace(0.0, top, GAINS)
-    curves = [
-        _settling_curve("linear model", linear, spec, gains, "constant"),
-        _settling_curve("nonlinear model", nonlinear, spec, gains, "velocity"),
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One of the models of a comparison: its plant, and its gain run on the plant that the data support best."""
+
+    name: str
+    role: Role
+    plant: Plant
+    design: Design
+    on_best: Response | None
+
+
+def columns(comparison: Comparison) -> list[Column]:
+    """Return the models of a comparison; the last is the one that the data support best."""
+    found = zip(NAMES, comparison.plants, comparison.designs, comparison.on_best, strict=False)
+    return [
+        Column(name=name, role=role, plant=plant, design=design, on_best=on_best)
+        for (name, role), plant, design, on_best in found
     ]
-    marks: list[Mark] = []
-    on = comparison.linear_on_nonlinear
-    if on is not None and on.settling_time is not None:
-        says = (
-            f"linear recommendation {_least(comparison.linear)} on the nonlinear plant: {number(on.settling_time, 3)} s"
-        )
-        marks.append(Mark(label=says, kd=on.kd, settling_time=on.settling_time, role="constant"))
-    own = next(iter(comparison.nonlinear.verified), None)
-    if own is not None and own.settling_time is not None:
-        says = f"nonlinear recommendation {_least(comparison.nonlinear)}: {number(own.settling_time, 3)} s"
-        marks.append(Mark(label=says, kd=own.kd, settling_time=own.settling_time, role="velocity"))
+
+
+@styled
+def settling_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
+    """Draw settling time against Kd of all models, feasible gains shaded, recommendations marked on the last one."""
+    best = models[-1]
+    spec = best.design.spec
+    gains = np.linspace(0.0, _last_gain([model.design for model in models]), GAINS)
+    curves = [_settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
     figure = new_figure(4.0)
     plot_settling_times(
         curves,
-        [("constant", comparison.linear.intervals), ("velocity", comparison.nonlinear.intervals)],
-        marks,
+        [(model.role, model.design.intervals) for model in models],
+        [*_marks(models), *_recommended(best)],
         limit=spec.settling_time,
-        kd_unit=f"{nonlinear.command_unit} s/{nonlinear.length_unit}",
+        kd_unit=f"{best.plant.command_unit} s/{best.plant.length_unit}",
         top=_highest(curves, spec.settling_time),
         ax=figure.add_subplot(),
     )
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
+def _marks(models: Sequence[Column]) -> list[Mark]:
+    """Return the least gains that all models give, where they end up on the last one."""
+    marks, best = [], models[-1]
+    for model in models:
+        found = model.on_best
+        if found is not None and found.settling_time is not None:
+            where = "" if model is best else f" on the {best.name} plant"
+            says = f"least {model.name} gain {_least(model.design)}{where}: {number(found.settling_time, 3)} s"
+            marks.append(Mark(label=says, kd=found.kd, settling_time=found.settling_time, role=model.role))
+    return marks
+
+
+def _recommended(model: Column) -> list[Mark]:
+    chosen = model.design.recommended
+    if chosen is None or chosen.settling_time is None:
+        return []
+    says = f"recommended gain {number(chosen.kd)}: {number(chosen.settling_time, 3)} s"
+    return [Mark(label=says, kd=chosen.kd, settling_time=chosen.settling_time, role="command")]
+
+
 @styled
-def steps_figure(key: str, comparison: Comparison, nonlinear: Plant, caption: str) -> Drawing:
-    """Draw the step responses of both recommendations on the nonlinear plant, the band magnified."""
-    spec = comparison.nonlinear.spec
-    designs: list[tuple[str, Role, Design]] = [
-        ("linear", "constant", comparison.linear),
-        ("nonlinear", "velocity", comparison.nonlinear),
+def steps_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
+    """Draw the step responses of all recommendations on the last of the models, the band magnified."""
+    best = models[-1]
+    spec = best.design.spec
+    tried: list[tuple[str, Role, float]] = [
+        (f"least {model.name} gain, Kd = {_least(model.design)}", model.role, model.design.kd)
+        for model in models
+        if model.design.kd is not None
     ]
+    chosen = best.design.recommended
+    if chosen is not None:
+        tried.append((f"recommended, Kd = {number(chosen.kd)}", "command", chosen.kd))
     curves = []
-    for name, role, design in designs:
-        if design.kd is not None:
-            run = step_response(nonlinear, spec, design.kd, 2.4 * spec.settling_time)
-            label = f"{name} recommendation, Kd = {_least(design)}"
-            curves.append(curve(label, run.time, run.position, role).thinned())
-    figure = new_figure(3.4)
+    for label, role, kd in tried:
+        run = step_response(best.plant, spec, kd, 2.4 * spec.settling_time)
+        curves.append(curve(label, run.time, run.position, role).thinned())
+    figure = new_figure(3.4 if len(curves) <= MOST_IN_A_ROW else 3.7)
     whole, magnified = figure.subplots(1, 2)
     window = (0.35 * spec.settling_time, 2.0 * spec.settling_time)
     titles = ("The whole step", f"Magnified: the band of ±{100 * spec.band:g} %")
@@ -89,7 +123,7 @@ def steps_figure(key: str, comparison: Comparison, nonlinear: Plant, caption: st
             reference=spec.reference,
             band=spec.band,
             settling_time=spec.settling_time,
-            length_unit=nonlinear.length_unit,
+            length_unit=best.plant.length_unit,
             zoom=zoom,
             title=title,
             legend=False,
@@ -97,7 +131,7 @@ def steps_figure(key: str, comparison: Comparison, nonlinear: Plant, caption: st
         )
     magnified.set_ylabel("")
     handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), handlelength=3.2)
+    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), MOST_IN_A_ROW), handlelength=3.2)
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
@@ -128,7 +162,7 @@ def _settles(plant: Plant, spec: PDSpec, kd: float, watched: float) -> float:
 
 def _last_gain(designs: Sequence[Design]) -> float:
     ends = [high for design in designs for _, high in design.intervals]
-    searched = designs[-1].certificate.searched[1]
+    searched = max(design.certificate.searched[1] for design in designs)
     return min(1.15 * max(ends), searched) if ends else searched
 
 

@@ -1,4 +1,4 @@
-"""The page of the report on measured records."""
+"""The page of a study of measured records."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.report.content import Findings, Section
+from servolens.report.content import Findings, Lights, Section
 from servolens.report.curves import curve
 from servolens.report.diagnosis_story import WRONG, diagnosis_section
 from servolens.report.figures import (
@@ -19,21 +19,32 @@ from servolens.report.figures import (
     plant_formula,
     record_figure,
 )
-from servolens.report.figures_design import settling_figure, steps_figure
+from servolens.report.figures_design import columns, settling_figure, steps_figure
 from servolens.report.page import write_page
 from servolens.report.wording import shown
-from servolens.summaries import check_summary, comparison_summary, identification_summary
+from servolens.summaries import (
+    check_summary,
+    comparison_summary,
+    design_summary,
+    gain_sentences,
+    identification_summary,
+)
+from servolens.summaries.diagnosis import verdict_sentence
 from servolens.summaries.wording import listed, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from servolens.findings import Finding
+    from servolens.identification import Identification
     from servolens.plant import Plant
+    from servolens.prediction import Prediction
     from servolens.record import Record
     from servolens.report.content import Block
     from servolens.report.curves import Curve, Role
-    from servolens.report.measured import Measured
+    from servolens.study import Study
 
 __all__ = ["write_measured"]
 
@@ -42,34 +53,30 @@ MOST_DRAWN = 12
 """Records in a figure; the tables have all."""
 
 
-def write_measured(path: Path, measured: Measured) -> None:
-    """Write the page."""
-    names = [shown(record.name) for record in measured.records]
-    sections = [
-        _data(measured),
-        _open_questions(measured),
-        _models(measured),
-        _validation(measured),
-        _wrong(measured),
-        _design(measured),
-    ]
-    lead, more = _lead(measured)
-    write_page(path, f"Servo axis: {listed(names)}", lead, more, sections)
+def write_measured(path: Path, study: Study, held_out: Prediction | None, findings: Sequence[Finding]) -> None:
+    """Write the page of a study, with what its models predict of records that they do not know."""
+    names = [shown(record.name) for record in study.records]
+    sections = [_data(study), _open_questions(study, findings)]
+    if study.fit is not None:
+        sections += [_models(study, study.fit), _validation(held_out), _wrong(study), _design(study)]
+    lead, more = _lead(study)
+    write_page(path, f"Servo axis: {listed(names)}", lead, (Lights(lights=study.lights), *more), sections)
 
 
-def _lead(measured: Measured) -> tuple[str, tuple[str, ...]]:
-    fit = identification_summary(measured.fit).sentences
-    if measured.comparison is None:
-        return fit[0], fit[1:2]
-    told = _compared(measured).sentences
-    return " ".join(told[:2]), fit[:2]
+def _lead(study: Study) -> tuple[str, tuple[str, ...]]:
+    """Return the gain or why there is none, and what else matters most."""
+    first = gain_sentences(study)[0]
+    if study.diagnosis is not None:
+        return first, (verdict_sentence(study.diagnosis),)
+    return first, () if study.fit is None else identification_summary(study.fit).sentences[:2]
 
 
-def _data(measured: Measured) -> Section:
-    told = check_summary(measured.qualities, length_unit=measured.records[0].length_unit)
-    whole = measured.records[:MOST_DRAWN]
+def _data(study: Study) -> Section:
+    told = check_summary(study.check, length_unit=study.records[0].length_unit)
+    runs = (*study.records, *study.heldout)
+    whole = runs[:MOST_DRAWN]
     drawn = [_excerpt(record) for record in whole]
-    rest = len(measured.records) - len(drawn)
+    rest = len(runs) - len(drawn)
     caption = "The records as they were logged: position and reference above, the command below."
     if rest:
         caption += f" {rest} more records are in the table only."
@@ -79,7 +86,7 @@ def _data(measured: Measured) -> Section:
         caption += " Long records are drawn by the smallest and largest value of each run of samples."
     blocks: tuple[Block, ...] = (
         Summary(title="", sentences=told.sentences, tables=told.tables),
-        _settings(measured),
+        _settings(study),
         record_figure("data", drawn, caption),
     )
     return Section(key="data", title="The data", blocks=blocks)
@@ -93,9 +100,9 @@ def _excerpt(record: Record) -> Record:
     return record.slice(float(record.time[0]), float(steps[MOST_STEPS - 1].time[-1]))
 
 
-def _settings(measured: Measured) -> Table:
+def _settings(study: Study) -> Table:
     rows = []
-    for record, quality in zip(measured.records, measured.qualities, strict=True):
+    for record, quality in zip((*study.records, *study.heldout), study.check, strict=True):
         loop = record.controller
         gains = ("–", "–") if loop is None else (number(loop.kp), number(loop.kd))
         speed = f"{number(quality.top_speed, 3)} {record.length_unit}/s"
@@ -109,34 +116,33 @@ def _settings(measured: Measured) -> Table:
     )
 
 
-def _open_questions(measured: Measured) -> Section:
+def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
     blocks: list[Block] = []
-    if measured.findings:
-        blocks.append(Findings(findings=measured.findings))
+    if findings:
+        blocks.append(Findings(findings=tuple(findings)))
     else:
         blocks.append("Neither the records nor the identification gave a warning or a note.")
-    record = measured.records[0]
-    fastest = max(quality.top_speed for quality in measured.qualities)
+    record = study.records[0]
+    fastest = max(quality.top_speed for quality in study.check)
     blocks.append(
         f"The axis moves at up to {number(fastest, 3)} {record.length_unit}/s in these records; what the models say of"
         " higher speeds is extrapolated."
     )
-    if len(measured.records) == 1:
+    if len(study.records) == 1 and not study.heldout:
         blocks.append(
             "There is one record: nothing is held out, so how well the models predict other gains is not known."
         )
     return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
 
 
-def _models(measured: Measured) -> Section:
-    fit = measured.fit
+def _models(study: Study, fit: Identification) -> Section:
     told = identification_summary(fit)
     blocks: list[Block] = [Summary(title="", sentences=told.sentences)]
     if fit.velocity is not None:
         blocks.append(plant_formula("law", fit.velocity.plant))
     blocks.append(Summary(title="", tables=told.tables))
-    blocks += _damping_figures(measured)
-    matches = _matches(measured)
+    blocks += _damping_figures(fit)
+    matches = _matches(fit)
     if matches:
         rest = len(fit.records) - len(matches)
         more = f" {rest} more records are in the table only." if rest else ""
@@ -151,8 +157,7 @@ def _models(measured: Measured) -> Section:
     return Section(key="models", title="The models", blocks=tuple(blocks))
 
 
-def _damping_figures(measured: Measured) -> list[Block]:
-    fit = measured.fit
+def _damping_figures(fit: Identification) -> list[Block]:
     blocks: list[Block] = []
     if fit.varying is not None:
         blocks.append(
@@ -178,14 +183,13 @@ def _damping_figures(measured: Measured) -> list[Block]:
                 [("", laws, points)],
                 "Damping against speed: the identified law, constant damping, and the pieces of the figure above at"
                 " their mean speeds. From these records, not held out.",
-                measured.records[0].length_unit,
+                fit.records[0].length_unit,
             )
         )
     return blocks
 
 
-def _matches(measured: Measured) -> list[Match]:
-    fit = measured.fit
+def _matches(fit: Identification) -> list[Match]:
     models: list[tuple[str, Role, Plant]] = []
     if fit.constant is not None:
         models.append(("constant damping", "constant", fit.constant.plant))
@@ -196,8 +200,7 @@ def _matches(measured: Measured) -> list[Match]:
     )
 
 
-def _validation(measured: Measured) -> Section:
-    held = measured.held_out
+def _validation(held: Prediction | None) -> Section:
     title = "Do the models predict records they have not seen?"
     if held is None:
         reason = "This takes at least two usable records; log a step with other gains, and give both."
@@ -230,52 +233,44 @@ def _validation(measured: Measured) -> Section:
     return Section(key="validation", title=title, blocks=tuple(blocks))
 
 
-def _wrong(measured: Measured) -> Section:
-    if measured.diagnosis is None:
-        reason = f"No cause was sought: {measured.why_undiagnosed.rstrip('.')}."
+def _wrong(study: Study) -> Section:
+    if study.diagnosis is None:
+        reason = f"No cause was sought: {study.why_undiagnosed.rstrip('.')}."
         return Section(key="wrong", title=WRONG, blocks=(reason,))
-    return diagnosis_section(measured.diagnosis)
+    return diagnosis_section(study.diagnosis)
 
 
-def _design(measured: Measured) -> Section:
-    comparison, fit = measured.comparison, measured.fit
-    title = "The PD gain, linear against nonlinear"
-    if comparison is None or fit.constant is None or fit.velocity is None:
-        return Section(key="design", title=title, blocks=(f"No gain was sought: {measured.why_none}.",))
-    told = _compared(measured)
+def _design(study: Study) -> Section:
+    comparison, title = study.comparison, "The PD gain"
+    if comparison is None or study.design is None:
+        return Section(key="design", title=title, blocks=(f"No gain was sought: {study.why_none}.",))
+    length_unit, command_unit = study.records[0].length_unit, study.records[0].command_unit
     blocks: list[Block] = []
-    if measured.suggested:
+    if study.suggested:
         blocks.append(
-            "No spec was given. This one takes the largest Kp of the records and a settling time that the nonlinear"
-            " model can reach with a little to spare; ask for your own with kp and settling_time."
+            "No spec was given. This one takes the largest kp of the records and a settling time that the model can"
+            " reach with a little to spare; ask for your own with kp and settling_time."
         )
+    told = design_summary(study.design, forced=study.forced, length_unit=length_unit, command_unit=command_unit)
     blocks.append(Summary(title="", sentences=told.sentences, tables=told.tables))
-    linear, nonlinear = fit.constant.plant, fit.velocity.plant
+    told = comparison_summary(comparison, length_unit=length_unit, command_unit=command_unit)
+    blocks.append(Summary(title="What simpler models recommend", sentences=told.sentences, tables=told.tables))
+    models = columns(comparison)
     blocks.append(
         settling_figure(
             "settling",
-            comparison,
-            linear,
-            nonlinear,
-            "Settling time against Kd on both models, with the gains that meet the spec shaded (orange: linear, blue:"
-            " nonlinear, grey: both). Cross: a recommendation that breaks the spec on the nonlinear model. Simulated,"
-            " no measured data.",
+            models,
+            "Settling time against Kd on each model, with the gains that meet the spec shaded in its colour. Cross: a"
+            f" gain that breaks the spec on the {models[-1].name} model. Simulated, no measured data.",
         )
     )
-    if comparison.linear.kd is not None or comparison.nonlinear.kd is not None:
+    if any(model.design.kd is not None for model in models):
         blocks.append(
             steps_figure(
                 "steps",
-                comparison,
-                nonlinear,
-                "Step responses of the recommendations on the nonlinear model, with the band and the time it holds from"
-                " (dashed). Simulated, no measured data.",
+                models,
+                f"Step responses of these gains on the {models[-1].name} model, with the band and the time it holds"
+                " from (dashed). Simulated, no measured data.",
             )
         )
     return Section(key="design", title=title, blocks=tuple(blocks))
-
-
-def _compared(measured: Measured) -> Summary:
-    assert measured.comparison is not None  # noqa: S101 - the callers checked
-    record = measured.records[0]
-    return comparison_summary(measured.comparison, length_unit=record.length_unit, command_unit=record.command_unit)

@@ -13,14 +13,16 @@ from servolens.results import write_atomically
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.report.content import Findings, Section
+    from servolens.report.content import Findings, Lights, Section
 
 __all__ = ["render_page", "write_page"]
 
 FOLDER = Path(__file__).parent
 
 
-def write_page(path: Path, title: str, lead: str, more: Sequence[str | Findings], sections: Sequence[Section]) -> None:
+def write_page(
+    path: Path, title: str, lead: str, more: Sequence[str | Findings | Lights], sections: Sequence[Section]
+) -> None:
     """Write the page of :func:`render_page`, whole or not at all.
 
     Raises
@@ -31,7 +33,7 @@ def write_page(path: Path, title: str, lead: str, more: Sequence[str | Findings]
     write_atomically(path, render_page(title, lead, more, sections).encode("utf-8", "replace"))
 
 
-def render_page(title: str, lead: str, more: Sequence[str | Findings], sections: Sequence[Section]) -> str:
+def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], sections: Sequence[Section]) -> str:
     """Return the page.
 
     Parameters
@@ -40,7 +42,7 @@ def render_page(title: str, lead: str, more: Sequence[str | Findings], sections:
         Heading and name of the window.
     lead : str
         The most important sentence.
-    more : sequence of str or Findings
+    more : sequence of str, Findings or Lights
         What follows it at once.
     sections : sequence of Section
         In order; their titles are the table of contents.

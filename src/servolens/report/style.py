@@ -36,6 +36,7 @@ LOOKS: dict[Role, dict[str, Any]] = {
     "constant": {"color": COLOURS["vermilion"], "linewidth": 1.5, "linestyle": (0, (5, 1.5)), "zorder": 3},
     "varying": {"color": COLOURS["green"], "linewidth": 1.5, "linestyle": (0, (4, 1, 1, 1)), "zorder": 3},
     "velocity": {"color": COLOURS["blue"], "linewidth": 1.5, "linestyle": "-", "zorder": 4},
+    "diagnosed": {"color": COLOURS["green"], "linewidth": 1.5, "linestyle": (0, (6, 1, 1, 1)), "zorder": 5},
     "truth": {"color": "#c2c2c2", "linewidth": 4.0, "linestyle": "-", "zorder": 1, "solid_capstyle": "round"},
     "pieces": {"color": COLOURS["purple"], "linewidth": 1.4, "linestyle": (0, (2, 1.2)), "zorder": 3},
     "first": {"color": COLOURS["blue"], "linewidth": 1.5, "linestyle": "-", "zorder": 3},

@@ -1,19 +1,25 @@
 """What results say to people: each as one :class:`~servolens.summary.Summary` for terminal and page alike."""
 
 from servolens.summaries.checks import check_summary
+from servolens.summaries.comparison import comparison_summary
 from servolens.summaries.diagnosis import diagnosis_summary, experiment_summary
-from servolens.summaries.experiment import demo_summary
-from servolens.summaries.gains import comparison_summary, design_summary
+from servolens.summaries.experiment import demo_summary, hidden_summary
+from servolens.summaries.gains import design_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
+from servolens.summaries.tuning import compared_summary, gain_sentences, tuning_summaries
 
 __all__ = [
     "check_summary",
+    "compared_summary",
     "comparison_summary",
     "demo_summary",
     "design_summary",
     "diagnosis_summary",
     "experiment_summary",
+    "gain_sentences",
+    "hidden_summary",
     "identification_summary",
     "model_table",
     "prediction_summary",
+    "tuning_summaries",
 ]

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from servolens.summaries.wording import number, number_up, percent
+from servolens.summaries.names import spoken
+from servolens.summaries.wording import listed, number, number_up, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["demo_summary"]
+__all__ = ["demo_summary", "hidden_summary"]
+
+
+LIGHTS = ("data", "model", "gain")
 
 
 def demo_summary(results: Mapping[str, Any], folder: str) -> Summary:
@@ -34,6 +38,37 @@ def demo_summary(results: Mapping[str, Any], folder: str) -> Summary:
         ),
         tables=(_designs(results["design"]["sampled"]),),
     )
+
+
+def hidden_summary(results: Mapping[str, Any]) -> Summary:
+    """Tell what was found of the axis whose lack was hidden, what the gains do on it, and the lights at the end.
+
+    Parameters
+    ----------
+    results : mapping
+        The fields of ``servolens.demo/1``.
+    """
+    found = results["hidden"]
+    hidden = listed([spoken(name) for name in found["truth"]["effects"]])
+    causes = [spoken(cause["effect"]) for cause in (found["diagnosis"] or {"causes": ()})["causes"]]
+    sentences = [
+        f"Hidden by the laboratory: {hidden}. Found from {len(found['records'])} records:"
+        f" {listed(causes) if causes else 'nothing'}."
+    ]
+    if found["recommended"] is not None:
+        asked = number(found["spec"]["settling_time"])
+        sentences.append(f"Recommended: kp = {number(found['kp'])}, kd = {number(found['recommended']['kd'])}.")
+        sentences += [
+            f"On the true axis the {run['gain']} gain, kd = {number(run['kd'])},"
+            f" {_settles(run['settling_time'])}; asked: {asked} s."
+            for run in found["on_axis"]
+        ]
+    lights = (f"{name.capitalize()}: {found[name]['light']}. {found[name]['sentence']}" for name in LIGHTS)
+    return Summary(title="A second axis, whose lack is not known", sentences=(*sentences, *lights))
+
+
+def _settles(time: float | None) -> str:
+    return "does not settle" if time is None else f"settles in {number(time)} s"
 
 
 def _designs(comparisons: Mapping[str, Any]) -> Table:

@@ -1,0 +1,226 @@
+"""The gain to use: from the widest place where the spec holds, over all that may be otherwise than the model says.
+
+The least gain stands on a cliff by definition. Scenarios (:mod:`servolens.design.scenarios`) choose the gain, and
+others, each used once, tell how it does; as the set of feasible gains is not convex, nothing but a fresh count is a
+bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.design.cover import gain_scale
+from servolens.design.found import Recommended
+from servolens.design.scenarios import as_models, drawn
+from servolens.design.settle import evaluate
+from servolens.errors import InputError
+from servolens.processors import in_parallel
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.design.found import Design, Response
+    from servolens.design.scenarios import Scenario
+    from servolens.model import Model
+    from servolens.plant import Plant
+
+__all__ = ["NINE_OF_TEN", "recommend"]
+
+NINE_OF_TEN = 0.9
+"""Share of the scenarios in which a gain has to meet the spec."""
+CHOICE = 40
+"""Scenarios by which the gain is chosen: one that fails in a tenth of all is noticed in 98 of 100 cases."""
+GAINS, FEWEST = 40, 3
+"""Gains that are tried in all intervals together, and in each at least."""
+GLANCE = 1.25
+"""Settling times for which a step is watched at first: most gains that fail do so soon, but some swing up slowly."""
+
+
+def recommend(
+    models: Model | Plant | Sequence[Model | Plant],
+    design: Design,
+    *,
+    scenarios: int = 200,
+    seed: int = 0,
+    overshoot: float | None = 0.05,
+    references: Sequence[float] = (),
+) -> Design:
+    """Add the gain to use to a `design`: the one that keeps farthest from where the spec breaks.
+
+    Plants are drawn from the parameters' covariance, with what the model leaves unexplained as a force of its size and
+    correlation, and the gains of the loop are realised within ±2 %; steps go up and back. Of the gains that meet the
+    spec most often and keep the overshoot's limit, the one is taken that is farthest from where the spec breaks: as a
+    ratio, for gains scale, or as a difference where a gain is small beside what the loop notices.
+
+    Parameters
+    ----------
+    models : Model, Plant, or sequence of them
+        What the design was made for; a model brings its covariance, and what it leaves unexplained.
+    design : Design
+        From :func:`tune` on the plants of `models`.
+    scenarios : int
+        How many tell how the gain does; others, that choose it, are not among them.
+    seed : int
+        Of the draws.
+    overshoot : float or None
+        Largest overshoot as a fraction of the step, where the spec states none; None is no limit. Where no gain keeps
+        it, the least overshoot is taken, and `why` says so.
+    references : sequence of float
+        Sizes of further steps that have to meet the spec [m or rad].
+
+    Returns
+    -------
+    Design
+        With ``recommended``; as it was where no gain meets the spec.
+
+    Raises
+    ------
+    InputError
+        If no model is given, or fewer than one scenario.
+
+    Examples
+    --------
+    >>> from servolens import PDSpec, Plant, tune
+    >>> axis = Plant(gain=1.8, damping=6.0)
+    >>> found = recommend(axis, tune(axis, PDSpec(kp=100, settling_time=0.5))).recommended
+    >>> found.probability, found.worst.overshoot < 0.05
+    (1.0, True)
+    """
+    known = as_models(models)
+    if not known or scenarios < 1:
+        raise InputError("a recommended gain needs at least one model and one scenario")
+    if design.kd is None:
+        return design
+    specs = [design.spec, *(replace(design.spec, reference=size) for size in references)]
+    limit = overshoot if design.spec.overshoot is None else design.spec.overshoot
+    choosing, telling = (np.random.default_rng([seed, which]) for which in (0, 1))
+    choice = _chosen(known, design, drawn(known, specs, CHOICE, choosing), limit)
+    tests = drawn(known, specs, scenarios, telling)
+    own = [evaluate(model.plant, design.spec, choice.kd) for model in known]
+    found = in_parallel(lambda one: one.response(choice.kd), tests)
+    least = in_parallel(lambda one: one.response(design.kd or 0.0), tests)
+    return replace(design, recommended=_told(design, choice, own, found, least))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A gain, and the overshoot limit that no gain keeps."""
+
+    kd: float
+    unkept: float | None
+
+
+def _chosen(models: Sequence[Model], design: Design, scenarios: Sequence[Scenario], limit: float | None) -> Choice:
+    scale = min(gain_scale(model.plant, design.spec) for model in models)
+    grids = _grids(design.intervals, scale)
+    jobs = [(kd, scenario) for grid in grids for kd in grid for scenario in scenarios]
+    found = np.array(in_parallel(_tried, jobs)).reshape(-1, len(scenarios), 2)
+    meets, overshoots = found[..., 0] > 0.5, found[..., 1]
+    gains, shares = np.concatenate(grids), meets.mean(axis=1)
+    safest = shares == shares.max()
+    mild = np.mean(overshoots <= (np.inf if limit is None else limit), axis=1) >= NINE_OF_TEN
+    if not (safest & mild).any():
+        mildest = np.argmin(np.where(safest, overshoots.mean(axis=1), np.inf))
+        return Choice(_short(float(gains[mildest]), design), limit)
+    farthest = np.argmax(np.where(safest & mild, _margins(grids, safest, scale), -1.0))
+    return Choice(_short(float(gains[farthest]), design), None)
+
+
+def _short(kd: float, design: Design) -> float:
+    """Return the gain with three digits, as it is written, where it then still meets the spec."""
+    rounded = float(f"{kd:.3g}")
+    return rounded if any(low <= rounded <= high for low, high in design.intervals) else kd
+
+
+def _grids(intervals: Sequence[tuple[float, float]], scale: float) -> list[NDArray[np.float64]]:
+    """Return the gains that are tried in each interval, evenly in asinh(kd / scale)."""
+    ends = np.arcsinh(np.array(intervals) / scale)
+    widths = ends[:, 1] - ends[:, 0]
+    counts = np.maximum(np.ceil(GAINS * widths / max(widths.sum(), 1e-300)), FEWEST).astype(int)
+    return [
+        np.clip(scale * np.sinh(np.linspace(a, b, n)), *interval)
+        for (a, b), n, interval in zip(ends, counts, intervals, strict=True)
+    ]
+
+
+def _tried(job: tuple[float, Scenario]) -> tuple[float, float]:
+    """Return whether the spec holds, and the overshoot."""
+    kd, scenario = job
+    response = scenario.response(kd, GLANCE * scenario.spec.settling_time)
+    if response.meets:
+        response = scenario.response(kd)
+    return float(response.meets), response.overshoot
+
+
+def _margins(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], scale: float) -> NDArray[np.float64]:
+    """Return how far each gain is from the ends of its interval, and from gains that are less safe."""
+    found, begin = [], 0
+    for grid in grids:
+        place, fails = np.arcsinh(grid / scale), ~safest[begin : begin + grid.size]
+        fails[[0, -1]] = True
+        found.append(np.abs(place[:, None] - place[fails]).min(axis=1))
+        begin += grid.size
+    return np.concatenate(found)
+
+
+def _told(
+    design: Design, choice: Choice, own: Sequence[Response], found: Sequence[Response], least: Sequence[Response]
+) -> Recommended:
+    from scipy.stats import binomtest
+
+    count = sum(response.meets for response in found)
+    bounds = binomtest(count, len(found)).proportion_ci(0.95, method="exact")
+    result = Recommended(
+        kp=design.spec.kp,
+        kd=choice.kd,
+        settling_time=None if any(r.settling_time is None for r in own) else max(r.settling_time or 0.0 for r in own),
+        overshoot=max(response.overshoot for response in own),
+        worst=max(found, key=_slowness),
+        probability=count / len(found),
+        interval=(float(bounds.low), float(bounds.high)),
+        scenarios=len(found),
+        why="",
+        risk=_risk(design, least),
+    )
+    return replace(result, why=_why(result, choice.unkept))
+
+
+def _slowness(response: Response) -> tuple[float, float]:
+    return (np.inf if response.settling_time is None else response.settling_time), response.overshoot
+
+
+def _why(found: Recommended, unkept: float | None) -> str:
+    low, high = (100.0 * end for end in found.interval)
+    text = (
+        f"{_settles(found.settling_time)}, worst of {found.scenarios} plants {_time(found.worst.settling_time)};"
+        f" {100.0 * found.probability:.3g} % meet it ({low:.3g} to {high:.3g} %), given the model"
+    )
+    if unkept is None:
+        return text
+    return (
+        f"{text}; no gain that is as safe keeps the overshoot below {100.0 * unkept:.3g} %, with this one it is"
+        f" {100.0 * found.overshoot:.3g} %"
+    )
+
+
+def _risk(design: Design, least: Sequence[Response]) -> str:
+    share = sum(response.meets for response in least) / len(least)
+    worst = max(least, key=_slowness)
+    return (
+        f"the least gain meets the spec in {100.0 * share:.3g} % of these plants"
+        f" (worst {_time(worst.settling_time)}, overshoot up to {100.0 * max(r.overshoot for r in least):.3g} %)"
+    )
+
+
+def _settles(time: float | None) -> str:
+    return "does not settle" if time is None else f"settles in {time:.3g} s"
+
+
+def _time(time: float | None) -> str:
+    return "does not settle" if time is None else f"{time:.3g} s"

@@ -1,0 +1,158 @@
+"""What may be otherwise than a model says: parameters, a force that nothing explains, and the gain itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import pi, sqrt
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.design.settle import evaluate
+from servolens.effects import Force, parameter
+from servolens.errors import InputError
+from servolens.model import Model
+
+if TYPE_CHECKING:
+    from servolens.design.found import Response
+    from servolens.design.spec import PDSpec
+    from servolens.effects import Axis
+    from servolens.plant import Plant
+
+__all__ = ["Scenario", "UnexplainedForce", "as_models", "drawn"]
+
+TOLERANCE = 0.02
+"""By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
+WAVES = 4
+"""Sines of an unexplained force; its largest value is then √8 times its r.m.s., as of a Gaussian force in 200 draws."""
+TRIES = 100
+"""Draws after which a model whose covariance allows hardly an admissible plant stands for itself."""
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnexplainedForce(Force):
+    """A force of known size and correlation, and of no known cause: a sum of sines with random frequencies and phases.
+
+    Where the frequencies are drawn from a normal distribution of deviation 1/(2πT), its autocorrelation over all draws
+    is exp(−τ²/2T²): Bochner's theorem, as for random Fourier features (Rahimi and Recht, 2007).
+    """
+
+    name = "unexplained_force"
+    sentence = "A force that no cause explains pushes the axis."
+    latex = r"w(t)"
+
+    size: float = parameter("w", "{x}/s^2", "r.m.s., per unit of moving mass", per_mass=1)
+    frequency_0: float = parameter("f_0", "Hz", "of the first sine", per_mass=0)
+    frequency_1: float = parameter("f_1", "Hz", "of the second sine", per_mass=0)
+    frequency_2: float = parameter("f_2", "Hz", "of the third sine", per_mass=0)
+    frequency_3: float = parameter("f_3", "Hz", "of the fourth sine", per_mass=0)
+    phase_0: float = parameter(r"\phi_0", "rad", "of the first sine", per_mass=0)
+    phase_1: float = parameter(r"\phi_1", "rad", "of the second sine", per_mass=0)
+    phase_2: float = parameter(r"\phi_2", "rad", "of the third sine", per_mass=0)
+    phase_3: float = parameter(r"\phi_3", "rad", "of the fourth sine", per_mass=0)
+
+    @staticmethod
+    def physics(axis: Axis, p: Any) -> Any:
+        """See :meth:`servolens.effects.kinds.Force.physics`."""
+        from casadi import sin
+
+        waves = (
+            sin(2 * pi * getattr(p, f"frequency_{i}") * axis.time + getattr(p, f"phase_{i}")) for i in range(WAVES)
+        )
+        return p.size * sqrt(2.0 / WAVES) * sum(waves)
+
+    @classmethod
+    def draw(cls, size: float, correlation_time: float, random: np.random.Generator) -> UnexplainedForce:
+        """Return one such force."""
+        frequencies = np.abs(random.normal(0.0, 1.0 / (2.0 * pi * correlation_time), WAVES))
+        phases = random.uniform(0.0, 2.0 * pi, WAVES)
+        values = {f"frequency_{i}": float(f) for i, f in enumerate(frequencies)}
+        return cls(size=size, **values, **{f"phase_{i}": float(phase) for i, phase in enumerate(phases)})
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scenario:
+    """One axis as it may be, and one step on it.
+
+    Attributes
+    ----------
+    plant : Plant
+        Drawn from what is known of the model, with a force that nothing explains.
+    spec : PDSpec
+        Of this step.
+    realised : float
+        What the gains of the loop are multiplied by.
+    back : bool
+        Whether the step is the one back, from the reference to 0.
+    """
+
+    plant: Plant
+    spec: PDSpec
+    realised: float
+    back: bool
+
+    def response(self, kd: float, duration: float | None = None) -> Response:
+        """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
+        return evaluate(self.plant, self.spec, self.realised * kd, back=self.back, duration=duration)
+
+
+def as_models(models: Model | Plant | Sequence[Model | Plant]) -> list[Model]:
+    """Return what a design is made for as models; of a plant alone nothing is known beside its numbers."""
+    given = models if isinstance(models, Sequence) else (models,)
+    return [model if isinstance(model, Model) else Model(plant=model) for model in given]
+
+
+def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: np.random.Generator) -> list[Scenario]:
+    """Return scenarios: the models, the specs, and up and down in turn; all else drawn anew for each."""
+    turns = [(model, spec, back) for back in (False, True) for spec in specs for model in models]
+    found = []
+    for i in range(count):
+        model, spec, back = turns[i % len(turns)]
+        realised = 1.0 + float(random.uniform(-TOLERANCE, TOLERANCE))
+        limit = None if spec.voltage_limit is None else realised * spec.voltage_limit
+        spec = replace(spec, kp=realised * spec.kp, voltage_limit=limit)
+        plant = _pushed(_plant(model, random), model, random)
+        found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back))
+    return found
+
+
+def _plant(model: Model, random: np.random.Generator) -> Plant:
+    """Draw a plant, with phases anew of waves that do not know when a step begins."""
+    from servolens.identification.phases import own_phases  # here, for it brings SciPy
+
+    plant = _within_covariance(model, random)
+    phases = {name: float(random.uniform(-pi, pi)) for name in own_phases(plant)}
+    if not phases:
+        return plant
+    return plant.with_values([phases.get(name, v) for name, v in zip(plant.parameters, plant.values, strict=True)])
+
+
+def _within_covariance(model: Model, random: np.random.Generator) -> Plant:
+    """Draw a plant from the covariance, within the bounds of its parameters; what has no error is held."""
+    if model.covariance is None:
+        return model.plant
+    free = np.isfinite(np.diag(model.covariance)) & (np.diag(model.covariance) > 0.0)
+    among = np.nan_to_num(model.covariance[np.ix_(free, free)])
+    spread, axes = np.linalg.eigh(0.5 * (among + among.T))
+    values = np.array(model.plant.values)
+    limits = list(model.plant.parameters.values())
+    low, high = (np.array([getattr(limit, end) for limit in limits]) for end in ("low", "high"))
+    for _ in range(TRIES):
+        moved = values.copy()
+        moved[free] += axes @ (np.sqrt(np.maximum(spread, 0.0)) * random.standard_normal(spread.size))
+        try:
+            return model.plant.with_values([float(v) for v in np.clip(moved, low, high)])
+        except InputError:  # parameters that are admissible one by one, but not together
+            continue
+    return model.plant
+
+
+def _pushed(plant: Plant, model: Model, random: np.random.Generator) -> Plant:
+    """Return the plant with what the model leaves unexplained."""
+    left = None if model.evidence is None else model.evidence.remainder
+    if left is None or not 0.0 < left.acceleration_rms < np.inf or not left.correlation_time > 0.0:
+        return plant
+    return plant.with_effect(UnexplainedForce.draw(left.acceleration_rms, left.correlation_time, random))

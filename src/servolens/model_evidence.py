@@ -1,0 +1,170 @@
+"""What is known of a model beside its parameters: the diagnosis's verdict, what it misses, and what records showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.results import to_finite
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["DataRange", "Evidence", "Remainder"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Remainder:
+    """What the chosen model misses beyond the noise.
+
+    Attributes
+    ----------
+    rms : float
+        R.m.s. of the simulation's error beyond the noise, in quadrature [m or rad].
+    times_noise : float or None
+        The simulation's error over the noise floor; None without noise.
+    of_travel : float
+        `rms` over the range of the position.
+    acceleration_rms : float
+        R.m.s. of the acceleration that nothing explains: the force, per unit of moving mass, that would make up the
+        simulation's error [m/s² or rad/s²].
+    correlation_time : float
+        How slowly that acceleration changes: its r.m.s. over that of its rate of change [s].
+    of_motor : float
+        `acceleration_rms` over the largest acceleration that the motor gives.
+    depends_on_inputs : bool
+        Whether it depends on reference, feedforward or a column of the catalogue; else it is noise or shaking.
+    material : bool
+        Whether `of_travel` exceeds half a percent.
+    """
+
+    rms: float
+    times_noise: float | None
+    of_travel: float
+    acceleration_rms: float
+    correlation_time: float
+    of_motor: float
+    depends_on_inputs: bool
+    material: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Remainder:
+        """Build the remainder from what :meth:`to_json` returned; a number that is null was not finite."""
+
+        def size(name: str) -> float:
+            return _size(data[name], f"remainder.{name}")
+
+        return cls(
+            rms=size("rms"),
+            times_noise=None if data.get("times_noise") is None else size("times_noise"),
+            of_travel=size("of_travel"),
+            acceleration_rms=size("acceleration_rms"),
+            correlation_time=size("correlation_time"),
+            of_motor=size("of_motor"),
+            depends_on_inputs=bool(data["depends_on_inputs"]),
+            material=bool(data["material"]),
+        )
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataRange:
+    """The largest that the records showed.
+
+    Attributes
+    ----------
+    voltage : float
+        |V| that the controller asked for [V].
+    speed : float
+        [m/s or rad/s].
+    step : float
+        Step of the reference, or travel where none was logged [m or rad].
+    """
+
+    voltage: float
+    speed: float
+    step: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> DataRange:
+        """Build the range from what :meth:`to_json` returned."""
+        return cls(**{f.name: _size(data[f.name], f"range.{f.name}") for f in fields(cls)})
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """How far the records support a model.
+
+    Attributes
+    ----------
+    range : DataRange
+        What the records showed, those held out included.
+    verdict : str or None
+        Of the diagnosis; None where there was none.
+    remainder : Remainder or None
+        What the model misses; None where nobody looked.
+    heldout_of_step : float or None
+        R.m.s. of the simulation's error on records that took no part in the fit, over the step: the worst of them.
+    fatal : tuple of str
+        Sentences of the findings for which the model is worthless.
+    """
+
+    range: DataRange
+    verdict: str | None = None
+    remainder: Remainder | None = None
+    heldout_of_step: float | None = None
+    fatal: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields that stand beside those of the plant in ``servolens.model/1``; finite numbers only."""
+        result: dict[str, Any] = to_finite(
+            {
+                "verdict": self.verdict,
+                "remainder": None if self.remainder is None else self.remainder.to_json(),
+                "range": self.range.to_json(),
+                "heldout_of_step": self.heldout_of_step,
+                "fatal": self.fatal,
+            }
+        )
+        return result
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Evidence | None:
+        """Build the evidence from a model's fields; None of a model that says nothing of the records' range.
+
+        Raises
+        ------
+        InputError
+            If a field is missing or no number.
+        """
+        if data.get("range") is None:
+            return None
+        verdict, remainder, heldout = (data.get(name) for name in ("verdict", "remainder", "heldout_of_step"))
+        return cls(
+            range=DataRange.from_json(data["range"]),
+            verdict=None if verdict is None else str(verdict),
+            remainder=None if remainder is None else Remainder.from_json(remainder),
+            heldout_of_step=None if heldout is None else _size(heldout, "heldout_of_step"),
+            fatal=tuple(str(sentence) for sentence in data.get("fatal") or ()),
+        )
+
+
+def _size(value: Any, name: str) -> float:
+    if value is None:
+        return float("inf")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
+        raise InputError(f"{name} must be a number that is not negative, got {str(value)[:40]!r}")
+    return float(value)

@@ -1,0 +1,9 @@
+"""From records to a gain: the whole chain, which command line, page, demo and scripts share."""
+
+from servolens.study.held_out import held_out_prediction
+from servolens.study.result import Study
+from servolens.study.spec import completed_spec, suggested_spec
+from servolens.study.tuning import tune
+from servolens.study.workflow import study_records
+
+__all__ = ["Study", "completed_spec", "held_out_prediction", "study_records", "suggested_spec", "tune"]

@@ -1,0 +1,67 @@
+"""How far data, model and gain of a study can be trusted."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from servolens.design import Light, trust
+from servolens.quality import fatal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.design import Design
+    from servolens.findings import Finding
+    from servolens.model import Model
+    from servolens.quality import RecordQuality
+
+__all__ = ["data_light", "is_fit", "study_lights"]
+
+MOST_NAMED = 3
+
+
+def is_fit(quality: RecordQuality) -> bool:
+    """Tell whether a model can be found from a record, if not be trusted: a wrong sign or unit is no obstacle."""
+    return quality.usable or all(fatal([finding]) for finding in quality.findings if finding.severity == "error")
+
+
+def data_light(check: Sequence[RecordQuality]) -> Light:
+    """Judge the records: red where a sign or a unit is wrong or none is fit, amber where something is to be known."""
+    findings = [finding for quality in check for finding in quality.findings]
+    wrong = fatal(findings)
+    if wrong:
+        return Light(light="red", sentence=_told(wrong))
+    errors = [finding for finding in findings if finding.severity == "error"]
+    unfit = [quality.name for quality in check if not quality.usable]
+    if len(unfit) == len(check):
+        return Light(light="red", sentence=f"No model can be found from these data. {_told(errors)}")
+    if unfit:
+        named = ", ".join(unfit[:MOST_NAMED]) + (" and others" if len(unfit) > MOST_NAMED else "")
+        return Light(light="amber", sentence=f"Left out as unfit: {named}. {_told(errors)}")
+    warnings = [finding for finding in findings if finding.severity == "warning"]
+    if warnings:
+        return Light(light="amber", sentence=_told(warnings))
+    count = {1: "The record", 2: "Both records"}.get(len(check), f"All {len(check)} records")
+    return Light(light="green", sentence=f"{count} can be used, and nothing in the data speaks against them.")
+
+
+def study_lights(data: Light, model: Model | None, design: Design | None, why_none: str) -> dict[str, Light]:
+    """Return the lights of ``"data"``, ``"model"`` and ``"gain"``; on wrong data no gain is to be given."""
+    if model is None:
+        of_model = Light(light="red", sentence="No model was found.")
+        of_gain = Light(light="red", sentence=f"No gain was sought: {why_none.rstrip('.')}.")
+        return {"data": data, "model": of_model, "gain": of_gain}
+    of_model, of_gain = trust(model, design)
+    if design is None:
+        of_gain = Light(light="red", sentence=f"No gain was sought: {why_none.rstrip('.')}.")
+    elif data.light == "red":
+        of_gain = Light(light="red", sentence=f"A gain would rest on wrong data. {data.sentence}")
+    return {"data": data, "model": of_model, "gain": of_gain}
+
+
+def _told(findings: Sequence[Finding]) -> str:
+    """Return the first of the findings, and how many more there are."""
+    first, *others = findings
+    about = f"{first.record}: " if first.record else ""
+    more = {0: "", 1: " Another finding is in the list."}.get(len(others), f" {len(others)} more are in the list.")
+    return f"{about}{first.message.rstrip('.')}.{more}"

@@ -1,0 +1,121 @@
+"""What a gain has to achieve, as far as the records tell what their owner did not."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servolens.design import PDSpec, evaluate
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["completed_spec", "suggested_spec"]
+
+GAINS = 41
+SLACK = 1.25
+"""The settling time asked for is the shortest that any gain reaches, times this, rounded up to two digits."""
+
+
+def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpec:
+    """Return the spec with the `given` fields; kp, sample time, filter and step that are missing are the records'.
+
+    The loop is that with the largest kp, the step the largest.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Runs of one axis.
+    given : mapping
+        Fields of ``PDSpec``, the settling time among them.
+
+    Raises
+    ------
+    InputError
+        If no kp is given and the records state none, or a field is outside its range.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> runs = [lab.step_record(lab.NLM1, kp=kp) for kp in (60, 80)]
+    >>> spec = completed_spec(runs, {"settling_time": 0.5})
+    >>> spec.kp, spec.reference, spec.sample_time
+    (80, 0.1, 0.001)
+    """
+    record = _fastest(records)
+    if record is None and "kp" not in given:
+        raise InputError("the records state no kp; give the proportional gain to design for")
+    return PDSpec(**{**({} if record is None else _loop_of(record)), **_step_of(records), **given})
+
+
+def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
+    """Return a spec for records whose owner asked for none: a settling time that the plant can reach.
+
+    With the largest kp of the records. The band is 1 % of the step, or three encoder steps where that is more. None
+    where no loop is known, or none settles.
+    """
+    record = _fastest(records)
+    if record is None or plant.gain <= 0:
+        return None
+    fields = {**_loop_of(record), **_step_of([record])}
+    step, kp, sample_time = fields.get("reference", 0.0), fields["kp"], fields["sample_time"]
+    band = max(0.01, _round_up(3.0 * (record.encoder_resolution or 0.0) / step)) if step > 0 else 1.0
+    if band >= 1:
+        return None
+    first = max(12.0 / math.sqrt(plant.gain * kp), 4 * sample_time)
+    spec = _possible(**fields, band=band, settling_time=first)
+    shortest = None if spec is None else _shortest(plant, spec)
+    if spec is None or shortest is None:
+        return None
+    return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SLACK * shortest), 4 * sample_time)})
+
+
+def _fastest(records: Sequence[Record]) -> Record | None:
+    """Return the record with the largest kp."""
+    loops = [(r.controller.kp, -i) for i, r in enumerate(records) if r.controller is not None and r.controller.kp > 0]
+    return records[-max(loops)[1]] if loops else None
+
+
+def _loop_of(record: Record) -> dict[str, float]:
+    assert record.controller is not None  # noqa: S101 - chosen so
+    return {
+        "kp": record.controller.kp,
+        "sample_time": float(f"{record.controller.control_period or record.sample_time:.6g}"),
+        "derivative_filter": record.controller.derivative_filter,
+    }
+
+
+def _step_of(records: Sequence[Record]) -> dict[str, float]:
+    """Return the largest step, to three digits as its owner may have set it."""
+    step = max((record.step_size for record in records), default=0.0)
+    return {"reference": float(f"{step:.3g}")} if step > 0 else {}
+
+
+def _possible(**fields: Any) -> PDSpec | None:
+    """Return the spec, or None where the axis is so slow or fast that it would be none."""
+    try:
+        return PDSpec(**fields)
+    except InputError:
+        return None
+
+
+def _shortest(plant: Plant, spec: PDSpec) -> float | None:
+    """Return the shortest settling time of any gain [s]."""
+    natural = math.sqrt(plant.gain * spec.kp)
+    last = max(6.0 * natural - plant.damping, natural) / plant.gain
+    found = (evaluate(plant, spec, float(kd)).settling_time for kd in np.linspace(0.0, last, GAINS))
+    return min((time for time in found if time), default=None)
+
+
+def _round_up(value: float) -> float:
+    """Round up to two significant digits."""
+    if value <= 0:
+        return 0.0
+    power = math.floor(math.log10(value)) - 1
+    return float(f"{math.ceil(value / 10.0**power - 1e-9) * 10.0**power:.6g}")

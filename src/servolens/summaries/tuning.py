@@ -1,0 +1,81 @@
+"""What a study of records says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from servolens.summaries.checks import check_summary
+from servolens.summaries.comparison import comparison_summary, side_by_side
+from servolens.summaries.diagnosis import remaining_sentences, verdict_sentence
+from servolens.summaries.diagnosis_tables import parameters_table
+from servolens.summaries.gains import (
+    asked_sentence,
+    least_gain,
+    light_sentences,
+    sentence,
+)
+from servolens.summaries.wording import number
+from servolens.summary import Summary
+
+if TYPE_CHECKING:
+    from servolens.study import Study
+
+__all__ = ["compared_summary", "gain_sentences", "tuning_summaries"]
+
+
+def tuning_summaries(study: Study) -> tuple[Summary, Summary]:
+    """Tell what was found, then, as what one should read last, the lights and the gains.
+
+    Parameters
+    ----------
+    study : Study
+        Of one axis.
+    """
+    record = study.records[0]
+    sentences = [*check_summary(study.check, length_unit=record.length_unit).sentences]
+    tables = []
+    if study.diagnosis is not None:
+        sentences += [verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis)]
+        tables.append(parameters_table(study.diagnosis))
+    elif study.why_undiagnosed:
+        sentences.append(f"No cause was sought: {study.why_undiagnosed.rstrip('.')}.")
+    design = study.design
+    if design is not None:
+        sentences.append(asked_sentence(design.spec, record.length_unit, record.command_unit))
+    if study.comparison is not None and design is not None and design.kd is not None:
+        unit = f"{record.command_unit} s/{record.length_unit}"
+        tables.append(side_by_side(study.comparison, unit, record.command_unit))
+    found = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=study.findings)
+    told = (*light_sentences(study.lights), *gain_sentences(study))
+    return found, Summary(title="The gain", sentences=told)
+
+
+def compared_summary(study: Study) -> Summary:
+    """Tell what the models of a study recommend, and how far the last of them can be trusted."""
+    record, lights = study.records[0], tuple(light_sentences(study.lights))
+    if study.comparison is None:
+        return Summary(title="Comparison", sentences=lights, findings=study.findings)
+    told = comparison_summary(study.comparison, length_unit=record.length_unit, command_unit=record.command_unit)
+    return replace(told, sentences=(*told.sentences, *lights), findings=study.findings)
+
+
+def gain_sentences(study: Study) -> tuple[str, ...]:
+    """Return the gain to use and the least one, or why there is none."""
+    design, record = study.design, study.records[0]
+    if design is None:
+        return (f"No gain was sought: {study.why_none.rstrip('.')}.",)
+    if design.withheld:
+        return ("The gain is withheld: see its light. Option --force gives it all the same.",)
+    if design.kd is None:
+        return (sentence(design.reason),)
+    unit = f"{record.command_unit} s/{record.length_unit}"
+    forced = ("Forced: these gains would be withheld.",) if study.forced else ()
+    least = f"Least: kd = {least_gain(design)} {unit}"
+    chosen = design.recommended
+    if chosen is None:
+        return (*forced, f"{least}.")
+    kp = f"{number(chosen.kp)} {record.command_unit}/{record.length_unit}"
+    gains = f"Recommended: kp = {kp}, kd = {number(chosen.kd)} {unit}"
+    why = "" if study.lights["gain"].light == "green" else f"; with it the axis {chosen.why}"
+    return (*forced, f"{gains}{why}.", f"{least}. {sentence(chosen.risk)}")

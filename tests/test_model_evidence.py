@@ -1,0 +1,135 @@
+"""What a model remembers of its records: written, read, and measured against what the laboratory knows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.diagnosis import diagnose
+from servolens.diagnosis.remainder import unexplained_acceleration
+from servolens.effects import CoulombFriction
+from servolens.errors import InputError
+from servolens.identification import identify
+from servolens.model import Model, read_model
+from servolens.model_evidence import DataRange, Evidence, Remainder
+from servolens.plant import Plant
+from servolens.prediction import prediction_residual
+
+LEFT = Remainder(
+    rms=1e-4,
+    times_noise=None,
+    of_travel=1e-3,
+    acceleration_rms=0.02,
+    correlation_time=0.05,
+    of_motor=1e-3,
+    depends_on_inputs=True,
+    material=False,
+)
+KNOWN = Evidence(
+    range=DataRange(voltage=8.0, speed=1.2, step=0.1),
+    verdict="partly_explained",
+    remainder=LEFT,
+    heldout_of_step=0.002,
+    fatal=("run 3: its voltage has the wrong sign.",),
+)
+PLANT = Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
+MATRIX = np.array([[1e-4, 2e-5, np.nan], [2e-5, 4e-3, np.nan], [np.nan, np.nan, np.nan]])
+
+
+def written(model, tmp_path):
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **model.to_json()}, allow_nan=False), encoding="utf-8")
+    return path
+
+
+def changed(path, **fields):
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**data, **fields}), encoding="utf-8")
+    return path
+
+
+def test_model_file_keeps_evidence_and_covariance(tmp_path):
+    again = read_model(written(Model(plant=PLANT, covariance=MATRIX, evidence=KNOWN), tmp_path))
+    assert again.evidence == KNOWN
+    np.testing.assert_array_equal(again.covariance, MATRIX)
+
+
+def test_covariance_is_read_by_its_names(tmp_path):
+    path = written(Model(plant=PLANT, covariance=MATRIX), tmp_path)
+    named = json.loads(path.read_text(encoding="utf-8"))["covariance"]
+    assert named["names"] == ["gain", "damping", "coulomb_friction.level"]
+    turned = {"names": named["names"][::-1], "matrix": [row[::-1] for row in named["matrix"][::-1]]}
+    np.testing.assert_array_equal(read_model(changed(path, covariance=turned)).covariance, MATRIX)
+    np.testing.assert_array_equal(read_model(changed(path, covariance=named["matrix"])).covariance, MATRIX)
+
+
+def test_model_file_without_evidence_is_taken_as_it_is(tmp_path):
+    assert read_model(written(Model(plant=PLANT), tmp_path)).evidence is None
+
+
+DAMAGED = {
+    "range that is no number": {"range": {"voltage": "8 V", "speed": 1.0, "step": 0.1}},
+    "range without a step": {"range": {"voltage": 8.0, "speed": 1.0}},
+    "negative share": {"heldout_of_step": -0.1},
+    "remainder without its force": {"remainder": {"rms": 1e-4}},
+    "covariance of other parameters": {"covariance": {"names": ["a", "b", "c"], "matrix": np.eye(3).tolist()}},
+}
+
+
+@pytest.mark.parametrize("fields", DAMAGED.values(), ids=DAMAGED)
+def test_damaged_evidence_is_refused(tmp_path, fields):
+    path = changed(written(Model(plant=PLANT, covariance=MATRIX, evidence=KNOWN), tmp_path), **fields)
+    with pytest.raises(InputError, match=r"model\.json: "):
+        read_model(path)
+
+
+def test_remainder_that_is_not_finite_stays_so(tmp_path):
+    lost = replace(KNOWN, remainder=replace(LEFT, rms=np.inf, acceleration_rms=np.inf, of_travel=np.inf))
+    again = read_model(written(Model(plant=PLANT, evidence=lost), tmp_path)).evidence
+    assert again == lost
+
+
+@pytest.mark.parametrize("frequency", [0.5, 1.5])
+@pytest.mark.parametrize("kd", [0.0, 5.0])
+def test_unexplained_acceleration_is_the_force_that_was_left_out(frequency, kd):
+    """A sine of amplitude A has the r.m.s. A/√2, and its rate of change 2πf times that; slower than the loop."""
+    swing = {"amplitude": 0.5, "frequency": frequency, "phase": 0.3}
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"periodic_disturbance": swing})
+    record = lab.step_record(truth, 60.0, kd, duration=4.0, encoder=0.0, noise=2e-6, seed=1)
+    plant = Plant(gain=1.9, damping=6.0)
+    residual = prediction_residual(plant, record)
+    force, lasts = unexplained_acceleration(plant, [record], [residual], rate=np.sqrt(1.9 * 60.0), noise=2e-6)
+    assert force == pytest.approx(0.5 / np.sqrt(2.0), rel=0.1)
+    assert lasts == pytest.approx(1.0 / (2.0 * np.pi * frequency), rel=0.15)
+
+
+def test_diagnosed_model_remembers_its_records():
+    runs = [lab.step_record(lab.LM1, kp, noise=1e-5, seed=kp) for kp in (40, 60)]
+    heldout = lab.step_record(lab.LM1, 80, noise=1e-5, seed=3)
+    known = diagnose(runs, heldout=heldout, effort="quick").model.evidence
+    assert known.verdict == "healthy"
+    assert known.range.voltage == pytest.approx(8.0, rel=1e-3)  # kp times the step, of the record held out
+    assert known.range.step == pytest.approx(0.1, rel=1e-3)
+    assert known.range.speed == pytest.approx(np.abs(np.gradient(heldout.position, heldout.time)).max(), rel=0.1)
+    assert known.heldout_of_step < 1e-3
+    assert not known.remainder.material
+    assert known.fatal == ()
+
+
+def test_held_out_record_of_another_axis_speaks_against_the_model():
+    other = lab.Truth(gain=2.6 * lab.LM1.gain, damping=lab.LM1.damping)
+    runs = [lab.step_record(lab.LM1, kp, noise=1e-5, seed=kp) for kp in (40, 60)]
+    known = diagnose(runs, heldout=lab.step_record(other, 60, noise=1e-5, seed=3), effort="quick").model.evidence
+    assert known.heldout_of_step > 0.05
+
+
+def test_identified_model_remembers_how_far_its_records_reach():
+    record = lab.step_record(lab.LM1, 60, noise=1e-5, seed=1)
+    known = identify(record).model.evidence
+    assert known.range.voltage == pytest.approx(6.0, rel=1e-3)
+    assert known.verdict is None
+    assert known.remainder is None

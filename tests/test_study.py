@@ -1,0 +1,300 @@
+"""The chain from records to a gain: the truth is the laboratory's, and the gain is run on the true axis."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servolens import PDSpec, Plant, diagnose, fit_effects, identify, lab, study_records, tune
+from servolens import design as designing
+from servolens.design import settling_time
+from servolens.effects import CoulombFriction, Saturation
+from servolens.errors import InputError
+from servolens.model import Model
+from servolens.record import Controller
+from servolens.results import to_text
+from servolens.study import completed_spec, held_out_prediction, suggested_spec
+
+CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+SPEC = PDSpec(kp=80, settling_time=0.5)
+TUNING = {"data", "model", "gain", "check", "diagnosis", "comparison", "kd", "recommended"}
+
+
+def steps(truth, *gains, **options):
+    return [lab.step_record(truth, kp, noise=1e-5, seed=kp, **options) for kp in gains]
+
+
+def colours(found):
+    return [found.lights[name].light for name in ("data", "model", "gain")]
+
+
+def on_the_truth(truth, spec, kd, **options):
+    """Return the settling time of the step on the laboratory's axis, without noise and encoder."""
+    run = lab.step_record(truth, spec.kp, kd, reference=spec.reference, duration=5.0, encoder=0.0, **options)
+    return settling_time(run.time, (spec.reference - run.position) / spec.reference, spec.band)
+
+
+@pytest.fixture(scope="module")
+def cart():
+    return study_records(steps(CART, 60, 80), SPEC, effort="quick")
+
+
+HIDDEN = [
+    ("stribeck_friction", 4),
+    ("backlash", 3),
+    ("delay", 2),
+    *(
+        pytest.param(name, seed, marks=pytest.mark.slow)
+        for name, seed in (
+            ("coulomb_friction", 5),
+            ("flexible_coupling", 6),
+            ("constant_force", 7),
+            ("dead_zone", 8),
+            ("saturation", 9),
+            ("cogging", 10),
+            ("hardening_spring", 11),
+            ("", 12),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("effect", "seed"), HIDDEN)
+def test_recommended_gain_meets_the_spec_on_the_hidden_axis(effect, seed):
+    campaign = lab.hidden_campaign(seed, effects=[effect] if effect else [])
+    found = study_records(campaign.records, heldout=campaign.heldout, effort="quick")
+    assert "red" not in colours(found)
+    spec, chosen = found.design.spec, found.design.recommended
+    controller = Controller(kp=spec.kp, kd=chosen.kd, derivative_filter=spec.derivative_filter)
+    lasts = 6.0 * spec.settling_time
+    run = campaign.tried(controller, [spec.reference, 0.0], lasts, spec.sample_time)
+    half = run.position.size // 2
+    time = spec.sample_time * np.arange(half)
+    for target, position in ((spec.reference, run.position[:half]), (0.0, run.position[half : 2 * half])):
+        settles = settling_time(time, (target - position) / spec.reference, spec.band)
+        assert settles is not None
+        assert settles <= spec.settling_time
+
+
+def test_chain_designs_on_the_cause_that_it_finds(cart):
+    assert colours(cart) == ["green", "green", "green"]
+    assert [cause.effect for cause in cart.diagnosis.causes] == ["coulomb_friction"]
+    assert cart.model is not None
+    assert cart.model.plant.effect("coulomb_friction").level == pytest.approx(0.3, rel=0.01)
+    assert on_the_truth(CART, SPEC, cart.design.recommended.kd) <= 0.5
+    least = cart.comparison.linear.kd
+    assert cart.comparison.linear_on_diagnosed.settling_time == pytest.approx(on_the_truth(CART, SPEC, least), abs=2e-3)
+
+
+def test_comparison_has_three_columns_with_the_diagnosed_one_last(cart):
+    comparison = cart.comparison
+    assert comparison.designs == (comparison.linear, comparison.nonlinear, comparison.diagnosed)
+    assert comparison.diagnosed == cart.design
+    assert comparison.on_best[-1].meets
+    body = comparison.to_json()
+    assert body["linear"]["on_diagnosed"]["settling_time"] == comparison.linear_on_diagnosed.settling_time
+    assert body["diagnosed"]["recommended"]["kd"] == cart.design.recommended.kd
+
+
+def test_result_is_json_with_the_fields_of_a_tuning(cart):
+    body = json.loads(to_text(cart.to_json()))
+    assert set(body) >= TUNING
+    assert body["data"] == {"light": "green", "sentence": cart.lights["data"].sentence}
+    assert body["recommended"]["kd"] == cart.design.recommended.kd
+    assert [row["name"] for row in body["check"]["records"]] == [record.name for record in cart.records]
+    assert "reason" not in body
+
+
+def test_wrong_sign_leaves_no_gain():
+    (record,) = steps(CART, 60)
+    found = study_records(record.with_({"position": -record.position}), SPEC, effort="quick")
+    assert colours(found) == ["red", "red", "red"]
+    assert "sign" in found.lights["data"].sentence
+    assert found.design is None or found.design.kd is None
+    body = json.loads(to_text(found.to_json()))
+    assert (body["kd"], body["recommended"]) == (None, None)
+    assert body["reason"]
+
+
+def test_one_record_with_a_wrong_sign_among_right_ones_withholds_the_gain():
+    first, second, third = steps(CART, 60, 80, 100)
+    found = study_records([first, second, third.with_({"voltage": -third.voltage})], SPEC, effort="quick")
+    assert (found.lights["data"].light, found.lights["gain"].light) == ("red", "red")
+    assert found.design is None or found.design.kd is None
+
+
+def test_heldout_record_of_another_axis_withholds_the_gain():
+    other = replace(CART, gain=0.8)
+    found = study_records(steps(CART, 60, 80), SPEC, heldout=steps(other, 70), effort="quick")
+    assert colours(found) == ["green", "red", "red"]
+    assert "took no part in the fit" in found.lights["model"].sentence
+    assert found.design.withheld
+    assert (found.design.kd, found.design.recommended) == (None, None)
+    assert found.comparison.diagnosed.kd is None
+    assert found.to_json()["reason"]
+
+
+def test_force_gives_the_gain_and_says_so():
+    other = replace(CART, gain=0.8)
+    found = study_records(steps(CART, 60, 80), SPEC, heldout=steps(other, 70), effort="quick", force=True)
+    assert found.lights["gain"].light == "red"
+    assert found.forced
+    assert found.design.kd is not None
+
+
+def test_spec_that_no_gain_meets_gives_none():
+    found = study_records(steps(CART, 60, 80), replace(SPEC, settling_time=0.05), effort="quick")
+    assert colours(found) == ["green", "green", "red"]
+    assert not found.design.feasible
+    assert not found.forced
+    assert found.design.reason in found.to_json()["reason"]
+
+
+def test_gain_far_beyond_the_records_is_withheld():
+    found = study_records(steps(CART, 20, 30), replace(SPEC, kp=90.0), effort="quick")
+    assert found.lights["gain"].light == "red"
+    assert "extrapolation" in found.lights["gain"].sentence
+    assert found.design.withheld
+
+
+def test_record_that_stands_still_is_left_out():
+    first, second = steps(CART, 60, 80)
+    still = first.with_({"position": np.zeros(len(first)), "name": "still"})
+    found = study_records([first, second, still], SPEC, effort="quick")
+    assert found.lights["data"].light == "amber"
+    assert "still" in found.lights["data"].sentence
+    assert [record.name for record in found.diagnosis.records] == [first.name, second.name]
+    assert found.design.kd is not None
+
+
+def test_nothing_is_found_where_every_record_stands_still():
+    (record,) = steps(CART, 60)
+    still = record.with_({"position": np.zeros(len(record))})
+    found = study_records(still, SPEC)
+    assert colours(found) == ["red", "red", "red"]
+    assert found.fit is None
+    assert found.diagnosis is None
+    assert held_out_prediction(found) == (None, ())
+    assert json.loads(to_text(found.to_json()))["kd"] is None
+    with pytest.raises(InputError, match="no gain can be designed: No model can be found"):
+        tune(still, SPEC)
+
+
+def test_limit_of_the_amplifier_that_the_records_state_is_part_of_the_design():
+    records = steps(CART, 60, 80, voltage_limit=4.0)
+    found = study_records(records, SPEC, effort="quick")
+    assert found.model.plant.effect("saturation") == Saturation(limit=4.0)
+    assert len(found.model.covariance) == len(found.model.plant.values)
+    assert found.design.kd is not None
+    kd = found.design.recommended.kd
+    assert on_the_truth(CART, SPEC, kd, voltage_limit=4.0) <= 0.5
+
+
+def test_healthy_axis_is_designed_on_gain_and_damping():
+    truth = lab.Truth(gain=1.9, damping=6.0)
+    found = study_records(steps(truth, 60, 80), SPEC, effort="quick")
+    assert found.diagnosis.verdict == "healthy"
+    assert found.model.plant.effects == ()
+    assert on_the_truth(truth, SPEC, found.design.recommended.kd) <= 0.5
+
+
+def test_unknown_requests_are_refused_before_any_work(cart):
+    with pytest.raises(InputError, match="effort must be one of"):
+        study_records(cart.records, SPEC, effort="endless")
+    with pytest.raises(InputError, match="prior on 'mass' is not possible"):
+        study_records(cart.records, SPEC, priors={"mass": None})
+    with pytest.raises(InputError, match="very samples of"):
+        study_records(cart.records, SPEC, heldout=cart.records[:1])
+
+
+# --- the spec
+
+
+def test_missing_fields_of_the_spec_are_those_of_the_fastest_loop():
+    slow = lab.step_record(CART, 40, reference=0.12, sample_time=1e-3)
+    fast = lab.step_record(
+        CART, controller=Controller(kp=60.0, kd=1.0, derivative_filter=0.5), reference=0.1, sample_time=2e-3
+    )
+    spec = completed_spec([slow, fast], {"settling_time": 0.7})
+    assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.12)
+    assert spec.sample_time == pytest.approx(2e-3)
+    given = completed_spec([slow, fast], {"settling_time": 0.7, "kp": 30.0, "reference": 0.05, "sample_time": 1e-3})
+    assert (given.kp, given.sample_time, given.reference) == (30.0, 1e-3, 0.05)
+
+
+def test_kp_that_no_record_states_must_be_given(cart):
+    blind = cart.records[0].with_({"reference": None, "controller": None})
+    with pytest.raises(InputError, match="the records state no kp"):
+        completed_spec([blind], {"settling_time": 0.5})
+    assert completed_spec([blind], {"settling_time": 0.5, "kp": 10.0}).kp == 10.0
+    assert suggested_spec([blind], cart.model.plant) is None
+
+
+def test_suggested_spec_can_be_met(cart):
+    spec = suggested_spec(cart.records, cart.model.plant)
+    assert spec.kp == 80.0
+    assert designing.tune(cart.model.plant, spec).feasible
+
+
+# --- one verb
+
+
+def test_tune_takes_whatever_has_a_model(cart):
+    records, plant = list(cart.records), Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
+    fit = fit_effects(records, [CoulombFriction(level=0.2)])
+    wanted = designing.tune(plant, SPEC).kd
+    sources = {
+        "plant": plant,
+        "model": Model(plant=plant),
+        "fit": fit,
+        "diagnosis": cart.diagnosis,
+        "two": [plant, fit],
+    }
+    for name, source in sources.items():
+        found = tune(source, SPEC)
+        assert found.kd == pytest.approx(wanted, rel=5e-3), name
+        assert found.recommended.kd > found.kd, name
+        assert set(found.lights) == {"model", "gain"}, name
+        assert found.diagnosis is None, name
+    identified = identify(records)
+    assert tune(identified, SPEC).kd == designing.tune(identified.velocity.plant, SPEC).kd
+
+
+def test_tune_of_records_brings_what_it_found(cart):
+    found = tune(list(cart.records), SPEC, effort="quick")
+    assert found.kd == cart.design.kd
+    assert found.recommended == cart.design.recommended
+    assert [quality.name for quality in found.check] == [record.name for record in cart.records]
+    assert [cause.effect for cause in found.diagnosis.causes] == ["coulomb_friction"]
+    assert set(found.lights) == {"data", "model", "gain"}
+
+
+def test_tune_withholds_on_a_diagnosis_but_not_on_a_plant():
+    other = replace(CART, gain=0.8)
+    diagnosis = diagnose(steps(CART, 60, 80), heldout=steps(other, 70), effort="quick")
+    assert tune(diagnosis, SPEC).withheld
+    assert tune(diagnosis, SPEC, force=True).kd is not None
+    assert tune(diagnosis.plant, SPEC).kd is not None
+
+
+@pytest.mark.parametrize(
+    ("source", "says"),
+    [
+        (5, "got int"),
+        ("model.json", "got str"),
+        ([], "at least one"),
+        ([Plant(gain=1.0, damping=1.0), lab.step_record(CART, 60)], "cannot be mixed"),
+    ],
+    ids=["number", "text", "nothing", "mixture"],
+)
+def test_tune_says_what_it_takes(source, says):
+    with pytest.raises(InputError, match=says):
+        tune(source, SPEC)
+
+
+def test_proofs_are_for_models(cart):
+    with pytest.raises(InputError, match="for plants and models"):
+        tune(list(cart.records), SPEC, certify=True)
