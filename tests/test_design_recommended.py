@@ -253,6 +253,16 @@ def test_remainder_that_breaks_the_spec_turns_the_gain_red(least):
     assert "nine of ten" in of_gain.sentence
 
 
+def test_what_an_immaterial_remainder_owes_to_the_inputs_is_no_force_that_goes_on(least):
+    force = 3.0 * SPEC.band * SPEC.reference * NLM3.gain * SPEC.kp
+    left = replace(leaving(force, 0.5), depends_on_inputs=True)
+    _, of_gain = lights(least, Evidence(range=SHOWN, remainder=left, heldout_of_step=0.001))
+    assert of_gain.light == "green"
+    shaken = replace(left, depends_on_inputs=False)
+    _, of_gain = lights(least, Evidence(range=SHOWN, remainder=shaken, heldout_of_step=0.001))
+    assert of_gain.light == "red"
+
+
 def test_held_out_error_beyond_the_band_is_a_doubt(least):
     known = Evidence(range=SHOWN, verdict="unexplained", remainder=leaving(0.01), heldout_of_step=0.029)
     of_model, of_gain = lights(least, known)

@@ -151,8 +151,10 @@ def _within_covariance(model: Model, random: np.random.Generator) -> Plant:
 
 
 def _pushed(plant: Plant, model: Model, random: np.random.Generator) -> Plant:
-    """Return the plant with what the model leaves unexplained."""
+    """Return the plant with what the model leaves unexplained, if that matters, and with what shakes the axis."""
     left = None if model.evidence is None else model.evidence.remainder
-    if left is None or not 0.0 < left.acceleration_rms < np.inf or not left.correlation_time > 0.0:
+    if left is None or (left.depends_on_inputs and not left.material):
+        return plant
+    if not 0.0 < left.acceleration_rms < np.inf or not left.correlation_time > 0.0:
         return plant
     return plant.with_effect(UnexplainedForce.draw(left.acceleration_rms, left.correlation_time, random))
