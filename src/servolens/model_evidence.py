@@ -13,7 +13,10 @@ from servolens.results import to_finite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["DataRange", "Evidence", "Remainder"]
+__all__ = ["MATERIAL", "DataRange", "Evidence", "Remainder"]
+
+MATERIAL = 0.005
+"""Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 
 
 @final

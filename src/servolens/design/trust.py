@@ -11,7 +11,7 @@ from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import as_models
 from servolens.design.settle import evaluate
 from servolens.effects import Saturation
-from servolens.identification.structure import MATERIAL
+from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from servolens.diagnosis.remainder import MATERIAL, remainder_of
+from servolens.diagnosis.remainder import remainder_of
 from servolens.diagnosis.search import INDISTINCT, SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
+from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

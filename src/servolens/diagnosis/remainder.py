@@ -10,8 +10,7 @@ from servolens.diagnosis.errors import pooled, residual
 from servolens.identification.data_range import data_range
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
-from servolens.identification.structure import MATERIAL
-from servolens.model_evidence import Evidence, Remainder
+from servolens.model_evidence import MATERIAL, Evidence, Remainder
 from servolens.quality import fatal
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["MATERIAL", "Remainder", "evidence_of", "remainder_of", "unexplained_acceleration"]
+__all__ = ["Remainder", "evidence_of", "remainder_of", "unexplained_acceleration"]
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:

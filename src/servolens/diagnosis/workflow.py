@@ -16,13 +16,14 @@ from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
-from servolens.diagnosis.remainder import MATERIAL, evidence_of, remainder_of
+from servolens.diagnosis.remainder import evidence_of, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.identification.door import together
 from servolens.identification.fitted import fitted
+from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 

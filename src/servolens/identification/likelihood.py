@@ -133,6 +133,7 @@ class Likelihood:
         self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
         self._like, self.rate = plant, loop_rate(plant, records)
         self.signals = self._signals(records)
+        self.travel = max(float(np.ptp(record.position)) for record in self.records)
         self.samples = sum(signals.measured.size for signals in self.signals)
         self.white = NoiseModel.white(self.floor, max(record.encoder_resolution or 0.0 for record in records))
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)

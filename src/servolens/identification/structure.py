@@ -11,6 +11,7 @@ from servolens.effects import DryFriction, Presliding
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
+from servolens.model_evidence import MATERIAL
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = [
-    "MATERIAL",
     "can_tell",
     "depends_on_inputs",
     "forces_along",
@@ -45,8 +45,6 @@ TOGETHER = 16
 """Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
 LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
-MATERIAL = 0.005
-"""Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 REGRESSORS, TESTABLE = 6 + len(LOOP_LAGS), 3.0
 """Of a loop's error: the simulation's motion, and the reference at these lags. Samples for each: with 20 degrees of
 freedom left, the F test at 0.001 finds what is 5 times the rest; with 2, only what is 1000 times."""
