@@ -101,7 +101,7 @@ def axis(**effects: Mapping[str, float]) -> Truth:
 def effects_of(truth: Truth, share: float = 1.0) -> list[Effect]:
     """Return the true effects, or with each parameter that many times as large, but for those that a fit holds."""
     return [
-        Plant.effect_from(name, {k: v if k in CATALOGUE[name].fixed else share * v for k, v in values.items()})
+        Plant.effect_from(name, {k: v if k in CATALOGUE[name].found_last else share * v for k, v in values.items()})
         for name, values in truth.effects.items()
     ]
 

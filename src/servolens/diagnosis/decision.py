@@ -57,11 +57,27 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     if case.contradiction() is not None:  # no effect makes one axis of two
         return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
     found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
+    found = _simplest(case, found)
     if case.is_enough(found.chosen):
         first = _confirmed(case, found)
         if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
             return first
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _simplest(case: Case, found: Search) -> Search:
+    """Return `found` with what leaves nothing that depends on the inputs, of those that cannot be told apart.
+
+    Of several the one with the fewest parameters; as it is where there is none.
+    """
+    chosen = found.chosen
+    rivals = [h for h in found.judged if h.total <= chosen.total + INDISTINCT and h is not chosen]
+    for rival in sorted(rivals, key=lambda h: len(h.plant.values)):
+        is_simpler = len(rival.plant.values) < len(chosen.plant.values)
+        if (is_simpler or not case.is_enough(chosen)) and case.is_enough(rival):
+            before = [h for h in found.path if set(h.causes) < set(rival.causes)]
+            return replace(found, path=(*before, rival))
+    return found
 
 
 def _confirmed(case: Case, found: Search) -> Decision:

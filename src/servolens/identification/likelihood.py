@@ -15,7 +15,7 @@ from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.noise import NoiseModel
 from servolens.identification.noise_search import NoiseTrials
-from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
+from servolens.identification.observed import ObservedRun, Signals, SimulatedRun, least_missed
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import begins_with_its_step, loop_rate, noise_level
 from servolens.simulation.rates import substeps_for
@@ -401,7 +401,7 @@ class Likelihood:
             begin = cut // self.every
 
             def missed(plant: Plant, run: ObservedRun | SimulatedRun = run, begin: int = begin) -> float:
-                return self._least(run, plant, begin)
+                return least_missed(run, plant, begin)
 
             compared = max(run.samples - begin, 1)
             size = missed(synchronised(plant, missed)) / compared
@@ -418,7 +418,7 @@ class Likelihood:
         for run, plant in zip(self.runs(self.white, unpowered=hypothesis.unpowered), plants, strict=True):
 
             def missed(plant: Plant, run: ObservedRun | SimulatedRun = run) -> float:
-                return self._least(run, plant, 0)
+                return least_missed(run, plant, 0)
 
             own.append(synchronised(plant, missed))
         starts = [run.start for run in self.runs(self.white)]
@@ -426,26 +426,6 @@ class Likelihood:
             own, starts, replace(hypothesis.noise, filters=self.white.filters), unpowered=hypothesis.unpowered
         )
         return np.inf if found is None else found[1]
-
-    def _least(self, run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
-        """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
-        substeps, start = substeps_for(plant, run.sample_time), run.start
-        least = np.inf
-        for _ in range(3):
-            try:
-                found = run.residual(plant, start, substeps)
-            except (InputError, NumericalError):
-                return least
-            size = float(found[begin:] @ found[begin:])
-            if not size < least:
-                break
-            least = size
-            if not start.size:
-                break
-            moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
-            slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
-            start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
-        return least
 
     def is_too_stiff(self, plant: Plant) -> bool:
         """Tell whether `plant` would not be fitted, so that its simulation, which may take long, is for nothing."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error"]
+__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed"]
 
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
@@ -273,3 +273,24 @@ class SimulatedRun:
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the difference in standard deviations."""
         return self.whiten(self.missed(plant, start, substeps))
+
+
+def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
+    """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
+    substeps, start = substeps_for(plant, run.sample_time), run.start
+    least = np.inf
+    for _ in range(3):
+        try:
+            found = run.residual(plant, start, substeps)
+        except (InputError, NumericalError):
+            return least
+        size = float(found[begin:] @ found[begin:])
+        if not size < least:
+            break
+        least = size
+        if not start.size:
+            break
+        moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
+        slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
+        start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
+    return least
