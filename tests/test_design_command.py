@@ -86,7 +86,11 @@ WITHHELD = {
     "fatal finding": ({"fatal": ("kp60: the voltage has the wrong sign.",)}, "wrong sign"),
     "held-out error": ({"heldout_of_step": 0.08}, "misses 8 % of the step"),
     "remainder": (
-        {"remainder": Remainder(**{**LEFT.to_json(), "acceleration_rms": 5.0, "correlation_time": 0.5})},
+        {
+            "remainder": Remainder(
+                **{**LEFT.to_json(), "acceleration_rms": 5.0, "correlation_time": 0.5, "material": True}
+            )
+        },
         "nine of ten",
     ),
     "voltage": ({"range": DataRange(voltage=4.0, speed=1.0, step=0.08)}, "the voltage reaches 8 V"),
