@@ -252,7 +252,6 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="an observer of a shaken axis follows the limit cycle, which hides both causes")
 def test_lag_that_passes_for_damping_is_found_once_the_force_is_limited():
     effects = {"actuator_lag": {"time_constant": 0.16}, "force_limit": {"acceleration": 5.0}}
     axis = lab.Truth(gain=210.0, damping=300.0, effects=effects)
