@@ -217,7 +217,8 @@ class _Explorer:
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
         trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
-        test = ScoreTest(self.likelihood, hypothesis)
+        screened = replace(hypothesis, noise=hypothesis.noise.without_wander)
+        test = ScoreTest(self.likelihood, screened)
         self.tell(what, done)
         is_observed = hypothesis.noise.rate > 0.0
         names = [n for n in catalogue() if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
@@ -237,7 +238,7 @@ class _Explorer:
             self.tell(what, done + count * share)
             return found
 
-        noise, unpowered = hypothesis.noise, hypothesis.unpowered
+        noise, unpowered = screened.noise, hypothesis.unpowered
         share_of_work = self._allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=_total)
@@ -274,7 +275,7 @@ class _Explorer:
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` without the effects that do not pay for themselves."""
         while len(hypothesis.causes) > 1:
-            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes[:-1]]
+            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
             simpler = self._judged([(plant, hypothesis) for plant in without])
             if not simpler or simpler[0].total >= hypothesis.total:
                 return hypothesis

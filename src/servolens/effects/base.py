@@ -246,6 +246,14 @@ class Effect(ABC):
         """
         yield from ()
 
+    def is_free(self, position: NDArray[np.float64], seen: Seen) -> NDArray[np.bool_] | None:
+        """Tell for each `position` [m or rad] whether the axis surely runs without the effect there, shape (n,).
+
+        Gain and damping are found there, before a fit that knows nothing of the effect has bent them. None where the
+        place says nothing of it.
+        """
+        return None
+
     @property
     def values(self) -> tuple[float, ...]:
         """The parameters' values, SI, in the order of declaration."""

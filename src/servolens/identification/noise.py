@@ -124,6 +124,13 @@ class NoiseModel:
         """Whether it spreads farther than any sensor's: that is what the model lacks, taken up by the filter."""
         return self.rate == 0.0 and self.spread > WANDERS * self.innovation
 
+    @property
+    def without_wander(self) -> NoiseModel:
+        """The same, or white noise of its size if it wanders: beside that filter no effect would show."""
+        if not self.wanders:
+            return self
+        return replace(self, filters=(np.ones(1),), scales=np.array([self.spread]), parameters=0)
+
     def memory(self) -> float:
         """Return for how many samples the noise remembers: the sum of its autocorrelation from −∞ to ∞, at least 1."""
         total = float(np.sum(self.filters[-1]))
