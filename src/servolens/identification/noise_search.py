@@ -10,7 +10,6 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.noise import NoiseModel, instants
 from servolens.identification.rounding import dominates
-from servolens.model_evidence import MATERIAL
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ class NoiseTrials:
             self._left = missed
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
-        if noise.wanders and noise.spread > MATERIAL * likelihood.travel:
+        if noise.wanders:
             # that is what the model lacks, and no noise: a filter would hide it
             noise = first.scaled(missed)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
