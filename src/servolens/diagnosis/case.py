@@ -148,7 +148,7 @@ class Case:
         noise = hypothesis.noise
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
         asked = hypothesis if noise.rate == 0.0 else self.likelihood.whitened_well(hypothesis)
-        if noise.wanders or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+        if noise.is_model_error or depends_on_inputs(ScoreTest(self.likelihood, asked)):
             return True
         if not closed or (noise.rate == 0.0 and noise.order == 0):
             return False
@@ -193,7 +193,7 @@ class Case:
         for plant in structures:
             with suppress(InputError, NumericalError):
                 found = likelihood.judged(plant)
-                is_simulation = found is not None and found.noise.rate == 0.0 and not found.noise.wanders
+                is_simulation = found is not None and found.noise.rate == 0.0 and not found.noise.is_model_error
                 if found is not None and is_simulation and not depends_on_inputs(ScoreTest(likelihood, found)):
                     return found.plant
         return None

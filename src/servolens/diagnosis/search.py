@@ -217,8 +217,7 @@ class _Explorer:
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
         trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
-        screened = replace(hypothesis, noise=hypothesis.noise.without_wander)
-        test = ScoreTest(self.likelihood, screened)
+        test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
         is_observed = hypothesis.noise.rate > 0.0
         names = [n for n in catalogue() if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
@@ -238,7 +237,7 @@ class _Explorer:
             self.tell(what, done + count * share)
             return found
 
-        noise, unpowered = screened.noise, hypothesis.unpowered
+        noise, unpowered = hypothesis.noise, hypothesis.unpowered
         share_of_work = self._allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=_total)

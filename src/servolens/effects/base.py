@@ -19,6 +19,8 @@ from servolens.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
 __all__ = ["Axis", "Effect", "Parameter", "Seen", "State", "parameter"]
 
 SX = Any  # casadi.SX; importing servolens must not load CasADi

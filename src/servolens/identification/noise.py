@@ -69,6 +69,8 @@ class NoiseModel:
         doi:10.1080/01621459.2018.1469995).
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
+    is_model_error : bool
+        Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
     """
 
     rate: float
@@ -84,6 +86,7 @@ class NoiseModel:
     damping: float = 0.0
     discount: float = 1.0
     parameters: int = 0
+    is_model_error: bool = False
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
@@ -123,13 +126,6 @@ class NoiseModel:
     def wanders(self) -> bool:
         """Whether it spreads farther than any sensor's: that is what the model lacks, taken up by the filter."""
         return self.rate == 0.0 and self.spread > WANDERS * self.innovation
-
-    @property
-    def without_wander(self) -> NoiseModel:
-        """The same, or white noise of its size if it wanders: beside that filter no effect would show."""
-        if not self.wanders:
-            return self
-        return replace(self, filters=(np.ones(1),), scales=np.array([self.spread]), parameters=0)
 
     def memory(self) -> float:
         """Return for how many samples the noise remembers: the sum of its autocorrelation from −∞ to ∞, at least 1."""

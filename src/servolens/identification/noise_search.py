@@ -120,8 +120,7 @@ class NoiseTrials:
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
         if noise.wanders:
-            # that is what the model lacks, and no noise: a filter would hide it
-            noise = first.scaled(missed)
+            noise = replace(first.scaled(missed), is_model_error=True)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf
         parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
