@@ -289,7 +289,8 @@ class _Explorer:
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=_total)
-        return next((h for h in forms if h is not best and self.is_chance(h, best)), best)
+        simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
+        return next((h for h in simpler if self.is_chance(h, best)), best)
 
     def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
