@@ -144,8 +144,8 @@ class Case:
     def _depends(self, hypothesis: Hypothesis) -> bool:
         """Ask the innovations; and the loops where the noise may have taken up what the model lacks.
 
-        An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process: what
-        they leave is whitened as well as can be.
+        An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process:
+        what they leave is whitened as well as can be.
         """
         noise = hypothesis.noise
         closed = all(record.reference is not None and record.controller is not None for record in self.records)

@@ -139,9 +139,10 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
 def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:
     """Tell whether gain and damping alone, fitted to simulations, are closer to records that were not fitted.
 
-    Then the causes only help an observer to follow what they do not explain.
+    Then the causes only help an observer to follow what they do not explain. A wave says nothing there: no simulation
+    foretells its phase.
     """
-    if not hypothesis.causes or hypothesis.noise.rate == 0.0:
+    if not hypothesis.causes or hypothesis.noise.rate == 0.0 or own_phases(hypothesis.plant):
         return False
     try:
         simulating = case.simulating()
