@@ -10,7 +10,6 @@ from servolens.diagnosis.search import INDISTINCT, SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
-from servolens.identification.refine import AT_NOISE
 from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Decision", "decided"]
 
+MOST = 0.9
+"""Share of the squared error that causes must take of a remainder that is immaterial, to be named."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.5, 2.0 / 3.0
@@ -117,7 +118,7 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     try:
         simulating = case.simulating()
         base = simulating.base
-        if _is_immaterial(simulating, base) and not _is_near(case, chosen):
+        if _is_immaterial(simulating, base) and not _takes_most(case, chosen):
             alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
@@ -160,10 +161,12 @@ def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:
     return not left.material and left.of_motor <= MATERIAL
 
 
-def _is_near(case: Case, hypothesis: Hypothesis) -> bool:
-    """Tell whether simulations with the causes of a hypothesis are about as close as the noise lets them be."""
-    gains = case.gains([hypothesis])
-    return bool(hypothesis.causes) and gains.train(0) <= AT_NOISE * gains.noise
+def _takes_most(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether the causes of a hypothesis take most of what gain and damping alone leave of records not fitted."""
+    if not hypothesis.causes:
+        return False
+    gains = case.gains([case.base, hypothesis])
+    return gains.tested(1) ** 2 <= (1.0 - MOST) * gains.tested(0) ** 2
 
 
 def _cross_validated(case: Case, found: Search) -> Search:
