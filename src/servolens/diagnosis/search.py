@@ -141,7 +141,7 @@ def search(
         better = [h for h in found if h.total < path[-1].total]
         if not better or explorer.is_chance(path[-1], better[0]):
             break
-        best = explorer.reduced(better[0])
+        best = explorer.exchanged(explorer.reduced(better[0]))
         path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
         beam = _families([best, *better[1:]])[: effort.beam]
     chosen = explorer.settled(path[-1])
@@ -177,7 +177,9 @@ class _Explorer:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         found: list[Hypothesis] = []
         if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
-            beam = beam[:1]  # what leaves no more than sensor noise is no impostor
+            # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
+            best, *others = beam
+            beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
         elif not self.likelihood.simulates:
             beam = [*beam, *self._unobserved(beam[0])]
         for place, hypothesis in enumerate(beam):
@@ -187,7 +189,11 @@ class _Explorer:
             self.singles += _distinct(found)
         known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = _distinct(found)[: self.effort.judged]
-        return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
+        fitted = self._judged([(h.plant, h) for h in jobs])
+        reached = {frozenset(h.causes) for h in fitted}
+        kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
+        self.judged += kept
+        return sorted([*known, *fitted, *kept], key=_total)
 
     def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
@@ -280,6 +286,25 @@ class _Explorer:
                 return hypothesis
             hypothesis = simpler[0]
         return hypothesis
+
+    def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` or the best with a cause replaced by one that did as well alone.
+
+        What cannot be told apart while another cause is missing often can beside it.
+        """
+        if len(hypothesis.causes) < 2:
+            return hypothesis
+        known = {frozenset(h.causes) for h in self.judged}
+        alone = {h.causes[0]: h for h in sorted(self.singles, key=_worse) if len(h.causes) == 1}
+        others = []
+        for name in hypothesis.causes:
+            limit = alone[name].total + INDISTINCT if name in alone else -np.inf
+            rest = hypothesis.plant.without_effect(name)
+            for other, single in alone.items():
+                causes = frozenset(effect.name for effect in rest.effects) | {other}
+                if single.total <= limit and len(causes) == len(hypothesis.causes) and causes not in known:
+                    others.append((rest.with_effect(single.plant.effects[0]), hypothesis))
+        return min([hypothesis, *self._judged(others)], key=_total)
 
     def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
