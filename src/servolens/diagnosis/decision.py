@@ -26,7 +26,7 @@ MOST = 0.9
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.5, 2.0 / 3.0
-"""Of the effort of the first search, what a second one by simulations may take: it knows where the first one ended.
+"""Of the effort of the first search, what a second one, by simulations or without shaking, may take.
 The first one's share of both."""
 
 
@@ -57,13 +57,32 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     """Search by prediction errors and, where these show that no model is the axis, by simulations."""
     if case.contradiction() is not None:  # no effect makes one axis of two
         return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
-    found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
+    found = search(
+        case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
+    )
+    if found.chosen.noise.rate > 0.0:
+        found = _unshaken(case, found, effort)
     found = _simplest(case, found)
     if case.is_enough(found.chosen):
         first = _confirmed(case, found)
         if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
             return first
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
+    """Return what a search finds that takes the axis for one that nothing shakes, where that is likelier.
+
+    An observer follows what two causes do before either is found, and so hides that both together leave nothing.
+    """
+    trials = case.trials.unshaken()
+    try:
+        other = search(trials, trials.base(), replace(effort, work=SECOND * effort.work), is_enough=case.is_enough)
+    except NumericalError:
+        return found
+    best = {frozenset(h.causes): h for h in sorted((*found.judged, *other.judged), key=lambda h: -h.total)}
+    judged = tuple(sorted(best.values(), key=lambda h: h.total))
+    return replace(other if other.chosen.total < found.chosen.total else found, judged=judged)
 
 
 def _simplest(case: Case, found: Search) -> Search:

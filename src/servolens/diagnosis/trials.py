@@ -102,6 +102,12 @@ class Trials:
         other.likelihood = self.likelihood.simulating()
         return other
 
+    def unshaken(self) -> Trials:
+        """Return the trials of an axis that nothing shakes."""
+        other = copy(self)
+        other.likelihood = self.likelihood.unshaken()
+        return other
+
     def base(self) -> Hypothesis:
         """Return gain and damping alone.
 

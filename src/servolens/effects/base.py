@@ -183,6 +183,8 @@ class Effect(ABC):
         Names of effects that together are this one; see `united`.
     found_last : tuple of str
         Names of parameters that a fit holds at the values it starts from until it has found the others.
+    is_last_resort : bool
+        Whether it describes nearly anything, so that a diagnosis tries it only where nothing simpler is enough.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
@@ -206,6 +208,7 @@ class Effect(ABC):
     same_structure: ClassVar[tuple[str, ...]] = ()
     unites: ClassVar[tuple[str, ...]] = ()
     found_last: ClassVar[tuple[str, ...]] = ()
+    is_last_resort: ClassVar[bool] = False
     passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0

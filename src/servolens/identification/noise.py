@@ -27,9 +27,9 @@ SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
 REWEIGHTED, LEAST = 8, 1e-4
 """Times that the regression of squares is weighed by what it found, and share of their mean that the sensor's is."""
-WANDERS = 50.0
-"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
-constant is 5000 samples."""
+WANDERS = 12.0
+"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
+constant is 290 samples."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
