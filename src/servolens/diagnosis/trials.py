@@ -156,6 +156,8 @@ class Trials:
         plant, cls = test.hypothesis.plant, effect_class(name)
         if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
             return []
+        if cls.is_rotary and plant.length_unit != "rad":
+            return []
         parts = [effect for effect in plant.effects if effect.name in cls.generalises]
         for special in cls.generalises:
             plant = plant.without_effect(special)

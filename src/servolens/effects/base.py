@@ -185,6 +185,8 @@ class Effect(ABC):
         Names of parameters that a fit holds at the values it starts from until it has found the others.
     is_last_resort : bool
         Whether it describes nearly anything, so that a diagnosis tries it only where nothing simpler is enough.
+    is_rotary : bool
+        Whether it makes sense for angles only.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
@@ -209,6 +211,7 @@ class Effect(ABC):
     unites: ClassVar[tuple[str, ...]] = ()
     found_last: ClassVar[tuple[str, ...]] = ()
     is_last_resort: ClassVar[bool] = False
+    is_rotary: ClassVar[bool] = False
     passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0
