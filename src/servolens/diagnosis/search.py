@@ -6,6 +6,7 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -328,7 +329,8 @@ class _Explorer:
             limit = alone[name].total + INDISTINCT if name in alone else -np.inf
             for other, single in alone.items():
                 if single.total <= limit and other not in hypothesis.causes:
-                    yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
+                    with suppress(InputError):  # two that do not go together
+                        yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
 
     def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by another one that generalises the same."""
