@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map
+    from servolens.design import Comparison, Design, GainMap, Light, PDSpec, compare, gain_map, recommend, trust
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -72,7 +72,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map"),
+    "design": ("Comparison", "Design", "GainMap", "Light", "PDSpec", "compare", "gain_map", "recommend", "trust"),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -158,6 +158,7 @@ __all__ = [
     "HardeningSpring",
     "Identification",
     "InputError",
+    "Light",
     "LoadFriction",
     "Model",
     "NumericalError",
@@ -199,6 +200,7 @@ __all__ = [
     "read_model",
     "read_record",
     "read_records",
+    "recommend",
     "record_from_dataframe",
     "record_from_timeresponse",
     "simulate",
@@ -208,6 +210,7 @@ __all__ = [
     "simulate_voltage",
     "study_records",
     "to_control",
+    "trust",
     "tune",
     "write_report",
 ]
