@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, Light, PDSpec, compare, gain_map, recommend, trust
+    from servolens.design import Comparison, Design, GainMap, Light, PDSpec, compare, gain_map, recommend
+    from servolens.design.confidence import trust
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -72,7 +73,8 @@ __version__ = "0.1.0"
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "Light", "PDSpec", "compare", "gain_map", "recommend", "trust"),
+    "design": ("Comparison", "Design", "GainMap", "Light", "PDSpec", "compare", "gain_map", "recommend"),
+    "design.confidence": ("trust",),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
