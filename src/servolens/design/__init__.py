@@ -3,7 +3,7 @@
 from servolens.design.comparison import compare
 from servolens.design.confidence import trust
 from servolens.design.found import Certificate, Comparison, Design, Light, Recommended, Relaxed, Response
-from servolens.design.gain_plane import GainMap, gain_map, noise_gain
+from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
 from servolens.design.least_kd import tune
 from servolens.design.recommended import recommend
 from servolens.design.settle import evaluate, settling_time, step_response
@@ -22,6 +22,7 @@ __all__ = [
     "compare",
     "evaluate",
     "gain_map",
+    "map_axes",
     "noise_gain",
     "recommend",
     "settling_time",

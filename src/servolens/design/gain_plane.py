@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.design.cover import SPARE, last_gain
 from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
 from servolens.errors import InputError, NumericalError
 from servolens.processors import in_parallel
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
-__all__ = ["GainMap", "gain_map", "noise_gain"]
+__all__ = ["GainMap", "gain_map", "map_axes", "noise_gain"]
 
 WATCHED = 2.0
 """Settling times for which each step is watched at first; what settles in time is watched for the whole horizon."""
+LEAST_KP, MOST_KP = 0.2, 2.5
+"""Share of the kp of the spec at which a map begins and ends, unless it is told where."""
 
 
 @final
@@ -60,6 +63,24 @@ class GainMap:
             return None
         i, j = np.unravel_index(np.argmin(np.where(self.feasible, self.noise, np.inf)), self.noise.shape)
         return float(self.kp[i]), float(self.kd[j])
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.map/1`` without the file's header; null for what is not a finite number."""
+        pair = self.least_noise
+        reason = (
+            "a pair whose step does not settle in twice the time asked for has none, one that is unstable no overshoot"
+        )
+        return {
+            "spec": self.spec.to_json(),
+            "kp": self.kp,
+            "kd": self.kd,
+            "settling_time": self.settling_time,
+            "overshoot": self.overshoot,
+            "noise": self.noise,
+            "feasible": self.feasible,
+            "least_noise": None if pair is None else {"kp": pair[0], "kd": pair[1]},
+            **({} if np.isfinite([self.settling_time, self.overshoot]).all() else {"reason": reason}),
+        }
 
 
 def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> GainMap:
@@ -111,6 +132,29 @@ def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: A
         noise=np.array([[noise_gain(one, float(value)) for value in columns] for one in specs]),
         feasible=found[..., 2] > 0.5,
     )
+
+
+def map_axes(
+    plants: Plant | Sequence[Plant], spec: PDSpec, *, kp: tuple[float, float] | None = None, count: int = 100
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return gains for a map around a spec: `count` of kp and as many of kd.
+
+    kp is that of the spec times 0.2 to 2.5, or what is given. kd begins at 0 and ends where the spec says, or else
+    where the loops with the largest kp are too slow.
+
+    Raises
+    ------
+    InputError
+        If the range of kp is empty or not positive, or `count` is less than 2.
+    """
+    models = tuple(plants) if isinstance(plants, Sequence) else (plants,)
+    low, high = kp or (LEAST_KP * spec.kp, MOST_KP * spec.kp)
+    if not 0.0 < low < high < np.inf:
+        raise InputError(f"kp of a map must run from a positive number to a larger one, got {low:g} to {high:g}")
+    if count < 2:
+        raise InputError(f"a map needs at least 2 gains of each kind, got {count}")
+    last = spec.kd_max or max(last_gain(model, replace(spec, kp=high)) for model in models) / SPARE
+    return np.linspace(low, high, count), np.linspace(0.0, last, count)
 
 
 def noise_gain(spec: PDSpec, kd: float) -> float:

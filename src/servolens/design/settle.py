@@ -78,7 +78,7 @@ def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, bac
 @lru_cache(maxsize=64)
 def _instants(sample_time: float, count: int) -> NDArray[np.float64]:
     """Return the sampling instants, which many steps share: read-only."""
-    time: NDArray[np.float64] = sample_time * np.arange(count)
+    time = np.asarray(sample_time * np.arange(count), dtype=np.float64)
     time.setflags(write=False)
     return time
 

@@ -11,9 +11,18 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servolens.design.found import Design, Light
+    from servolens.design.gain_plane import GainMap
     from servolens.design.spec import PDSpec
 
-__all__ = ["asked_sentence", "design_summary", "least_gain", "light_sentences", "recommended_sentences", "sentence"]
+__all__ = [
+    "asked_sentence",
+    "design_summary",
+    "least_gain",
+    "light_sentences",
+    "map_summary",
+    "recommended_sentences",
+    "sentence",
+]
 
 FRAGILE = 0.05
 """A margin below this share of the gain is worth a sentence."""
@@ -63,6 +72,46 @@ def design_summary(
         sentences=tuple(sentences),
         tables=(_intervals(design, kd_unit), _responses(design, command_unit)),
     )
+
+
+def map_summary(
+    found: GainMap,
+    *,
+    recommended: tuple[float, float] | None,
+    light: Light,
+    length_unit: str = "m",
+    command_unit: str = "V",
+) -> Summary:
+    """Tell what a map over both gains shows.
+
+    Parameters
+    ----------
+    found : GainMap
+        The map.
+    recommended : (float, float) or None
+        The pair (kp, kd) to use for the kp of the spec.
+    light : Light
+        How far that can be trusted.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    pair, share = found.least_noise, float(found.feasible.mean())
+    size = f"{found.kp.size} × {found.kd.size} pairs, kp {number(found.kp[0])} to {number(found.kp[-1])}"
+    sentences = [
+        f"Simulated {size} {command_unit}/{length_unit} and kd {number(found.kd[0])} to {number(found.kd[-1])}"
+        f" {command_unit} s/{length_unit}; {percent(100 * share)} of them meet the spec."
+    ]
+    if pair is not None:
+        least = float(found.noise[found.feasible].min())
+        sentences.append(
+            f"Of these, kp = {number(pair[0])} and kd = {number(pair[1])} make the least noise, {number(least, 3)}"
+            f" {command_unit}/{length_unit}: a pair at the edge, with no margin."
+        )
+    if recommended is not None:
+        sentences.append(f"For kp = {number(recommended[0])}, the recommended kd is {number(recommended[1])}.")
+    sentences += light_sentences({"Gain": light})
+    sentences.append(asked_sentence(found.spec, length_unit, command_unit))
+    return Summary(title="Map", sentences=tuple(sentences))
 
 
 def light_sentences(lights: Mapping[str, Light]) -> list[str]:
