@@ -128,6 +128,23 @@ def measured(run: Simulation, spec: PDSpec, kd: float, *, back: bool = False) ->
     )
 
 
+def closed_loop_gain(plant: Plant, spec: PDSpec, kd: float, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the complementary sensitivity |T| at each `frequency` [Hz], of a step as large as the spec's.
+
+    With the loop's drive g, the command at a position that stands still, T is 1 − u/g; as the spectrum of the simulated
+    step has it, so that it holds for plants that are not linear.
+
+    Raises
+    ------
+    NumericalError
+        If the loop is unstable.
+    """
+    run = step_response(plant, spec, kd, horizon(plant, spec))
+    waves = np.exp(-2j * np.pi * np.outer(frequency, run.time))
+    found: NDArray[np.float64] = np.abs(1.0 - waves @ np.diff(run.voltage, prepend=0.0) / (spec.kp * spec.reference))
+    return found
+
+
 def horizon(plant: Plant, spec: PDSpec) -> float:
     """Return how long a step is watched [s]: ten settling times, or three periods of the undamped loop after one.
 
