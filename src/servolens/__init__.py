@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, Light, PDSpec, compare, gain_map, recommend
+    from servolens.design import (
+        Comparison,
+        Design,
+        GainMap,
+        GainWishes,
+        Light,
+        PDSpec,
+        compare,
+        gain_map,
+        recommend,
+        tune_gains,
+    )
     from servolens.design.confidence import trust
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
@@ -73,7 +84,18 @@ __version__ = "0.1.0"
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "Light", "PDSpec", "compare", "gain_map", "recommend"),
+    "design": (
+        "Comparison",
+        "Design",
+        "GainMap",
+        "GainWishes",
+        "Light",
+        "PDSpec",
+        "compare",
+        "gain_map",
+        "recommend",
+        "tune_gains",
+    ),
     "design.confidence": ("trust",),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
@@ -157,6 +179,7 @@ __all__ = [
     "FrictionMap",
     "GainDrift",
     "GainMap",
+    "GainWishes",
     "HardeningSpring",
     "Identification",
     "InputError",
@@ -214,6 +237,7 @@ __all__ = [
     "to_control",
     "trust",
     "tune",
+    "tune_gains",
     "write_report",
 ]
 

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from servolens.commands.files import about, check_outputs, load_models, writing
-from servolens.commands.options import Documented, SpecOptions, finite, json_option, specification
+from servolens.commands.options import (
+    Documented,
+    SpecOptions,
+    finite,
+    json_option,
+    several_gains,
+    specification,
+)
 from servolens.commands.terminal import progress_bar, show
 from servolens.results import STANDARD_OUTPUT, write_json
 
@@ -25,6 +32,7 @@ __all__ = ["design", "map_"]
 @click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
 @click.argument("model_files", nargs=-1, required=True, metavar="MODEL.json...")
 @specification()
+@several_gains()
 @click.option(
     "--program", "with_program", is_flag=True, help="Solve for the least gain by CasADi and IPOPT as well, and compare."
 )
@@ -34,6 +42,7 @@ __all__ = ["design", "map_"]
 def design(
     model_files: tuple[str, ...],
     spec: SpecOptions,
+    wishes: dict[str, Any] | None,
     with_program: bool,
     certify: bool,
     force: bool,
@@ -43,17 +52,20 @@ def design(
 
     With several models the gains hold for all of them. Exit status 1 if no gain meets the specification, or if the
     gain is withheld: the model is known to be wrong, hardly a plant like it would meet the specification, or the step
-    lies far beyond what the records showed.
+    lies far beyond what the records showed. With --free or --objective, kp and the derivative filter are chosen first.
     """
     check_outputs({"--json": json_file}, model_files)
-    from servolens.design import PDSpec, recommend, trust, tune
-    from servolens.summaries import design_summary
+    from servolens.design import GainWishes, PDSpec, recommend, trust, tune, tune_gains
+    from servolens.summaries import design_summary, gains_summary
 
     wanted = PDSpec(**spec.given)
     models = load_models(model_files)
     wanted = _stepping(wanted, spec, models)
     plants = [model.plant for model in models]
+    asked = None if wishes is None else GainWishes(**wishes)
     with progress_bar() as progress, about(*model_files):
+        chosen = None if asked is None else tune_gains(models, wanted, asked, progress=progress)
+        wanted = wanted if chosen is None else chosen.spec
         result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
         progress("Simulating scenarios", 0, 0)
         result = recommend(models, result)
@@ -61,14 +73,19 @@ def design(
     is_wrong = of_gain.light == "red" and result.feasible
     if is_wrong and not force:
         result = result.withhold(of_gain.sentence)
+        chosen = None
     units = {"length_unit": plants[0].length_unit, "command_unit": plants[0].command_unit}
     summary = design_summary(result, lights={"Model": of_model, "Gain": of_gain}, forced=is_wrong and force, **units)
     if json_file:
         lights = {"model": of_model.to_json(), "gain": of_gain.to_json()}
         body = {**result.to_json(), "lights": lights, "forced": is_wrong and force, "model_files": list(model_files)}
+        body |= {} if chosen is None else {"gains": chosen.gains, "several": chosen.to_json()}
         write_json(json_file, "design", body, summary.findings)
+    if chosen is not None:
+        show(gains_summary(chosen, **units), json_file)
+        click.echo(err=json_file == STANDARD_OUTPUT)
     show(summary, json_file)
-    return 0 if result.kd is not None else 1
+    return 0 if result.kd is not None and (chosen is None or chosen.kd is not None) else 1
 
 
 @click.command(name="map", cls=Documented, epilog="servolens map model.json --kp 100 --settling-time 0.5 --out map.png")

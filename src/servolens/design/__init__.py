@@ -7,13 +7,17 @@ from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
 from servolens.design.least_kd import tune
 from servolens.design.recommended import recommend
 from servolens.design.settle import evaluate, settling_time, step_response
+from servolens.design.several_gains import GainsFound, tune_gains
 from servolens.design.spec import PDSpec
+from servolens.design.wishes import GainWishes
 
 __all__ = [
     "Certificate",
     "Comparison",
     "Design",
     "GainMap",
+    "GainWishes",
+    "GainsFound",
     "Light",
     "PDSpec",
     "Recommended",
@@ -29,4 +33,5 @@ __all__ = [
     "step_response",
     "trust",
     "tune",
+    "tune_gains",
 ]

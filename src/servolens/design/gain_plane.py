@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
-__all__ = ["GainMap", "gain_map", "map_axes", "noise_gain"]
+__all__ = ["LEAST_KP", "MOST_KP", "GainMap", "gain_map", "map_axes", "noise_gain"]
 
 WATCHED = 2.0
 """Settling times for which each step is watched at first; what settles in time is watched for the whole horizon."""

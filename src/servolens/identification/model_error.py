@@ -6,6 +6,9 @@ e·g = Δ·u_measured·y + noise, at each frequency, for all records of the axis
 frequency with u·y of the model as instrument, for a measured command carries the noise of its own loop (Ljung, *System
 Identification*, 2nd ed., sections 13.5 and 16.5; model error models: Ljung, 1999).
 
+Of a record that begins with its step less is seen: its first command counts as applied before, and
+so as no change to which the axis could answer otherwise.
+
 A loop with the complementary sensitivity T keeps stable where |T Δ| < 1 at every frequency (the small-gain theorem).
 """
 
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["model_error"]
 
 RATIO = 1.04
-"""Of the ends of a band, which is wider where it would hold too few values: as wide as a resonance of damping ratio 0.02."""
+"""Of the ends of a band, as wide as a resonance of damping ratio 0.02; it is wider where it would hold too little."""
 FEWEST = 4
 """Values in a band, of all records together: with fewer its noise is hardly known."""
 UPPERMOST = 0.8

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from servolens.design.found import Design, Light
     from servolens.design.gain_plane import GainMap
+    from servolens.design.several_gains import GainsFound
     from servolens.design.spec import PDSpec
 
 __all__ = [
@@ -24,6 +25,12 @@ __all__ = [
     "sentence",
 ]
 
+AIMS = {
+    "noise": "the least noise of the command",
+    "kd": "the least kd",
+    "settling_time": "the least settling time",
+    "margin": "the largest margin",
+}
 FRAGILE = 0.05
 """A margin below this share of the gain is worth a sentence."""
 
@@ -72,6 +79,34 @@ def design_summary(
         sentences=tuple(sentences),
         tables=(_intervals(design, kd_unit), _responses(design, command_unit)),
     )
+
+
+def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
+    """Tell the best of several gains, and what the loop does with them.
+
+    Parameters
+    ----------
+    found : GainsFound
+        What was found.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    aim = AIMS[found.wishes.objective]
+    if found.kd is None or found.margins is None:
+        return Summary(title="Several gains", sentences=(sentence(found.reason),))
+    spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
+    time = max(response.settling_time or 0.0 for response in found.verified)
+    delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
+    told = [
+        f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
+        f" {number(spec.derivative_filter, 3)}: {aim} of all gains that meet what was asked.",
+        f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
+        f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
+    ]
+    if found.voltage_noise is not None:
+        told.append(f"Measurement noise moves the command by {number(found.voltage_noise, 3)} {command_unit} r.m.s.")
+    told.append("They stand at the edge of what is feasible; the gain recommended below keeps away from it.")
+    return Summary(title="Several gains", sentences=tuple(told))
 
 
 def map_summary(
