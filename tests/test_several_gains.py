@@ -53,12 +53,16 @@ def test_margins_of_a_linear_loop_are_those_of_python_control(late, share):
 
 
 def test_margins_are_those_of_the_worst_speed_and_plant():
-    slow, fast = (loop_margins([replace(LINEAR, damping=c)], SPEC, 2.0) for c in (3.799 + 15.2528, 3.799))
-    both = loop_margins([replace(PAPER, gain=1.8)], SPEC, 2.0)
-    assert both.peak_sensitivity > slow.peak_sensitivity
-    assert both.peak_sensitivity < fast.peak_sensitivity  # at the step's speed the damping has not all gone
-    several = loop_margins([replace(LINEAR, damping=3.799), replace(PAPER, gain=1.8)], SPEC, 2.0)
-    assert several.peak_sensitivity == fast.peak_sensitivity
+    """The law α1 exp(−α2 |v|) v has the slope α1 (1 − α2 v) exp(−α2 v), which at speed takes from the damping."""
+    fast = 2.0 * SPEC.reference / SPEC.settling_time
+    slopes = [15.2528 * (1.0 - 5.9934 * v) * np.exp(-5.9934 * v) for v in (0.0, fast)]
+    still, moving = (loop_margins([Plant(gain=1.91, damping=3.799 + slope)], SPEC, 2.0) for slope in slopes)
+    found = loop_margins([PAPER], SPEC, 2.0)
+    assert moving.peak_sensitivity > 1.1 * still.peak_sensitivity
+    assert found.peak_sensitivity == pytest.approx(moving.peak_sensitivity, rel=1e-9)
+    assert found.delay_margin == pytest.approx(min(still.delay_margin, moving.delay_margin), rel=1e-9)
+    both = loop_margins([LINEAR, PAPER], SPEC, 2.0)
+    assert both.peak_sensitivity == pytest.approx(found.peak_sensitivity, rel=1e-3)
 
 
 def test_the_margins_of_an_axis_with_play_are_those_of_its_closed_gap():
@@ -85,7 +89,12 @@ def scanned(plants, spec, limit, gains, objective):
 
 @pytest.mark.parametrize(
     ("plants", "objective"),
-    [([PAPER], "noise"), ([STICKY], "kd"), ([PAPER], "margin"), ([LINEAR, STICKY], "noise")],
+    [
+        ([PAPER], "noise"),
+        ([STICKY], "kd"),
+        pytest.param([PAPER], "margin", marks=pytest.mark.slow),
+        pytest.param([LINEAR, STICKY], "noise", marks=pytest.mark.slow),
+    ],
     ids=["paper", "sticky", "margin", "both"],
 )
 def test_no_pair_of_a_dense_scan_is_better(plants, objective):
@@ -93,8 +102,8 @@ def test_no_pair_of_a_dense_scan_is_better(plants, objective):
     assert found.from_program
     assert all(evaluate(plant, found.spec, found.kd).meets for plant in plants)
     assert found.margins.peak_sensitivity <= 1.4
-    around = {"kp": found.spec.kp * np.linspace(0.75, 1.3, 15), "kd": found.kd * np.linspace(0.6, 1.4, 25)}
-    assert found.value <= 1.002 * scanned(plants, SPEC, 1.4, around, objective)
+    around = {"kp": found.spec.kp * np.linspace(0.6, 1.5, 16), "kd": found.kd * np.linspace(0.5, 1.5, 21)}
+    assert found.value <= 1.005 * scanned(plants, SPEC, 1.4, around, objective)
 
 
 def test_the_settling_time_is_shorter_than_that_of_any_pair_of_a_scan():
@@ -110,13 +119,14 @@ def test_the_settling_time_is_shorter_than_that_of_any_pair_of_a_scan():
     assert found.value <= 1.03 * min(times)
 
 
+@pytest.mark.slow
 def test_limits_are_kept_and_cost_something():
     loop = PAPER.with_effect(SensorLag(time_constant=3e-3))
     free = tune_gains(loop, SPEC, GainWishes(objective="settling_time"))
-    wishes = GainWishes(objective="settling_time", delay_margin=0.04, voltage_noise=0.02, position_noise=1e-5)
+    wishes = GainWishes(objective="settling_time", delay_margin=0.06, voltage_noise=0.02, position_noise=1e-5)
     held = tune_gains(loop, SPEC, wishes)
-    assert free.margins.delay_margin < 0.04
-    assert held.margins.delay_margin >= 0.04
+    assert free.margins.delay_margin < 0.06
+    assert held.margins.delay_margin >= 0.06
     assert held.voltage_noise <= 0.02
     assert held.value > free.value
 

@@ -1,7 +1,8 @@
 """The best of several gains: kp, kd and the derivative's filter, for one of several objectives.
 
 A grid over the free gains is simulated first; where it finds gains that meet everything, CasADi's program
-(:mod:`servolens.design.gains_program`) goes on from the best of them. What it finds is simulated by the exact sampled
+(:mod:`servolens.design.gains_program`) goes on from the best of them, and a finer grid around its optimum tells whether
+there is a better one nearby. What the program finds is simulated by the exact sampled
 loop and, where it fails there, taken back towards the gains that it began with: whatever is returned was simulated.
 """
 
@@ -36,13 +37,18 @@ __all__ = ["GainsFound", "tune_gains"]
 
 GRID = {"kp": 12, "kd": 24, "derivative_filter": 3}
 """Gains of each kind that are tried first."""
+AROUND = {"kp": 15, "kd": 15, "derivative_filter": 3}
+"""Gains of each kind that are tried around an optimum."""
 LEAST_FILTER = 0.1
 """Smallest derivative filter that is tried: it remembers ten samples."""
 GLANCE = 1.25
 """Settling times for which a step is watched at first: most gains that fail do so soon."""
-STARTS = 2
-"""Places from which the program begins."""
-SHORTER, ROUNDS = 0.93, 6
+NEAR, ENOUGH = 1.4, 2e-3
+"""By which factor gains around an optimum are looked at, lest it is a local one, and the share by which one of them has
+to be better for the program to begin anew from it."""
+ROUNDS = 4
+"""How often it does at most."""
+SHORTER, TIMES = 0.93, 6
 """Share of the settling time reached that is asked for next where it is to be least, and how often at most."""
 HALVINGS = 8
 """How often the way back from the program's gains to those that it began with is halved."""
@@ -72,7 +78,7 @@ class GainsFound:
     voltage_noise : float or None
         R.m.s. of the command for the measurement noise [V]; None where that is not known.
     from_program : bool
-        Whether they are better than those of the grid.
+        Whether they are others than the best of the grid.
     reason : str or None
         Why there are none.
     """
@@ -150,15 +156,17 @@ def tune_gains(
     wanted = wishes or GainWishes()
     search = _Search(known, spec, wanted)
     progress("Trying gains", 0, 0)
-    seen = [one for one in in_parallel(search.tried, search.grid()) if one is not None]
-    seen.sort(key=lambda one: one.value)
-    best = seen[0] if seen else None
-    starts: list[Candidate | None] = list(seen[:1] + seen[len(seen) // 2 :][: STARTS - 1]) or [None]
-    for start in starts:
+    best = of_grid = search.best(search.grid())
+    for _ in range(ROUNDS):
         progress("Solving for the gains", 0, 0)
-        found = search.improved(start)
-        best = min((one for one in (best, found) if one is not None), key=lambda one: one.value, default=None)
-    return search.told(best, is_of_grid=best is None or (bool(seen) and best is seen[0]))
+        found = search.improved(best)
+        if found is None:
+            break
+        around = search.best(search.around(found.gains))
+        best, before = min((found, around or found), key=lambda one: one.value), found
+        if best.value >= before.value * (1.0 - ENOUGH):
+            break
+    return search.told(best, from_program=best is not of_grid)
 
 
 @final
@@ -218,6 +226,23 @@ class _Search:
                 axes.append(np.geomspace(low, high, count))
         return [dict(zip(GAINS, map(float, values), strict=True)) for values in product(*axes)]
 
+    def around(self, gains: Mapping[str, float]) -> list[dict[str, float]]:
+        """Return gains around others, within the bounds, evenly in their logarithm."""
+        axes = []
+        for name in GAINS:
+            low, high = self.bounds[name]
+            if high > low:
+                near = gains[name] * np.geomspace(1.0 / NEAR, NEAR, AROUND[name])
+                axes.append(np.unique(np.clip(near, low, high)))
+            else:
+                axes.append(np.array([low]))
+        return [dict(zip(GAINS, map(float, values), strict=True)) for values in product(*axes)]
+
+    def best(self, gains: Sequence[dict[str, float]]) -> Candidate | None:
+        """Return the best of some gains that meets everything."""
+        seen = [one for one in in_parallel(self.tried, gains) if one is not None]
+        return min(seen, key=lambda one: one.value, default=None)
+
     def spec_of(self, gains: Mapping[str, float]) -> PDSpec:
         """Return the spec with these gains."""
         return replace(self.spec, kp=gains["kp"], derivative_filter=min(gains["derivative_filter"], 1.0))
@@ -255,7 +280,7 @@ class _Search:
 
     def _faster(self, start: Candidate) -> Candidate:
         best = start
-        for _ in range(ROUNDS):
+        for _ in range(TIMES):
             sooner = replace(self.spec, settling_time=max(SHORTER * best.value, 3.0 * self.spec.sample_time))
             found = self._taken_back(self._solved(best, sooner, "band"), best)
             if found is None or found.value >= best.value * (1.0 - 1e-3):
@@ -290,7 +315,7 @@ class _Search:
                 best = tried
         return best
 
-    def told(self, best: Candidate | None, *, is_of_grid: bool) -> GainsFound:
+    def told(self, best: Candidate | None, *, from_program: bool) -> GainsFound:
         """Return the result."""
         if best is None:
             ranges = [f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in self.bounds.items() if high > low]
@@ -305,7 +330,7 @@ class _Search:
             verified=best.verified,
             margins=best.margins,
             voltage_noise=None if self.noise is None or gain is None else self.noise * gain,
-            from_program=not is_of_grid,
+            from_program=from_program,
         )
 
 
