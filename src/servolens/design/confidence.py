@@ -188,7 +188,7 @@ def _beyond_error(model: Model, evidence: Evidence, design: Design, kd: float) -
     return Light(
         light="red" if far else "amber",
         sentence=(
-            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {100 * size[worst]:.2g} %,"
+            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {float(f'{100 * size[worst]:.2g}'):g} %,"
             f" and kd = {kd:.3g} makes {ratios[worst]:.3g} times as much of that as the records prove to be stable"
             f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a kd nearer to it{known}."
         ),
