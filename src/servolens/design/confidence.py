@@ -183,12 +183,12 @@ def _beyond_error(model: Model, evidence: Evidence, design: Design, kd: float) -
     worst = int(np.argmax(ratios))
     if ratios[worst] <= BEYOND:
         return Light(light="green", sentence="")
-    far = ratios[worst] > FAR
+    far, share = ratios[worst] > FAR, float(f"{100 * size[worst]:.2g}")
     known = "" if evidence.range.kd is None else f" (largest so far: {evidence.range.kd:.3g})"
     return Light(
         light="red" if far else "amber",
         sentence=(
-            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {float(f'{100 * size[worst]:.2g}'):g} %,"
+            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {share:g} %,"
             f" and kd = {kd:.3g} makes {ratios[worst]:.3g} times as much of that as the records prove to be stable"
             f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a kd nearer to it{known}."
         ),
