@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map
+    from servolens.design import (
+        Comparison,
+        Design,
+        GainMap,
+        GainWishes,
+        Light,
+        PDSpec,
+        compare,
+        gain_map,
+        recommend,
+        tune_gains,
+    )
+    from servolens.design.confidence import trust
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -72,7 +84,19 @@ __version__ = "0.1.0"
 _HOMES = {
     "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map"),
+    "design": (
+        "Comparison",
+        "Design",
+        "GainMap",
+        "GainWishes",
+        "Light",
+        "PDSpec",
+        "compare",
+        "gain_map",
+        "recommend",
+        "tune_gains",
+    ),
+    "design.confidence": ("trust",),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -155,9 +179,11 @@ __all__ = [
     "FrictionMap",
     "GainDrift",
     "GainMap",
+    "GainWishes",
     "HardeningSpring",
     "Identification",
     "InputError",
+    "Light",
     "LoadFriction",
     "Model",
     "NumericalError",
@@ -199,6 +225,7 @@ __all__ = [
     "read_model",
     "read_record",
     "read_records",
+    "recommend",
     "record_from_dataframe",
     "record_from_timeresponse",
     "simulate",
@@ -208,7 +235,9 @@ __all__ = [
     "simulate_voltage",
     "study_records",
     "to_control",
+    "trust",
     "tune",
+    "tune_gains",
     "write_report",
 ]
 

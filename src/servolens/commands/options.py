@@ -26,6 +26,7 @@ __all__ = [
     "json_option",
     "prior_option",
     "recordings",
+    "several_gains",
     "specification",
 ]
 
@@ -40,6 +41,15 @@ SPEC_FIELDS = (
     "control",
     "sample_time",
     "derivative_filter",
+)
+WISHES = (
+    "free",
+    "objective",
+    "peak_sensitivity",
+    "peak_complementary",
+    "delay_margin",
+    "voltage_noise",
+    "position_noise",
 )
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
@@ -223,6 +233,43 @@ def specification(
             return command(
                 spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
             )
+
+        return _stacked(run, decorators)
+
+    return decorate
+
+
+def several_gains() -> Callable[[Command], Command]:
+    """Give a command the options of a design with several free gains, as one ``wishes``; None where none is given."""
+    decorators = (
+        click.option(
+            "--free",
+            cls=Paths,
+            multiple=True,
+            metavar="GAIN...",
+            help="Gains to choose: kp, kd, derivative_filter.  [default with --objective: kp kd]",
+        ),
+        click.option(
+            "--objective",
+            type=click.Choice(["noise", "kd", "settling_time", "margin"]),
+            help="What free gains are to be best for.  [default with --free: noise]",
+        ),
+        _number("--peak-sensitivity", "Of free gains: largest Ms of the linearised loop."),
+        _number("--peak-complementary", "Of free gains: largest Mt."),
+        _number("--delay-margin", "Of free gains: by how much the command may come later [s]."),
+        _number("--voltage-noise", "Of free gains: largest r.m.s. noise of the command [V]."),
+        _number("--position-noise", "R.m.s. of the measurement noise [m or rad].  [default: that of the records]"),
+    )
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def run(**options: Any) -> int:
+            given = {name: options.pop(name) for name in WISHES}
+            given = {name: value for name, value in given.items() if value is not None and value != ()}
+            if given and not {"free", "objective"} & set(given):
+                option = next(iter(given)).replace("_", "-")
+                raise click.UsageError(f"--{option} is for free gains; add --free kp kd or --objective")
+            return command(wishes=given or None, **options)
 
         return _stacked(run, decorators)
 

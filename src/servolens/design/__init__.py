@@ -1,19 +1,23 @@
 """From a spec to the least derivative gain, and to the one to use."""
 
 from servolens.design.comparison import compare
+from servolens.design.confidence import trust
 from servolens.design.found import Certificate, Comparison, Design, Light, Recommended, Relaxed, Response
-from servolens.design.gain_plane import GainMap, gain_map, noise_gain
+from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
 from servolens.design.least_kd import tune
 from servolens.design.recommended import recommend
 from servolens.design.settle import evaluate, settling_time, step_response
+from servolens.design.several_gains import GainsFound, tune_gains
 from servolens.design.spec import PDSpec
-from servolens.design.trust import trust
+from servolens.design.wishes import GainWishes
 
 __all__ = [
     "Certificate",
     "Comparison",
     "Design",
     "GainMap",
+    "GainWishes",
+    "GainsFound",
     "Light",
     "PDSpec",
     "Recommended",
@@ -22,10 +26,12 @@ __all__ = [
     "compare",
     "evaluate",
     "gain_map",
+    "map_axes",
     "noise_gain",
     "recommend",
     "settling_time",
     "step_response",
     "trust",
     "tune",
+    "tune_gains",
 ]

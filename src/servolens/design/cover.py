@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Span = tuple[float, float]
 
-__all__ = ["Cover", "gain_scale", "last_gain"]
+__all__ = ["SPARE", "Cover", "gain_scale", "last_gain"]
 
 CELLS = 8
 """Cells that the search begins with, for each unit of asinh(kd / scale)."""

@@ -11,10 +11,26 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servolens.design.found import Design, Light
+    from servolens.design.gain_plane import GainMap
+    from servolens.design.several_gains import GainsFound
     from servolens.design.spec import PDSpec
 
-__all__ = ["asked_sentence", "design_summary", "least_gain", "light_sentences", "recommended_sentences", "sentence"]
+__all__ = [
+    "asked_sentence",
+    "design_summary",
+    "least_gain",
+    "light_sentences",
+    "map_summary",
+    "recommended_sentences",
+    "sentence",
+]
 
+AIMS = {
+    "noise": "the least noise of the command",
+    "kd": "the least kd",
+    "settling_time": "the least settling time",
+    "margin": "the largest margin",
+}
 FRAGILE = 0.05
 """A margin below this share of the gain is worth a sentence."""
 
@@ -63,6 +79,74 @@ def design_summary(
         sentences=tuple(sentences),
         tables=(_intervals(design, kd_unit), _responses(design, command_unit)),
     )
+
+
+def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
+    """Tell the best of several gains, and what the loop does with them.
+
+    Parameters
+    ----------
+    found : GainsFound
+        What was found.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    aim = AIMS[found.wishes.objective]
+    if found.kd is None or found.margins is None:
+        return Summary(title="Several gains", sentences=(sentence(found.reason),))
+    spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
+    time = max(response.settling_time or 0.0 for response in found.verified)
+    delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
+    told = [
+        f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
+        f" {number(spec.derivative_filter, 3)}: {aim} of all gains that meet what was asked.",
+        f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
+        f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
+    ]
+    if found.voltage_noise is not None:
+        told.append(f"Measurement noise moves the command by {number(found.voltage_noise, 3)} {command_unit} r.m.s.")
+    told.append("They stand at the edge of what is feasible; the gain recommended below keeps away from it.")
+    return Summary(title="Several gains", sentences=tuple(told))
+
+
+def map_summary(
+    found: GainMap,
+    *,
+    recommended: tuple[float, float] | None,
+    light: Light,
+    length_unit: str = "m",
+    command_unit: str = "V",
+) -> Summary:
+    """Tell what a map over both gains shows.
+
+    Parameters
+    ----------
+    found : GainMap
+        The map.
+    recommended : (float, float) or None
+        The pair (kp, kd) to use for the kp of the spec.
+    light : Light
+        How far that can be trusted.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    pair, share = found.least_noise, float(found.feasible.mean())
+    size = f"{found.kp.size} × {found.kd.size} pairs, kp {number(found.kp[0])} to {number(found.kp[-1])}"
+    sentences = [
+        f"Simulated {size} {command_unit}/{length_unit} and kd {number(found.kd[0])} to {number(found.kd[-1])}"
+        f" {command_unit} s/{length_unit}; {percent(100 * share)} of them meet the spec."
+    ]
+    if pair is not None:
+        least = float(found.noise[found.feasible].min())
+        sentences.append(
+            f"Of these, kp = {number(pair[0])} and kd = {number(pair[1])} make the least noise, {number(least, 3)}"
+            f" {command_unit}/{length_unit}: a pair at the edge, with no margin."
+        )
+    if recommended is not None:
+        sentences.append(f"For kp = {number(recommended[0])}, the recommended kd is {number(recommended[1])}.")
+    sentences += light_sentences({"Gain": light})
+    sentences.append(asked_sentence(found.spec, length_unit, command_unit))
+    return Summary(title="Map", sentences=tuple(sentences))
 
 
 def light_sentences(lights: Mapping[str, Light]) -> list[str]:
