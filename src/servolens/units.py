@@ -34,6 +34,8 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "s": (1.0, {"s": 1}),
     "ms": (1e-3, {"s": 1}),
     "us": (1e-6, {"s": 1}),
+    "ns": (1e-9, {"s": 1}),
+    **dict.fromkeys(("sec", "sek", "Sek", "seconds", "second"), (1.0, {"s": 1})),
     "m": (1.0, {"m": 1}),
     "cm": (1e-2, {"m": 1}),
     "mm": (1e-3, {"m": 1}),
@@ -43,7 +45,10 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180, {"rad": 1}),
     "°": (math.pi / 180, {"rad": 1}),
-    "rev": (2 * math.pi, {"rad": 1}),
+    **dict.fromkeys(("degree", "degrees", "Grad", "grad"), (math.pi / 180, {"rad": 1})),
+    **dict.fromkeys(("rev", "revs", "turn", "turns", "U", "Umdr"), (2 * math.pi, {"rad": 1})),
+    **dict.fromkeys(("rpm", "RPM"), (2 * math.pi / 60, {"rad": 1, "s": -1})),
+    "min": (60.0, {"s": 1}),
     "V": (1.0, _VOLT),
     "mV": (1e-3, _VOLT),
     "A": (1.0, {"A": 1}),
@@ -55,7 +60,10 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "mNm": (1e-3, _TORQUE),
     "%": (1.0, {"%": 1}),
     "percent": (1.0, {"%": 1}),
-    **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks"), (1.0, {"count": 1})),
+    "duty": (100.0, {"%": 1}),
+    "pwm": (1.0, {"pwm": 1}),
+    **dict.fromkeys(("Volt", "Volts", "volt", "volts"), (1.0, _VOLT)),
+    **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks", "inc", "Inkr"), (1.0, {"count": 1})),
 }
 _BASES = {
     "[length]": "m",
@@ -65,6 +73,7 @@ _BASES = {
     "[angle]": "rad",
     "[percent]": "%",
     "[count]": "count",
+    "[pwm]": "pwm",
 }
 _NO_UNITS = re.compile(r"\b(units?|position|per cent of)\b", re.IGNORECASE)  # pint reads "unit" as a micronit
 _HARMLESS = re.compile(r"[A-Za-z0-9_°%·*/^(). ²³-]+")
@@ -206,6 +215,7 @@ def _registry() -> Any:
     registry: Any = pint.UnitRegistry(on_redefinition="ignore")
     registry.define("radian = [angle] = rad")
     registry.define("percent = [percent] = %")
+    registry.define("pwm = [pwm]")
     registry.define("count = [count] = counts = cts = cnt = tick = ticks")
     registry.define("rev = 2 * pi * radian")
     registry.define("Nm = newton * meter")

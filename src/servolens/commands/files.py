@@ -13,6 +13,7 @@ from servolens.results import STANDARD_OUTPUT
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from servolens.campaign import Log
     from servolens.commands.options import Recordings
     from servolens.findings import Finding
     from servolens.identification import Prior
@@ -23,6 +24,7 @@ __all__ = [
     "about",
     "check_apart",
     "check_outputs",
+    "load_logs",
     "load_models",
     "load_records",
     "priors_from",
@@ -64,19 +66,26 @@ def load_records(
     recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
 ) -> tuple[Record, ...]:
     """Read the records; refuse `outputs` that are one of their files, which a folder or a campaign may name."""
-    from servolens.campaign import read_records
+    return tuple(log.reading.record for log in load_logs(recordings, outputs, progress))
+
+
+def load_logs(
+    recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
+) -> tuple[Log, ...]:
+    """Read the records and how they were found, as :func:`load_records` does."""
+    from servolens.campaign import read_logs
 
     check_outputs(outputs, recordings.paths)
     progress("Reading", 0, 0)
-    records = read_records(
+    logs = read_logs(
         recordings.paths,
         settings=recordings.settings or None,
         columns=recordings.columns or None,
         units=recordings.units or None,
         data_root=recordings.data_root,
     )
-    check_outputs(outputs, [record.source for record in records if record.source])
-    return records
+    check_outputs(outputs, [log.reading.record.source for log in logs])
+    return logs
 
 
 def check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:

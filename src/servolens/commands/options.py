@@ -103,6 +103,26 @@ def _mapped(value: str) -> tuple[str, str]:
     return signal, text
 
 
+def _ordered(value: str) -> dict[str, str]:
+    """Convert signals in the order of the columns to their columns' numbers."""
+    names = [name.strip() for name in value.split(",")]
+    wrong = next((name for name in names if name not in (*SIGNALS, "-", "")), None)
+    if wrong is not None:
+        raise click.BadParameter(f"{wrong[:40]!r} is no signal; known are {', '.join(SIGNALS)}, and - for others")
+    given = [name for name in names if name in SIGNALS]
+    if len(set(given)) < len(given):
+        raise click.BadParameter("a signal stands twice; keep one")
+    return {name: str(k) for k, name in enumerate(names, start=1) if name in SIGNALS}
+
+
+def _keyed(value: str) -> tuple[str, str]:
+    """Convert ``key=value``."""
+    key, mark, text = (part.strip() for part in value.partition("="))
+    if not mark or not key or not text:
+        raise click.BadParameter(f"{value[:40]!r} is not KEY=VALUE, e.g. supply_voltage=24")
+    return key, text
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recordings:
@@ -113,7 +133,7 @@ class Recordings:
     paths : tuple of str
         Files, folders, campaigns.
     settings : mapping
-        ``kp``, ``kd`` where given.
+        ``kp``, ``kd``, ``reference`` and others where given.
     columns, units : mapping
         Signal to column name, signal to unit.
     data_root : str or None
@@ -165,17 +185,42 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
         click.option(
             "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
         ),
+        click.option(
+            "--columns",
+            "column_order",
+            type=_ordered,
+            metavar="SIGNAL,...",
+            help="Signals in the order of the columns, - for others: time,position,-,voltage.",
+        ),
+        click.option(
+            "--reference-step",
+            metavar="LEVEL[@TIME],...",
+            help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
+        ),
+        click.option(
+            "--setting",
+            multiple=True,
+            type=_keyed,
+            metavar="KEY=VALUE",
+            help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
+        ),
         click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
     )
 
     def decorate(command: Command) -> Command:
         @wraps(command)
         def run(**options: Any) -> int:
-            gains = {"kp": options.pop("record_kp"), "kd": options.pop("record_kd")}
+            gains = {
+                "kp": options.pop("record_kp"),
+                "kd": options.pop("record_kd"),
+                "reference": options.pop("reference_step"),
+            }
+            stated = {name: value for name, value in gains.items() if value is not None}
+            ordered = options.pop("column_order") or {}
             chosen = Recordings(
                 paths=_named(options.pop("records")),
-                settings={name: value for name, value in gains.items() if value is not None},
-                columns=_once(options.pop("column"), "--column"),
+                settings=_once(options.pop("setting"), "--setting") | stated,
+                columns=ordered | _once(options.pop("column"), "--column"),
                 units=_once(options.pop("unit"), "--unit"),
                 data_root=options.pop("data_root"),
             )
