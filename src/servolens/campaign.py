@@ -150,7 +150,7 @@ def _folder(folder: Path, root: Path | None) -> Iterator[_Source]:
         except OSError as error:
             raise InputError(f"cannot be listed: {(error.strerror or str(error)).lower()}") from error
         if not files:
-            raise InputError("is a folder without logs ({', '.join(SUFFIXES)})")
+            raise InputError("is a folder without logs such as .csv, .mat or .xlsx")
     for file in files:
         with located(str(file)):
             yield _Source(path=_inside(file, folder, root), label=str(file))

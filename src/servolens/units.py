@@ -35,7 +35,7 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "ms": (1e-3, {"s": 1}),
     "us": (1e-6, {"s": 1}),
     "ns": (1e-9, {"s": 1}),
-    **dict.fromkeys(("sec", "sek", "Sek", "seconds", "second"), (1.0, {"s": 1})),
+    **dict.fromkeys(("sec", "seconds", "second"), (1.0, {"s": 1})),
     "m": (1.0, {"m": 1}),
     "cm": (1e-2, {"m": 1}),
     "mm": (1e-3, {"m": 1}),
@@ -45,9 +45,9 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180, {"rad": 1}),
     "°": (math.pi / 180, {"rad": 1}),
-    **dict.fromkeys(("degree", "degrees", "Grad", "grad"), (math.pi / 180, {"rad": 1})),
-    **dict.fromkeys(("rev", "revs", "turn", "turns", "U", "Umdr"), (2 * math.pi, {"rad": 1})),
-    **dict.fromkeys(("rpm", "RPM"), (2 * math.pi / 60, {"rad": 1, "s": -1})),
+    **dict.fromkeys(("degree", "degrees"), (math.pi / 180, {"rad": 1})),
+    **dict.fromkeys(("rev", "revs", "turn", "turns"), (2 * math.pi, {"rad": 1})),
+    "rpm": (2 * math.pi / 60, {"rad": 1, "s": -1}),
     "min": (60.0, {"s": 1}),
     "V": (1.0, _VOLT),
     "mV": (1e-3, _VOLT),
@@ -62,9 +62,18 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "percent": (1.0, {"%": 1}),
     "duty": (100.0, {"%": 1}),
     "pwm": (1.0, {"pwm": 1}),
-    **dict.fromkeys(("Volt", "Volts", "volt", "volts"), (1.0, _VOLT)),
-    **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks", "inc", "Inkr"), (1.0, {"count": 1})),
+    **dict.fromkeys(("volt", "volts"), (1.0, _VOLT)),
+    **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks"), (1.0, {"count": 1})),
 }
+_SPELLINGS = {
+    **dict.fromkeys(("sek", "Sek", "Sekunden"), "s"),
+    **dict.fromkeys(("Grad", "grad"), "deg"),
+    **dict.fromkeys(("U", "Umdr", "Umdrehungen"), "rev"),
+    **dict.fromkeys(("inc", "Ink", "Inkr", "Inkremente"), "count"),
+    **dict.fromkeys(("Volt", "Volts"), "V"),
+    **dict.fromkeys(("RPM",), "rpm"),
+}
+"""What logs write for units; pint reads some of them as others (grad as gon) or not at all."""
 _BASES = {
     "[length]": "m",
     "[mass]": "kg",
@@ -179,7 +188,8 @@ def _from_table(text: str) -> Unit | None:
     if slash:
         powers.append((below.strip(), -1))
     factor, dimension = 1.0, dict[str, float]()
-    for atom, power in powers:
+    for written, power in powers:
+        atom = _SPELLINGS.get(written, written)
         if atom not in _ATOMS:
             return None
         size, bases = _ATOMS[atom]
@@ -216,6 +226,7 @@ def _registry() -> Any:
     registry.define("radian = [angle] = rad")
     registry.define("percent = [percent] = %")
     registry.define("pwm = [pwm]")
+    registry.define("duty = 100 * percent")
     registry.define("count = [count] = counts = cts = cnt = tick = ticks")
     registry.define("rev = 2 * pi * radian")
     registry.define("Nm = newton * meter")

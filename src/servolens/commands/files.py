@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servolens.errors import InputError, ServolensError
 from servolens.results import STANDARD_OUTPUT
@@ -66,26 +66,35 @@ def load_records(
     recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
 ) -> tuple[Record, ...]:
     """Read the records; refuse `outputs` that are one of their files, which a folder or a campaign may name."""
-    return tuple(log.reading.record for log in load_logs(recordings, outputs, progress))
+    from servolens.campaign import read_records
+
+    check_outputs(outputs, recordings.paths)
+    progress("Reading", 0, 0)
+    records = read_records(recordings.paths, **_options(recordings))
+    check_outputs(outputs, [record.source for record in records if record.source])
+    return records
 
 
 def load_logs(
     recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
 ) -> tuple[Log, ...]:
-    """Read the records and how they were found, as :func:`load_records` does."""
+    """Read the records and how they were found; otherwise as :func:`load_records`."""
     from servolens.campaign import read_logs
 
     check_outputs(outputs, recordings.paths)
     progress("Reading", 0, 0)
-    logs = read_logs(
-        recordings.paths,
-        settings=recordings.settings or None,
-        columns=recordings.columns or None,
-        units=recordings.units or None,
-        data_root=recordings.data_root,
-    )
+    logs = read_logs(recordings.paths, **_options(recordings))
     check_outputs(outputs, [log.reading.record.source for log in logs])
     return logs
+
+
+def _options(recordings: Recordings) -> dict[str, Any]:
+    return {
+        "settings": recordings.settings or None,
+        "columns": recordings.columns or None,
+        "units": recordings.units or None,
+        "data_root": recordings.data_root,
+    }
 
 
 def check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -57,9 +57,13 @@ def _opened(path: Path, limit: int) -> Iterator[BinaryIO]:
     except (OSError, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise InputError(f"cannot be opened: {why.lower()}") from error
-    with os.fdopen(descriptor, "rb", closefd=True) as stream:
+    try:
         status = os.fstat(descriptor)
         _check_kind(status.st_mode)
+    except InputError:
+        os.close(descriptor)
+        raise
+    with os.fdopen(descriptor, "rb") as stream:
         if status.st_size > limit:
             raise InputError(f"has {status.st_size / 2**20:.0f} MiB; files up to {limit / 2**20:.0f} MiB are read")
         yield stream

@@ -12,12 +12,11 @@ from servolens.reading.files import read_bytes, read_start
 from servolens.reading.isolated import read_isolated
 from servolens.reading.json_text import read_json
 from servolens.reading.mat import read_mat
+from servolens.reading.table import Table
 from servolens.reading.text import read_text
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from servolens.reading.table import Table
 
 __all__ = ["SUFFIXES", "is_bag", "read_tables"]
 
@@ -105,7 +104,10 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
             return (table,)
         if all(column.fault is None for column in table.columns):
             return (table,)
-        return read_isolated("mat_objects", path, "MAT with structures or tables")
+        deep = read_isolated("mat_objects", path, "MAT with structures or tables")
+        found = {column.name.partition(".")[0] for inner in deep for column in inner.columns}
+        left = tuple(column for column in table.columns if column.fault and column.name not in found)
+        return (*deep, Table(left)) if left else deep
     if path.suffix.lower() == ".mat":
         raise InputError("is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB")
     if b"\0" in content[: 2 * _LOOKED_AT] and not content.startswith(_UTF16):

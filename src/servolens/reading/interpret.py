@@ -87,7 +87,9 @@ def interpret(
     InputError
         With one sentence: what is missing, or both readings where two are plausible.
     """
-    tables = [_with_clock(table, settings) for table in tables]
+    tables = [_with_clock(table, settings) for table in tables if table.columns]
+    if not tables:
+        raise InputError("holds no columns of numbers")
     chosen = choose(tables, columns)
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})

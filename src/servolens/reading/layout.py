@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
@@ -41,6 +42,8 @@ class Layout:
         ``key: value`` pairs above the numbers.
     has_names : bool
         Whether the file names its columns.
+    other_width : int
+        Cells of the row above the numbers, where that has texts and another number of cells than the rows; else 0.
     """
 
     names: tuple[str, ...]
@@ -49,6 +52,7 @@ class Layout:
     typed: frozenset[int]
     properties: Mapping[str, str] = field(default_factory=dict)
     has_names: bool = True
+    other_width: int = 0
 
 
 def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | None:
@@ -69,8 +73,9 @@ def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | N
     if last is None:
         return None
     tail = kinds[max(last + 1 - MOST_TYPED, 0) : last + 1]
-    width = len(rows[last])
-    tail = [row for row in tail if len(row) == width and 2 * sum(row) > len(row) / 2]
+    tail = [row for row in tail if sum(row) > 1]
+    width = Counter(len(row) for row in tail).most_common(1)[0][0]
+    tail = [row for row in tail if len(row) == width]
     typed = [j for j in range(width) if 2 * sum(row[j] for row in tail) > len(tail)]
     if len(typed) < 2:
         return None
@@ -117,7 +122,9 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
         names = tuple(_padded(above[-1 - used], width))
         return Layout(names, units, first, typed, properties_of(above[: -1 - used]))
     numbered = tuple(str(j + 1) for j in range(width))
-    return Layout(numbered, units, first, typed, properties_of(above), has_names=False)
+    last = above[-1] if above else []
+    is_text = sum(bool(cell) for cell in last) > 1 and all(number(cell) is None for cell in last if cell)
+    return Layout(numbered, units, first, typed, properties_of(above), False, len(last) if is_text else 0)
 
 
 def _is_names(row: Sequence[str], width: int) -> bool:

@@ -38,10 +38,7 @@ def read(path: Path) -> list[Table]:
         raise
     except Exception as error:
         raise InputError("is a damaged MAT file; save it again with -v7") from error
-    tables = list(tables_of(tree))
-    if not tables:
-        raise InputError("holds no vectors of numbers, not even in structures; save the signals as plain vectors")
-    return tables
+    return list(tables_of(tree))
 
 
 def _by_scipy(path: Path) -> dict[str, Any]:

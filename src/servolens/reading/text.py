@@ -122,6 +122,11 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
     _, separator, decimal, layout = max(found, key=lambda item: item[0])
     if len(layout.names) > MOST_COLUMNS:
         raise InputError(f"the table has {len(layout.names)} columns; at most {MOST_COLUMNS} are read")
+    if layout.other_width:
+        hint = "; where commas are decimal too, separate the columns by semicolons" if separator == "," else ""
+        raise InputError(
+            f"the rows have {len(layout.names)} values where the header row has {layout.other_width}{hint}"
+        )
     above = properties_of(_fields(text, separator) for text in texts[:skipped])
     layout = replace(layout, properties={**above, **layout.properties})
     if not layout.has_names and comments:
@@ -296,8 +301,7 @@ def _whole(fields: list[str], width: int, line: int) -> list[str]:
     """Return a row of `width` cells, or refuse the line."""
     if len(fields) == width or (len(fields) == width + 1 and not fields[-1].strip()):
         return fields[:width]
-    hint = "; where commas are decimal too, separate the columns by semicolons" if len(fields) == 2 * width else ""
-    raise InputError(f"line {line} has {len(fields)} values where the table has {width} columns{hint}")
+    raise InputError(f"line {line} has {len(fields)} values where the header row has {width}")
 
 
 def _fields(line: str, separator: str) -> list[str]:

@@ -107,7 +107,7 @@ _CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 _ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
-_BRACKETS = re.compile(r"(.*?)\s*[\[({<]\s*([^\[\](){}<>]*?)\s*[\])}>]\s*", re.DOTALL)
+_BRACKETS = re.compile(r"(.*?)\s*([\[({<])\s*([^\[\]{}<>]*?)\s*[\])}>]\s*", re.DOTALL)
 _SLASH = re.compile(r"(.+?)(?:\s*/\s*|\s+in\s+|\s*,\s+)([^/,]+(?:/[A-Za-z]+)?)\s*", re.DOTALL)
 _INDEX = re.compile(r".*\S[\[(]\d+[\])]\s*")
 
@@ -178,7 +178,10 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
     text = text.strip().strip('"').strip()
     match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
     if match and match[1]:
-        return match[1].strip(), _known(match[2]), "in brackets"
+        known = _known(match[3])
+        if match[2] == "[" or known:
+            stated = None if match[3] in ("", "-") else match[3]
+            return match[1].strip(), known or stated, "in brackets"
     match = _SLASH.fullmatch(text)
     if match and (unit := _known(match[2])):
         return match[1].strip(), unit, "behind its name"
