@@ -35,7 +35,7 @@ def read(path: Path) -> list[Table]:
         If the bag is damaged, points outside its folder, or holds no numbers.
     """
     _check_inside(path)
-    rows: dict[str, list[dict[str, float]]] = {}
+    rows: dict[str, list[tuple[int, dict[str, float]]]] = {}
     left = files.LARGEST // 8
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
@@ -47,14 +47,12 @@ def read(path: Path) -> list[Table]:
                     raise InputError(
                         f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read"
                     )
-                rows.setdefault(connection.topic, []).append(
-                    {"time": recorded * 1e-9 if stamp is None else stamp, **row}
-                )
+                rows.setdefault(connection.topic, []).append((recorded if stamp is None else stamp, row))
     except InputError:
         raise
     except Exception as error:
         raise InputError("is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR") from error
-    start = min((row["time"] for group in rows.values() for row in group), default=0.0)
+    start = min((instant for group in rows.values() for instant, _ in group), default=0)
     tables = [table for topic, group in rows.items() if (table := _table(topic, group, start)) is not None]
     if not tables:
         raise InputError("is a bag without messages that hold numbers")
@@ -106,18 +104,18 @@ def _titled(key: str, names: list[str]) -> str:
     return key
 
 
-def _stamp(row: dict[str, float]) -> float | None:
-    """Take a message's own stamp [s] out of its numbers; None without one or where it was not set."""
+def _stamp(row: dict[str, float]) -> int | None:
+    """Take a message's own stamp [ns] out of its numbers; None without one or where it was not set."""
     seconds, rest = row.pop("header.stamp.sec", None), row.pop("header.stamp.nanosec", 0.0)
-    return None if not seconds else seconds + 1e-9 * rest
+    return None if not seconds else int(seconds) * 10**9 + int(rest)
 
 
-def _table(topic: str, rows: list[dict[str, float]], start: float) -> Table | None:
-    keys = [key for key in rows[0] if key != "time" and all(key in row for row in rows)]
+def _table(topic: str, rows: list[tuple[int, dict[str, float]]], start: int) -> Table | None:
+    keys = [key for key in rows[0][1] if all(key in row for _, row in rows)]
     if not keys or len(rows) < 2:
         return None
-    rows = sorted(rows, key=lambda row: row["time"])
-    columns = [Column("time", np.array([row["time"] - start for row in rows]), "s")]
+    rows = sorted(rows, key=lambda item: item[0])
+    columns = [Column("time", np.array([(instant - start) * 1e-9 for instant, _ in rows]), "s")]
     prefix = topic.strip("/").replace("/", ".")
-    columns += [Column(f"{prefix}.{key}", np.array([row[key] for row in rows])) for key in keys]
+    columns += [Column(f"{prefix}.{key}", np.array([row[key] for _, row in rows])) for key in keys]
     return Table(tuple(columns), topic.strip("/"))

@@ -114,7 +114,7 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
         raise InputError("is a binary file of an unknown kind; see the documentation for the formats that are read")
     if content.lstrip()[:1] in (b"{", b"["):
         return read_json(content)
-    return (read_text(content),)
+    return read_text(content)
 
 
 def _unpacked(content: bytes) -> bytes:

@@ -181,7 +181,7 @@ def _units(
             found[signal] = stated[signal], "unit given by you"
         elif choice.unit is not None:
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
-    for signal in ("time", "reference", "position", "voltage", "velocity", "feedforward", "enabled"):
+    for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:
             unit = _unstated(signal, chosen, found, settings)
             if unit is not None:

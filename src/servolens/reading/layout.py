@@ -44,6 +44,8 @@ class Layout:
         Whether the file names its columns.
     other_width : int
         Cells of the row above the numbers, where that has texts and another number of cells than the rows; else 0.
+    has_clocks : bool
+        Whether columns named "time" belong to those behind them.
     """
 
     names: tuple[str, ...]
@@ -53,6 +55,7 @@ class Layout:
     properties: Mapping[str, str] = field(default_factory=dict)
     has_names: bool = True
     other_width: int = 0
+    has_clocks: bool = False
 
 
 def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | None:
@@ -112,7 +115,7 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     scope = _scope(above, width)
     if scope is not None:
         names, units = scope
-        return Layout(names, units, first, typed)
+        return Layout(names, units, first, typed, has_clocks=names[0] == "time")
     units = (None,) * width
     used = 0
     if above and _is_units(above[-1], width) and len(above) > 1 and _is_names(above[-2], width):

@@ -52,7 +52,7 @@ class _Form:
     first: int
 
 
-def read_text(content: bytes) -> Table:
+def read_text(content: bytes) -> tuple[Table, ...]:
     """Read a file of text: comment lines, perhaps a preamble, a row of names, perhaps one of units, numbers.
 
     The numbers are parsed by NumPy's or pyarrow's C reader; only where those fail are the lines split one by one.
@@ -68,12 +68,25 @@ def read_text(content: bytes) -> Table:
     comments = [line.strip().decode() for line in marked]
     plain = _COMMENT.sub(b"", content) if marked else content
     form = _form(plain, comments)
-    return Table(
+    table = Table(
         columns=_columns(plain, form),
         comments=comment_settings(line for line in comments if line.startswith("#")),
         properties=form.layout.properties,
         has_names=form.layout.has_names,
     )
+    return _by_clock(table) if form.layout.has_clocks else (table,)
+
+
+def _by_clock(table: Table) -> tuple[Table, ...]:
+    """Split a table whose columns have times of their own before them; columns of one clock stay together."""
+    groups: list[list[Column]] = []
+    for column in table.columns:
+        if column.name != "time":
+            groups[-1].append(column)
+            continue
+        same = next((group for group in groups if np.array_equal(group[0].values, column.values)), None)
+        groups = [group for group in groups if group is not same] + [same or [column]]
+    return tuple(replace(table, columns=tuple(group)) for group in groups)
 
 
 def _unified(content: bytes) -> bytes:

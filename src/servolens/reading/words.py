@@ -16,7 +16,7 @@ __all__ = ["Meaning", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
-        "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed millis micros "
+        "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
         "nanos datetime secs"
     ),
     "position": (
@@ -24,8 +24,7 @@ _WORDS: Mapping[str, str] = {
         "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos"
     ),
     "angle": (
-        "joint joints gelenk angle angles winkel theta phi alpha rotation drehwinkel heading azimuth azimut "
-        "elevation pitch yaw roll"
+        "angle angles winkel theta phi alpha rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"
     ),
     "velocity": (
         "velocity velocities vel speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
@@ -59,7 +58,7 @@ _WORDS: Mapping[str, str] = {
         "druck rssi line note comment kommentar bemerkung offset"
     ),
     "neutral": (
-        "value wert signal data daten raw filtered filt axis achse motor servo drive antrieb antriebs "
+        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb antriebs "
         "controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
         "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
         "tisch"
@@ -98,11 +97,24 @@ _UNITS = {
     "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
     "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "counts": "counts",
     "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
-    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A", "ampere": "A",
+    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
+    "ampere": "A",
     "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
 """Units at a heading's end, in small letters."""
+_CONVENTIONS = (
+    (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
+    (re.compile(r"(.*[._])?vel_estimate"), "rev/s", "which ODrive counts in"),
+    (re.compile(r"servo_(stats|control|command)[._]position"), "rev", "which moteus counts in"),
+    (re.compile(r"servo_(stats|control|command)[._]velocity"), "rev/s", "which moteus counts in"),
+    (
+        re.compile(r"(.*[._ ])?(present|goal)[_ ]position([._ ]\w+)?"),
+        "counts",
+        "which servos of that protocol count in",
+    ),
+)
+"""Names by which a program is known whose logs state no units, and the unit that its manual states."""
 _CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
@@ -164,7 +176,7 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
         where = "at the end of its name" if unit else ""
     elif not bracketed:
         where = "stated beside its name"
-    return _judged(tokens, unit, where)
+    return _judged(name, tokens, unit, where)
 
 
 def unit_behind(text: str) -> tuple[str, str | None, str]:
@@ -238,7 +250,12 @@ def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
     return tokens, None
 
 
-def _judged(tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
+def _convention(name: str) -> tuple[str, str] | None:
+    """Return the unit that a known program's manual states for a name, and whose it is."""
+    return next(((unit, whose) for form, unit, whose in _CONVENTIONS if form.fullmatch(name.lower())), None)
+
+
+def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
     kinds = [_CLASS.get(token, "") for token in tokens]
     rest = frozenset(token for token, kind in zip(tokens, kinds, strict=True) if kind in ("", "neutral"))
     rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
@@ -251,6 +268,8 @@ def _judged(tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
     symbols = [token for token in tokens if token in _LETTERS]
     words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
+    if unit is None:
+        unit, where = _convention(name) or (None, "")
     if unit is None and kind in _ASSUMED:
         unit, where = _ASSUMED[kind], "which a column of that name is in"
     roles = _agreeing(roles, unit, kind, asked or "either" in kinds)
@@ -267,6 +286,8 @@ def _roles(
     if "feedforward" in kinds or "enabled" in kinds:
         return ("feedforward" if "feedforward" in kinds else "enabled",), "", False
     place = "angle" if "angle" in kinds else "position" if "position" in kinds else ""
+    if place and {"joint", "joints", "gelenk"} & set(tokens):
+        place = "angle"
     asked = asked or "either" in kinds
     if "velocity" in kinds or (place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
