@@ -275,7 +275,11 @@ def test_loop_settings_without_gains_are_a_remark(write):
             NAMELESS.format(3, "0, 1, 2"),
         ),
         (HEADER + ROWS, "no voltage is logged and the gains are unknown; give kp and kd"),
-        ("time,position\n0,0\n1,1\n", "neither reference nor voltage is given; log at least one of the two"),
+        (
+            "time,position\n0,0\n1,1\n",
+            "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"
+            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5",
+        ),
         (
             GAIN + "time,reference\n0,0\n1,1\n",
             "no column named position; the columns are 'time, reference'" + MAP.format("position"),
@@ -537,8 +541,8 @@ def test_mat_is_known_by_its_content(write):
         (mat(time=COLUMN, position="text"), "variable 'position' is a char, " + PLAIN_VECTOR),
         (
             mat(time=COLUMN, position=np.eye(5)),
-            "the position may be one of 'position(:,1)', 'position(:,2)', 'position(:,3)', 'position(:,4)' and 1 others; say"
-            " which, e.g. --column position=position(:,1) or --column position=position(:,2)",
+            "the position may be one of 'position(:,1)', 'position(:,2)', 'position(:,3)', 'position(:,4)' and 1 other;"
+            " say which, e.g. --column position=position(:,1) or --column position=position(:,2)",
         ),
         (mat(time=COLUMN, position=COLUMN * 1j), "variable 'position' is complex; a signal is real"),
         (mat(time=COLUMN, position=np.arange(3.0), voltage=COLUMN), "position has 3 samples, time has 5"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from servolens.errors import InputError
 from servolens.reading import KEYS
+from servolens.reading.reading import units_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from servolens.campaign import Log
 
 __all__ = ["write_campaign"]
-
-PER_LENGTH = ("position", "reference")
 
 
 def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
@@ -94,17 +93,11 @@ def _entry(log: Log, file: Path) -> str:
 
 def _units(log: Log) -> dict[str, str]:
     """Return the units of all columns; those of counted columns follow from their scale."""
-    reading, record = log.reading, log.reading.record
-    length, command = record.length_unit, record.command_unit
-    si = {"time": "s", "position": length, "reference": length, "voltage": command, "feedforward": command}
-    si["velocity"] = f"{length}/s"
+    reading = log.reading
+    si = units_of(reading.record)
     if any(key in reading.settings for key in ("counts_per_unit", "counts_per_rev")):
-        si = {"time": "s", "voltage": command}
-    return {
-        signal: text
-        for signal in reading.columns
-        if (text := reading.units.get(signal) or si.get(signal)) and signal != "enabled"
-    }
+        si = {"time": si["time"], "voltage": si["voltage"]}
+    return {signal: text for signal in reading.columns if (text := reading.units.get(signal) or si.get(signal))}
 
 
 def _table(entries: Mapping[str, str]) -> str:

@@ -169,43 +169,7 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
     kp, kd : tuple of str
         How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
     """
-    decorators = (
-        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
-        click.option(
-            *kp,
-            "record_kp",
-            type=_setting,
-            metavar="NUMBER",
-            help="Proportional gain of the loop that made the records.",
-        ),
-        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
-        click.option(
-            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
-        ),
-        click.option(
-            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
-        ),
-        click.option(
-            "--columns",
-            "column_order",
-            type=_ordered,
-            metavar="SIGNAL,...",
-            help="Signals in the order of the columns, - for others: time,position,-,voltage.",
-        ),
-        click.option(
-            "--reference-step",
-            metavar="LEVEL[@TIME],...",
-            help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
-        ),
-        click.option(
-            "--setting",
-            multiple=True,
-            type=_keyed,
-            metavar="KEY=VALUE",
-            help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
-        ),
-        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
-    )
+    decorators = _record_options(kp, kd)
 
     def decorate(command: Command) -> Command:
         @wraps(command)
@@ -306,6 +270,46 @@ effort_option = click.option(
 force_option = click.option(
     "--force", is_flag=True, help="Write the model although a sign or a unit in the records is wrong."
 )
+
+
+def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[[Command], Command], ...]:
+    return (
+        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
+        click.option(
+            *kp,
+            "record_kp",
+            type=_setting,
+            metavar="NUMBER",
+            help="Proportional gain of the loop that made the records.",
+        ),
+        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
+        click.option(
+            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
+        ),
+        click.option(
+            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
+        ),
+        click.option(
+            "--columns",
+            "column_order",
+            type=_ordered,
+            metavar="SIGNAL,...",
+            help="Signals in the order of the columns, - for others: time,position,-,voltage.",
+        ),
+        click.option(
+            "--reference-step",
+            metavar="LEVEL[@TIME],...",
+            help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
+        ),
+        click.option(
+            "--setting",
+            multiple=True,
+            type=_keyed,
+            metavar="KEY=VALUE",
+            help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
+        ),
+        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
+    )
 
 
 def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:

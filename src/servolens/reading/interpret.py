@@ -13,6 +13,7 @@ from servolens.reading.guess import Guess
 from servolens.reading.roles import Choice, check_mapping, choose
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
 from servolens.reading.table import Column, Table
+from servolens.reading.words import allows
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ __all__ = ["Interpretation", "interpret"]
 
 EPOCH = 1e6
 """Times beyond this [s] count from an epoch (11 days after switching on): they are taken from the first sample."""
+APART = ("in brackets", "behind its name", "stated beside its name")
+"""Where a unit is one, whatever the signal; letters at the end of a name may be something else."""
 SMOOTH = ("position", "velocity")
 GAINS = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
 _INTERVALS = {
@@ -98,6 +101,8 @@ def interpret(
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
     for signal, choice in chosen.items():
         _check_numbers(signal, choice)
+    if not {"reference", "voltage"} & set(chosen) and (settings or {}).get("reference") is None:
+        _check_stated(tables)
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
     guesses = [
@@ -121,6 +126,17 @@ def interpret(
         guesses=tuple(guesses),
         columns={signal: choice.address for signal, choice in chosen.items()},
         found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
+    )
+
+
+def _check_stated(tables: Sequence[Table]) -> None:
+    """Refuse a log without reference and command, unless a comment states the reference."""
+    if any("reference" in table.comments for table in tables):
+        return
+    names = quote(", ".join(column.name for table in tables for column in table.columns))
+    raise InputError(
+        f"neither reference nor voltage is given, and none of the columns {names} is named so; name one, e.g. --column"
+        " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5"
     )
 
 
@@ -179,7 +195,7 @@ def _units(
     for signal, choice in chosen.items():
         if signal in stated:
             found[signal] = stated[signal], "unit given by you"
-        elif choice.unit is not None:
+        elif choice.unit is not None and (choice.meaning.where in APART or allows(signal, choice.unit)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:

@@ -11,6 +11,7 @@ from servolens.errors import InputError
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
 from servolens.record import SIGNALS
+from servolens.units import parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -104,6 +105,7 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     _decide(found, chosen)
     if "time" not in chosen and "position" in chosen and (clock := _clock(found, chosen["position"])):
         chosen["time"] = clock
+    _check_supply(chosen, found, mapping)
     _check_found(chosen, found)
     return {signal: chosen[signal] for signal in SIGNALS if signal in chosen}
 
@@ -179,10 +181,17 @@ def _single(hits: Sequence[Choice], name: str) -> Choice:
 
 
 def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], symbols: bool) -> Choice | None:
-    """Return the one column that means a signal, None without any; several are narrowed down or asked about."""
+    """Return the one column that means a signal, None without any; several are narrowed down or asked about.
+
+    Words go before symbols, but for positions: an axis is easily mistaken for what it carries.
+    """
     taken = {id(choice.column) for choice in chosen.values()}
     left = [
-        c for c in found if c.meaning.roles == (signal,) and c.meaning.symbol is symbols and id(c.column) not in taken
+        c
+        for c in found
+        if c.meaning.roles == (signal,)
+        and (c.meaning.symbol is symbols or signal == "position")
+        and id(c.column) not in taken
     ]
     passed = ""
     if signal == "voltage" and left:
@@ -198,7 +207,7 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
     if len(left) > 1:
         raise InputError(_question(signal, left))
     choice = left[0]
-    what = "the symbol" if symbols else "the words" if " " in choice.meaning.words else "the word"
+    what = "the symbol" if choice.meaning.symbol else "the words" if " " in choice.meaning.words else "the word"
     return choice.because(f"{what} {quote(choice.meaning.words)}{passed}")
 
 
@@ -219,6 +228,25 @@ def _is_supply(choice: Choice) -> bool:
     if choice.meaning.kind != "voltage" or not values.size or not np.isfinite(values).all():
         return False
     return bool(np.ptp(values) < SAG * abs(float(np.mean(values))))
+
+
+def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping: Mapping[str, str]) -> None:
+    """Ask about a voltage that hardly varies while another command does: it may be the supply's."""
+    choice = chosen.get("voltage")
+    if choice is None or "voltage" in mapping or not _is_supply(choice):
+        return
+    others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
+    if others:
+        raise InputError(
+            f"column {quote(choice.address)} hardly varies, as the voltage of a supply, and {quote(others[0].address)}"
+            f" may be the command; say --column voltage={_typed(choice.address)} or --column"
+            f" voltage={_typed(others[0].address)}"
+        )
+
+
+def _varies(choice: Choice) -> bool:
+    values = choice.column.values
+    return bool(values.size and np.isfinite(values).all() and np.ptp(values) > SAG * abs(float(np.mean(values))))
 
 
 def _near(left: Sequence[Choice], position: Choice) -> list[Choice]:
@@ -242,20 +270,26 @@ def _moving(left: Sequence[Choice]) -> list[Choice]:
 
 
 def _alike(left: Sequence[Choice]) -> list[Choice]:
-    """Of columns that are the same quantity in several units keep the first with a unit."""
-    first = left[0].column.values
-    if not all(_same(first, c.column.values) for c in left[1:]):
-        return list(left)
-    return [next((c for c in left if c.unit), left[0])]
+    """Of columns that are one quantity, in several units or twice, keep the first with a unit."""
+    best = next((c for c in left if c.unit), left[0])
+    return [best] if all(_same(best, c) for c in left if c is not best) else list(left)
 
 
-def _same(a: np.ndarray, b: np.ndarray) -> bool:
+def _same(one: Choice, other: Choice) -> bool:
+    """Tell whether two columns hold the same quantity; without a unit, any scale may be meant beside a stated one."""
+    a, b = one.column.values, other.column.values
     if a.size != b.size or a.size < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
         return False
-    spread, other = float(np.ptp(a)), float(np.ptp(b))
-    if spread == 0 or other == 0:
-        return spread == other == 0
-    return bool(np.max(np.abs((a - a[0]) / spread - (b - b[0]) / other)) < SAME)
+    spread = float(np.ptp(a))
+    if spread == 0 or np.ptp(b) == 0:
+        return bool(np.array_equal(a, b))
+    mine, others = parse_unit(one.unit or ""), parse_unit(other.unit or "")
+    scale = spread / float(np.ptp(b))
+    if mine is not None and others is not None:
+        scale = others.factor / mine.factor
+    elif mine is None and others is None:
+        scale = 1.0
+    return bool(np.max(np.abs((a - a[0]) - scale * (b - b[0]))) < SAME * spread)
 
 
 def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
@@ -277,7 +311,7 @@ def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
                 why = f"the name {quote(choice.address)}, and it is not the derivative of the position (r = {r:.2f})"
         open_roles = [role for role in open_roles if role not in chosen]
         if len(open_roles) > 1:
-            readings = " or ".join(f"--column {role}={choice.address}" for role in open_roles)
+            readings = " or ".join(f"--column {role}={_typed(choice.address)}" for role in open_roles)
             raise InputError(f"column {quote(choice.address)} may be {' or '.join(open_roles)}; say {readings}")
         if open_roles:
             chosen[open_roles[0]] = choice.because(why)
@@ -310,10 +344,17 @@ def _clock(found: Sequence[Choice], position: Choice) -> Choice | None:
 
 def _question(signal: str, left: Sequence[Choice]) -> str:
     names = [c.address for c in left[:4]]
-    more = f" and {len(left) - 4} others" if len(left) > 4 else ""
-    readings = " or ".join(f"--column {signal}={name}" for name in names[:2])
+    others = len(left) - len(names)
+    more = f" and {others} other{'s' if others > 1 else ''}" if others else ""
+    readings = " or ".join(f"--column {signal}={_typed(name)}" for name in names[:2])
     shown = ", ".join(quote(name) for name in names)
     return f"the {signal} may be one of {shown}{more}; say which, e.g. {readings}"
+
+
+def _typed(name: str) -> str:
+    """Return a column's name as it is to be typed after an option."""
+    shown = quote(name)
+    return shown if " " in name or len(name) > 40 else shown[1:-1]
 
 
 def _nameless(tables: Sequence[Table]) -> str:

@@ -80,7 +80,7 @@ def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
     InputError
         If metres or radians are not plausible: then other units are.
     """
-    is_angle = choice.meaning.kind == "angle" or choice.address in ("theta", "phi")
+    is_angle = choice.meaning.kind == "angle"
     si = "rad" if is_angle else "m"
     if settled:
         return settled, "the unit of what belongs to it"

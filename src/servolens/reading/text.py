@@ -36,6 +36,7 @@ LARGE = 4 * 2**20
 LAST_WORDS = 5
 """Lines at the end that may be no numbers, as ``EOF``."""
 _COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
+_SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
 _DECIMAL_COMMA = re.compile(rb"\d,\d")
 _DECIMAL_POINT = re.compile(rb"(?<![\d:.])-?\d*\.\d+(?![\d.:])")
@@ -64,9 +65,7 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     content = _unified(content)
-    marked = _COMMENT.findall(content)
-    comments = [line.strip().decode() for line in marked]
-    plain = _COMMENT.sub(b"", content) if marked else content
+    plain, comments = _without_comments(content)
     form = _form(plain, comments)
     table = Table(
         columns=_columns(plain, form),
@@ -87,6 +86,18 @@ def _by_clock(table: Table) -> tuple[Table, ...]:
         same = next((group for group in groups if np.array_equal(group[0].values, column.values)), None)
         groups = [group for group in groups if group is not same] + [same or [column]]
     return tuple(replace(table, columns=tuple(group)) for group in groups)
+
+
+def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
+    """Blank the comment lines and return them; below the head they are only looked for where their signs stand."""
+    end = sum(len(line) + 1 for line in content.split(b"\n", HEAD)[:HEAD])
+    parts = [content[:end], content[end:]]
+    found: list[str] = []
+    for k, part in enumerate(parts):
+        if any(sign in part for sign in _SIGNS):
+            found += [line.strip().decode() for line in _COMMENT.findall(part)]
+            parts[k] = _COMMENT.sub(b"", part)
+    return b"".join(parts), found
 
 
 def _unified(content: bytes) -> bytes:

@@ -12,7 +12,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["Meaning", "meaning", "unit_behind"]
+__all__ = ["Meaning", "allows", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
@@ -23,20 +23,19 @@ _WORDS: Mapping[str, str] = {
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
         "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos"
     ),
-    "angle": (
-        "angle angles winkel theta phi alpha rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"
-    ),
+    "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
     "velocity": (
-        "velocity velocities vel speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
+        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
         "xdot dot dq tacho"
     ),
     "voltage": "voltage volt volts spannung vir vm uout umot",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
     "current": "strom amps ampere iq",
-    "torque": "torque tau moment drehmoment effort",
+    "torque": "torque tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
-    "output": "u output out stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
-    "either": "command cmd input commanded",
+    "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
+    "either": "command cmd commanded",
+    "input": "input eingang",
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
@@ -53,13 +52,13 @@ _WORDS: Mapping[str, str] = {
         "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
         "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
         "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
-        "igain dgain load moving index counter zaehler count_no seq sequence frame episode task trial "
+        "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
         "ref_count crc checksum checks id_current integral integrator p_term i_term d_term anteil pressure "
         "druck rssi line note comment kommentar bemerkung offset"
     ),
     "neutral": (
-        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb antriebs "
-        "controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
+        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb "
+        "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
         "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
         "tisch"
     ),
@@ -70,6 +69,10 @@ _LETTERS: Mapping[str, tuple[str, ...]] = {
     "y": ("position",),
     "x": ("position",),
     "z": ("position",),
+    "theta": ("position",),
+    "phi": ("position",),
+    "psi": ("position",),
+    "alpha": ("position",),
     "q": ("position",),
     "v": ("velocity", "voltage"),
     "i": ("voltage",),
@@ -80,6 +83,7 @@ _LETTERS: Mapping[str, tuple[str, ...]] = {
     "qd": ("reference", "velocity"),
 }
 """Symbols that stand alone; of two meanings the data or the other columns must decide."""
+_ANGLES = frozenset({"theta", "phi", "psi", "alpha"})
 _COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
 _IMPLIED = {
     "millis": "ms",
@@ -116,6 +120,7 @@ _CONVENTIONS = (
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
 _CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_ROLES = {"reference": "position", "feedforward": "voltage"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
 _ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
@@ -172,11 +177,26 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
     unit = bracketed or unit
     tokens = _tokens(name)
     if unit is None:
-        tokens, unit = _suffix(tokens)
-        where = "at the end of its name" if unit else ""
-    elif not bracketed:
+        kept, found = _suffix(tokens)
+        said = _judged(name, kept, found, "at the end of its name" if found else "")
+        if found and not said.roles:  # letters that are no unit of what the words say
+            return _judged(name, tokens, None, "")
+        return said
+    if not bracketed:
         where = "stated beside its name"
     return _judged(name, tokens, unit, where)
+
+
+def allows(signal: str, unit: str) -> bool:
+    """Tell whether a unit is one of a signal's.
+
+    Examples
+    --------
+    >>> allows("position", "mm"), allows("position", "s"), allows("voltage", "A")
+    (True, False, True)
+    """
+    parsed = parse_unit(unit)
+    return parsed is not None and _ROLES.get(signal, signal) in _allowed(dict(parsed.dimension))
 
 
 def unit_behind(text: str) -> tuple[str, str | None, str]:
@@ -185,7 +205,7 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
     Examples
     --------
     >>> unit_behind("Weg / mm"), unit_behind("y[0]")
-    (('Weg', 'mm', 'behind a slash'), ('y[0]', None, ''))
+    (('Weg', 'mm', 'behind its name'), ('y[0]', None, ''))
     """
     text = text.strip().strip('"').strip()
     match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
@@ -262,6 +282,8 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     implied = next((_IMPLIED[token] for token in tokens if token in _IMPLIED), None)
     if unit is None and implied:
         unit, where = implied, "by its name"
+    if len(tokens) == 1 and unit is None and allows("position", _UNITS.get(tokens[0], "s")):
+        return Meaning(("position",), _UNITS[tokens[0]], tokens[0], "by its name")
     if len(tokens) == 1 and unit is None and tokens[0] in ("ms", "us", "ns", "sec", "s"):
         return Meaning(("time",), _UNITS[tokens[0]], tokens[0], "by its name", symbol=True)
     asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
@@ -272,8 +294,9 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
         unit, where = _convention(name) or (None, "")
     if unit is None and kind in _ASSUMED:
         unit, where = _ASSUMED[kind], "which a column of that name is in"
-    roles = _agreeing(roles, unit, kind, asked or "either" in kinds)
-    grade = 0 if asked or "either" in kinds else 2 if measured else 1
+    asked = asked or bool({"either", "input"} & set(kinds))
+    roles = _agreeing(roles, unit, kind, asked)
+    grade = 0 if asked else 2 if measured else 1
     return Meaning(roles, unit, words, where, symbol, kind, grade, rest)
 
 
@@ -288,7 +311,7 @@ def _roles(
     place = "angle" if "angle" in kinds else "position" if "position" in kinds else ""
     if place and {"joint", "joints", "gelenk"} & set(tokens):
         place = "angle"
-    asked = asked or "either" in kinds
+    asked = asked or bool({"either", "input"} & set(kinds))
     if "velocity" in kinds or (place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
     command = next((kind for kind in _COMMANDS if kind in kinds), "")
@@ -304,14 +327,17 @@ def _bare(kinds: Sequence[str], symbols: Sequence[str], *, measured: bool) -> tu
     """Return what a name without a quantity means: a time, a modifier such as "target", or a symbol."""
     if "time" in kinds:
         return ("time",), "", False
+    if "input" in kinds:
+        return ("position", "reference", "voltage"), "", False
     if "either" in kinds:
         return ("reference", "voltage"), "", False
+    kind = "angle" if _ANGLES & set(symbols) else ""
     if "reference" in kinds:
-        return ("reference",), "", False
+        return ("reference",), kind, False
     if measured:
-        return ("position",), "", False
+        return ("position",), kind, False
     if symbols:
-        return _LETTERS[symbols[0]], "current" if symbols[0] == "i" else "", True
+        return _LETTERS[symbols[0]], "current" if symbols[0] == "i" else kind, True
     return (), "", False
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from servolens.summaries.wording import listed
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -12,6 +13,9 @@ if TYPE_CHECKING:
     from servolens.reading import Guess, Reading
 
 __all__ = ["reading_summary"]
+
+
+MOST_NAMES = 4
 
 
 def reading_summary(readings: Sequence[Reading]) -> Summary:
@@ -23,26 +27,15 @@ def reading_summary(readings: Sequence[Reading]) -> Summary:
         One a log.
     """
     shared = [guess for guess in readings[0].guesses if all(guess in reading.guesses for reading in readings)]
-    own = [(reading, guess) for reading in readings for guess in reading.guesses if guess not in shared]
-    guessed = sum(not guess.is_stated for guess in {guess: None for reading in readings for guess in reading.guesses})
-    tables = []
-    if shared:
-        whose = readings[0].record.name if len(readings) == 1 else f"all {len(readings)} logs"
-        tables.append(
-            Table(
-                title=f"How {whose} {'was' if len(readings) == 1 else 'were'} read",
-                columns=("Quantity", "From", "Unit or value", "Evidence"),
-                rows=tuple(_row(guess) for guess in shared),
-            )
-        )
-    if own:
-        tables.append(
-            Table(
-                title="What differs",
-                columns=("Record", "Quantity", "From", "Unit or value", "Evidence"),
-                rows=tuple((reading.record.name, *_row(guess)) for reading, guess in own),
-            )
-        )
+    groups: dict[tuple[Guess, ...], list[str]] = {}
+    for reading in readings:
+        groups.setdefault(tuple(g for g in reading.guesses if g not in shared), []).append(_name(reading))
+    guessed = sum(not guess.is_stated for guess in {*shared, *(guess for own in groups for guess in own)})
+    tables = [_table("all of them", shared)] if shared and len(groups) > 1 else []
+    for own, names in groups.items():
+        rows = own if len(groups) > 1 else tuple(readings[0].guesses)
+        if rows:
+            tables.append(_table(listed(names) if len(names) <= MOST_NAMES else f"{len(names)} logs", rows))
     return Summary(
         title="Reading",
         sentences=(_counted(len(readings), guessed),),
@@ -53,8 +46,20 @@ def reading_summary(readings: Sequence[Reading]) -> Summary:
     )
 
 
+def _name(reading: Reading) -> str:
+    return reading.record.source.replace("\\", "/").rpartition("/")[2] or reading.record.name
+
+
+def _table(whose: str, guesses: Sequence[Guess]) -> Table:
+    return Table(
+        title=f"How {whose} {'was' if ' ' not in whose else 'were'} read",
+        columns=("Quantity", "From", "Unit or value", "Evidence"),
+        rows=tuple(_row(guess) for guess in guesses),
+    )
+
+
 def _row(guess: Guess) -> tuple[str, str, str, str]:
-    return guess.quantity, guess.source, guess.value or "SI", guess.evidence or "stated"
+    return guess.quantity, guess.source, guess.value or "–", guess.evidence or "stated"
 
 
 def _counted(logs: int, guessed: int) -> str:
