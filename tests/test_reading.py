@@ -35,11 +35,16 @@ GAIN = "# kp = 60\n"
 ROW = "0,0,1\n"
 TWO = "0,0,1\n1,1,1\n"
 FILL = "; fill or leave out such rows"
-LAW = "; give it in V/m or V/rad, or A, N, N m, % in place of V"
+LAW = "; give it in V/m or V/rad, or A, N, N m, %, pwm in place of V"
+NAMELESS = (
+    "has no row that names its {} columns, which begin with {}; name them in their order, e.g."
+    " --columns time,position,voltage (- for one that is not needed)"
+)
 MAP = " (map names of your own, e.g. --column {}=NAME)"
 PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
 SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS
+TEXT = "is text without a table of numbers; a record has a row of names and rows of numbers below it"
 
 
 @pytest.fixture
@@ -267,10 +272,14 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (GAIN + HEADER + "0,0,0\n", "a record needs at least 2 samples, got 1"),
         (
             "0,1,2\n3,4,5\n",
-            "line 1: numbers stand where the header row should; name the columns, e.g. time [s],position [m]",
+            NAMELESS.format(3, "0, 1, 2"),
         ),
         (HEADER + ROWS, "no voltage is logged and the gains are unknown; give kp and kd"),
-        ("time,position\n0,0\n1,1\n", "neither reference nor voltage is given; log at least one of the two"),
+        (
+            "time,position\n0,0\n1,1\n",
+            "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"
+            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5",
+        ),
         (
             GAIN + "time,reference\n0,0\n1,1\n",
             "no column named position; the columns are 'time, reference'" + MAP.format("position"),
@@ -279,10 +288,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
             "a,b\n0,0\n1,1\n",
             "no column named time and none named position; the columns are 'a, b'" + MAP.format("time"),
         ),
-        (
-            ",\n0,0\n1,1\n",
-            "no column named time and none named position; the table has no named columns" + MAP.format("time"),
-        ),
+        (",\n0,0\n1,1\n", NAMELESS.format(2, "0, 0")),
         ("time,position,position\n0,0,0\n1,1,1\n", "2 columns are named 'position'; names must differ"),
         (GAIN + HEADER + "0,0,1\n0,1,1\n", "time must increase; sample 1 (0 s) repeats sample 0 (0 s)"),
         (GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n", "time must increase; sample 2 (1 s) lies before sample 1 (2 s)"),
@@ -304,15 +310,16 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (GAIN + HEADER + "0,0,1\n1,1\n", "line 4 has 2 values where the header row has 3"),
         (
             GAIN + HEADER + "0,0,1\n1,1,1,1\n",
-            "line 4 has 4 values where the header row has 3; decimal commas are not read, write points",
+            "line 4 has 4 values where the header row has 3",
         ),
         (
             GAIN + HEADER + "0,0,0,5,0,1\n1,0,0,5,0,1\n",
-            "line 3 has 6 values where the header row has 3; decimal commas are not read, write points",
+            "the rows have 6 values where the header row has 3; where commas are decimal too, separate the columns by"
+            " semicolons",
         ),
         (
-            GAIN + HEADER.replace(",", ";") + "0;0;1\n1;0,5;1\n",
-            "line 4, position: '0,5' has a decimal comma; write points",
+            GAIN + HEADER.replace(",", ";") + "0;0;1\n1;0,5;0.1\n",
+            "line 4, position: '0,5' has a decimal comma where other numbers have points" + FILL,
         ),
         (
             GAIN + "time,position [blub],reference\n" + TWO,
@@ -338,7 +345,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             "time,position,voltage [W]\n" + TWO,
-            "voltage is in 'W', which is not a unit for it; give it in V, or A, N, N m, % in place of V",
+            "voltage is in 'W', which is not a unit for it; give it in V, or A, N, N m, %, pwm in place of V",
         ),
         ("# kp = nan\n" + HEADER + ROWS, "kp must be a number, perhaps with a unit; 'nan' is not a number"),
         ("# kp = \n" + HEADER + ROWS, "kp must be a number, perhaps with a unit; '' is not a number"),
@@ -369,24 +376,27 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             "# kp = 1\ntime,position [counts],reference\n" + TWO,
-            "column position is in encoder counts; give counts_per_unit, counts per m or rad",
+            "column position is in encoder counts; give counts_per_unit, counts per m or rad, or counts_per_rev",
         ),
         (
             "# kp = 1\n# counts_per_unit = 10\ntime,position [mm],reference\n" + TWO,
             "position is in 'mm' and counts_per_unit is given too; give only one of the two",
         ),
-        (b"\xff\x00\x01\x02", "is a binary file of an unknown kind; CSV and MAT v5 are read"),
-        (b"\x93\x94abc\xff", "is not UTF-8 text (byte 0); save it as UTF-8 CSV"),
-        ("time,pos".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
-        (b"PAR1....", "is Parquet, which is not read yet; export it as CSV"),
-        (b"TDSm....", "is TDMS (LabVIEW), which is not read yet; export it as CSV"),
-        (b"MDF     4.10    ", "is MDF4 (ASAM measurement data), which is not read yet; export it as CSV"),
-        (b"\x89HDF\r\n\x1a\n...", "is HDF5, which is not read yet; export it as CSV"),
-        (b"PK\x03\x04...", "is ZIP (perhaps an Excel workbook), which is not read yet; export it as CSV"),
-        (b"\x1f\x8b...", "is gzip, which is not read yet; export it as CSV"),
+        (
+            b"\xff\x00\x01\x02",
+            "is a binary file of an unknown kind; see the documentation for the formats that are read",
+        ),
+        (b"\x93\x94abc\xff", TEXT),
+        ("time,pos".encode("utf-16"), "the header row is not followed by numbers"),
+        (b"PAR1....", "is a damaged Parquet file; write it again"),
+        (b"TDSm....", "holds no columns of numbers"),
+        (b"MDF     4.10    ", "is a damaged MDF file; record or export it again"),
+        (b"\x89HDF\r\n\x1a\n...", "is a damaged HDF5 file; write it again"),
+        (b"PK\x03\x04...", "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx"),
+        (b"\x1f\x8b...", "is a damaged gzip file; pack it again"),
         (
             b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM",
-            "is MAT v7.3 (HDF5), which is not read yet; save it with -v7 in MATLAB",
+            "is a damaged MAT file; save it again with -v7",
         ),
     ],
 )
@@ -441,7 +451,7 @@ def test_large_files_are_refused(write, monkeypatch):
 
 
 def test_too_many_columns_are_refused(write):
-    assert refusal(write(",".join(["x"] * 1001))) == "line 1: the header row has 1001 columns; at most 1000 are read"
+    assert refusal(write(",".join(["1"] * 1001) + "\n")) == "the table has 1001 columns; at most 1000 are read"
 
 
 def test_quotes_are_short_whatever_the_file_holds(write):
@@ -524,21 +534,22 @@ def test_mat_is_known_by_its_content(write):
     [
         (
             mat(data={"t": [1, 2]}),
-            "holds only a struct 'data'; save its fields as plain vectors (save with -struct in MATLAB)",
+            "no column named position; the columns are 't, data'" + MAP.format("position"),
         ),
         (mat(time=COLUMN, position={"a": 1}), "variable 'position' is a struct, " + PLAIN_VECTOR),
         (mat(time=COLUMN, position=np.array([1, "a"], dtype=object)), "variable 'position' is a cell, " + PLAIN_VECTOR),
         (mat(time=COLUMN, position="text"), "variable 'position' is a char, " + PLAIN_VECTOR),
         (
             mat(time=COLUMN, position=np.eye(5)),
-            "variable 'position' has shape 5 × 5; a signal is a vector, one column of it",
+            "the position may be one of 'position(:,1)', 'position(:,2)', 'position(:,3)', 'position(:,4)' and 1 other;"
+            " say which, e.g. --column position=position(:,1) or --column position=position(:,2)",
         ),
         (mat(time=COLUMN, position=COLUMN * 1j), "variable 'position' is complex; a signal is real"),
         (mat(time=COLUMN, position=np.arange(3.0), voltage=COLUMN), "position has 3 samples, time has 5"),
         (mat(time=COLUMN, position=COLUMN * np.nan, voltage=COLUMN), "position must be finite; sample 0 is nan"),
         (mat(time=COLUMN), "no column named position; the columns are 'time'" + MAP.format("position")),
         (mat(time=COLUMN, position=COLUMN, voltage=COLUMN)[:200], "is a damaged MAT file; save it again with -v7"),
-        (b"junk", "is not a MAT v5 file (version 4, or damaged); save it with -v7 in MATLAB"),
+        (b"junk", "is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB"),
         (
             b" " * 124 + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd",
             "is a damaged MAT file; save it again with -v7",
@@ -615,11 +626,11 @@ def test_index_of_a_dataframe_is_the_time(index):
         ([1, 2], "a pandas DataFrame is needed, got list"),
         (
             pd.DataFrame({"time": [0, 1], "position": ["a", "b"], "voltage": [0, 1]}),
-            "column position holds something else than numbers",
+            "column 'position' holds something else than numbers",
         ),
         (
             pd.DataFrame({"time": [0, 1], "position": [0, 1j], "voltage": [0, 1]}),
-            "column position is complex; a signal is real",
+            "column 'position' is complex; a signal is real",
         ),
         (
             pd.DataFrame({"time": [0, 1], "position": [0, None], "voltage": [0, 1]}),
@@ -632,7 +643,7 @@ def test_index_of_a_dataframe_is_the_time(index):
         (pd.DataFrame({"position": [0, 1.0]}), "no column named time; the columns are 'position'" + MAP.format("time")),
         (
             pd.DataFrame(),
-            "no column named time and none named position; the table has no named columns" + MAP.format("time"),
+            "holds no columns of numbers",
         ),
     ],
 )

@@ -113,6 +113,26 @@ def _mapped(value: str) -> tuple[str, str]:
     return signal, text
 
 
+def _ordered(value: str) -> dict[str, str]:
+    """Convert signals in the order of the columns to their columns' numbers."""
+    names = [name.strip() for name in value.split(",")]
+    wrong = next((name for name in names if name not in (*SIGNALS, "-", "")), None)
+    if wrong is not None:
+        raise click.BadParameter(f"{wrong[:40]!r} is no signal; known are {', '.join(SIGNALS)}, and - for others")
+    given = [name for name in names if name in SIGNALS]
+    if len(set(given)) < len(given):
+        raise click.BadParameter("a signal stands twice; keep one")
+    return {name: str(k) for k, name in enumerate(names, start=1) if name in SIGNALS}
+
+
+def _keyed(value: str) -> tuple[str, str]:
+    """Convert ``key=value``."""
+    key, mark, text = (part.strip() for part in value.partition("="))
+    if not mark or not key or not text:
+        raise click.BadParameter(f"{value[:40]!r} is not KEY=VALUE, e.g. supply_voltage=24")
+    return key, text
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recordings:
@@ -123,7 +143,7 @@ class Recordings:
     paths : tuple of str
         Files, folders, campaigns.
     settings : mapping
-        ``kp``, ``kd`` where given.
+        ``kp``, ``kd``, ``reference`` and others where given.
     columns, units : mapping
         Signal to column name, signal to unit.
     data_root : str or None
@@ -159,33 +179,22 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
     kp, kd : tuple of str
         How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
     """
-    decorators = (
-        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
-        click.option(
-            *kp,
-            "record_kp",
-            type=_setting,
-            metavar="NUMBER",
-            help="Proportional gain of the loop that made the records.",
-        ),
-        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
-        click.option(
-            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
-        ),
-        click.option(
-            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
-        ),
-        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
-    )
+    decorators = _record_options(kp, kd)
 
     def decorate(command: Command) -> Command:
         @wraps(command)
         def run(**options: Any) -> int:
-            gains = {"kp": options.pop("record_kp"), "kd": options.pop("record_kd")}
+            gains = {
+                "kp": options.pop("record_kp"),
+                "kd": options.pop("record_kd"),
+                "reference": options.pop("reference_step"),
+            }
+            stated = {name: value for name, value in gains.items() if value is not None}
+            ordered = options.pop("column_order") or {}
             chosen = Recordings(
                 paths=_named(options.pop("records")),
-                settings={name: value for name, value in gains.items() if value is not None},
-                columns=_once(options.pop("column"), "--column"),
+                settings=_once(options.pop("setting"), "--setting") | stated,
+                columns=ordered | _once(options.pop("column"), "--column"),
                 units=_once(options.pop("unit"), "--unit"),
                 data_root=options.pop("data_root"),
             )
@@ -308,6 +317,46 @@ effort_option = click.option(
 force_option = click.option(
     "--force", is_flag=True, help="Write the model although a sign or a unit in the records is wrong."
 )
+
+
+def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[[Command], Command], ...]:
+    return (
+        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
+        click.option(
+            *kp,
+            "record_kp",
+            type=_setting,
+            metavar="NUMBER",
+            help="Proportional gain of the loop that made the records.",
+        ),
+        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
+        click.option(
+            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
+        ),
+        click.option(
+            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
+        ),
+        click.option(
+            "--columns",
+            "column_order",
+            type=_ordered,
+            metavar="SIGNAL,...",
+            help="Signals in the order of the columns, - for others: time,position,-,voltage.",
+        ),
+        click.option(
+            "--reference-step",
+            metavar="LEVEL[@TIME],...",
+            help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
+        ),
+        click.option(
+            "--setting",
+            multiple=True,
+            type=_keyed,
+            metavar="KEY=VALUE",
+            help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
+        ),
+        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
+    )
 
 
 def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:

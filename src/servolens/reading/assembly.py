@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.reading.counts import Scales
 from servolens.reading.files import quote
-from servolens.reading.headings import check_mapping
+from servolens.reading.roles import check_mapping
 from servolens.reading.settings import Settings, parse_settings
+from servolens.reading.stated import stated_reference
 from servolens.record import Controller, Record
 from servolens.units import Unit, parse_unit
 
@@ -41,13 +43,14 @@ KINDS = {
     "counts_per_unit": "1/{length}",
     "inertia": "kg m^2",
     "mass": "kg",
+    "supply_voltage": "V",
+    "sample_time": "s",
 }
 """What each quantity is measured in; those that settle the units of the record stand first."""
 LENGTHS = ("m", "rad")
-COMMANDS = ("V", "A", "N", "N m", "%")
+COMMANDS = ("V", "A", "N", "N m", "%", "pwm")
 LARGEST = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
-COUNTED = ("position", "reference", "velocity")
 
 
 def assemble(
@@ -83,16 +86,19 @@ def assemble(
     parsed = parse_settings(comments or {}, settings)
     stated = _column_units(signals, {**header_units, **check_mapping(units, "units")})
     stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
-    per_count = _take_counts(stated, signals, parsed)
+    scales = Scales.of(parsed, stated, signals)
+    stated = {key: (text, scales.converted(unit)) for key, (text, unit) in stated.items()}
     length, command = _settle(stated)
-    values = _scaled(signals, stated, per_count)
+    values = _scaled(signals, stated)
     numbers = {key: amount.value * _factor(key, stated) for key, amount in parsed.amounts.items()}
+    if "reference" in parsed.texts:
+        values["reference"] = stated_reference(parsed.texts["reference"], values, stated, scales, length)
     _check_size({**values, **numbers})
     controller, remarks = _controller(numbers, parsed)
     title = parsed.name or name
     made = {
         "controller": controller,
-        "encoder_resolution": numbers.get("encoder_resolution", per_count),
+        "encoder_resolution": numbers.get("encoder_resolution", scales.per_count),
         "voltage_limit": numbers.get("voltage_limit"),
         "voltage_before": numbers.get("voltage_before"),
         "inertia": numbers.get("inertia", numbers.get("mass")),
@@ -114,41 +120,15 @@ def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> St
     return stated
 
 
-def _take_counts(stated: Stated, signals: Iterable[str], settings: Settings) -> float | None:
-    """Return metres (radians) per encoder count, None without counts, and leave the counted columns out of `stated`."""
-    amount = settings.amounts.get("counts_per_unit")
-    counted = [signal for signal in COUNTED if signal in stated and "count" in dict(stated[signal][1].dimension)]
-    if amount is None:
-        if counted:
-            raise InputError(f"column {counted[0]} is in encoder counts; give counts_per_unit, counts per m or rad")
-        return None
-    if "position" in stated and "position" not in counted:
-        raise InputError(
-            f"position is in {quote(stated['position'][0])} and counts_per_unit is given too; give only one of the two"
-        )
-    scale = amount.value
-    if amount.unit is not None:
-        bases = dict(amount.unit.dimension)
-        bases.pop("count", None)
-        unit = Unit(amount.unit.factor, tuple(bases.items()))
-        stated["counts_per_unit"] = (amount.text, unit)
-        scale *= unit.factor
-    per_count = 1 / scale
-    for signal in ("position", "reference"):
-        if signal in counted or (signal in signals and signal not in stated):
-            stated[signal] = ("counts", Unit(per_count, (("count", 1.0),)))
-    return per_count
-
-
 def _settle(stated: Stated) -> tuple[Literal["m", "rad"], str]:
     """Return the units of length and command that agree with everything that is stated."""
     left = list(product(LENGTHS, COMMANDS))
     seen: list[str] = []
     for key, kind in KINDS.items():
-        if key not in stated or (key in COUNTED and "count" in dict(stated[key][1].dimension)):
+        if key not in stated:
             continue
         text, unit = stated[key]
-        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == unit.dimension]
+        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == _in_length(unit, pair[0])]
         if not fits:
             raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
         agreed = [pair for pair in left if pair in fits]
@@ -166,9 +146,18 @@ def _dimension(kind: str, pair: tuple[str, str]) -> tuple[tuple[str, float], ...
     return () if unit is None else unit.dimension
 
 
+def _in_length(unit: Unit, length: str) -> tuple[tuple[str, float], ...]:
+    """Return a unit's dimension with the encoder counts, of which no unit is stated, as that length."""
+    bases = dict(unit.dimension)
+    power = bases.pop("count", 0.0)
+    if power:
+        bases[length] = bases.get(length, 0.0) + power
+    return tuple(sorted((base, size) for base, size in bases.items() if size))
+
+
 def _admissible(kind: str) -> str:
     examples = [kind.format(length=length, command="V") for length in LENGTHS]
-    command = ", or A, N, N m, % in place of V" if "{command}" in kind else ""
+    command = ", or A, N, N m, %, pwm in place of V" if "{command}" in kind else ""
     return f"give it in {' or '.join(dict.fromkeys(examples))}{command}"
 
 
@@ -176,12 +165,10 @@ def _factor(key: str, stated: Stated) -> float:
     return stated[key][1].factor if key in stated else 1.0
 
 
-def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated, per_count: float | None) -> Signals:
+def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated) -> Signals:
     values: Signals = {}
     for signal, value in signals.items():
         factor = _factor(signal, stated)
-        if signal == "velocity" and signal in stated and "count" in dict(stated[signal][1].dimension):
-            factor *= per_count or 1.0
         if signal == "time" and factor in (1e-3, 1e-6):
             values[signal] = value / round(1 / factor)  # 3 ms is 0.003 s to the last digit
         else:

@@ -19,17 +19,21 @@ __all__ = ["KEYS", "Amount", "Settings", "comment_settings", "parse_settings"]
 
 DIMENSIONED = (
     "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
-    "inertia", "mass",
+    "inertia", "mass", "supply_voltage", "sample_time",
 )  # fmt: skip
-PURE = ("derivative_filter", "derivative_window")
+PURE = ("derivative_filter", "derivative_window", "counts_per_rev", "pwm_full_scale")
+TEXTS = ("reference",)
 WORDS = {
     "controller": ("pd",),
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
 }
-KEYS = ("name", *DIMENSIONED, *PURE, *WORDS)
+KEYS = ("name", *DIMENSIONED, *PURE, *WORDS, *TEXTS)
 """Keys that are understood."""
-_POSITIVE = ("encoder_resolution", "voltage_limit", "control_period", "counts_per_unit", "inertia", "mass")
+_POSITIVE = (
+    "encoder_resolution", "voltage_limit", "control_period", "counts_per_unit", "inertia", "mass", "supply_voltage",
+    "sample_time", "counts_per_rev", "pwm_full_scale",
+)  # fmt: skip
 _COMMENT = re.compile(r"#+\s*([A-Za-z_]\w*)\s*=\s*(.*?)\s*")
 
 
@@ -54,7 +58,7 @@ class Settings:
         The record's name, empty if not given.
     amounts : mapping
         Of the keys with a unit.
-    numbers, words : mapping
+    numbers, words, texts : mapping
         Of the keys without.
     remarks : tuple of Finding
         What was not understood.
@@ -64,6 +68,7 @@ class Settings:
     amounts: Mapping[str, Amount] = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[Finding, ...] = ()
 
 
@@ -115,6 +120,7 @@ def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] |
         amounts=amounts,
         numbers={key: _pure(key, merged[key], remarks) for key in PURE if key in merged},
         words={key: _word(key, merged[key], allowed) for key, allowed in WORDS.items() if key in merged},
+        texts={key: str(merged[key]) for key in TEXTS if key in merged},
         remarks=tuple(remarks),
     )
 
@@ -139,6 +145,8 @@ def _amount(key: str, value: object, remarks: list[Finding]) -> Amount:
 
 def _pure(key: str, value: object, remarks: list[Finding]) -> float:
     number, text = _number(key, value)
+    if key in _POSITIVE and number <= 0:
+        raise InputError(f"{key} must be positive, got {number:g}")
     if text and parse_unit(text) is not None:
         raise InputError(f"{key} has no unit, got {quote(text)}")
     if text:

@@ -6,6 +6,7 @@ from servolens.summaries.diagnosis import diagnosis_summary, experiment_summary
 from servolens.summaries.experiment import demo_summary, hidden_summary
 from servolens.summaries.gains import design_summary, gains_summary, map_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
+from servolens.summaries.reading import reading_summary
 from servolens.summaries.tuning import compared_summary, gain_sentences, tuning_summaries
 
 __all__ = [
@@ -23,5 +24,6 @@ __all__ = [
     "map_summary",
     "model_table",
     "prediction_summary",
+    "reading_summary",
     "tuning_summaries",
 ]
