@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 import numpy as np
 
-from servolens.control_law import law_columns, samples_a_period
+from servolens.control_arithmetic import samples_a_period
+from servolens.control_law import law_columns
 from servolens.quality.beginning import initial_motion
 from servolens.quality.limits import NEAR, plateaus
 from servolens.record import Controller

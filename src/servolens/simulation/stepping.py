@@ -32,6 +32,23 @@ from numba import cfunc, config, float64, int64, njit, types
 from numba.extending import intrinsic
 
 from servolens.simulation import elementary
+from servolens.simulation.digital import (
+    BEFORE,
+    CLOSED,
+    COARSE,
+    CORRECTS,
+    DERIVATIVE,
+    INTEGRAL,
+    INTEGRAL_BEFORE,
+    IS_KNOWN_BEFORE,
+    MEMORY,
+    MOST_PIECES_GRANTED,
+    MOVED,
+    RATIO,
+    RESOLUTION,
+    SHAKING_LEFT,
+    asked,
+)
 from servolens.simulation.elementary import OPTIONS, exponential
 from servolens.simulation.kalman import kalman
 
@@ -300,31 +317,15 @@ def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any
 
 
 @njit(**OPTIONS)
-def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop: Any, derivative: Any) -> float:
-    """Return what the digital PD asks for at sample `k`, and carry its filtered derivative along."""
-    window, ratio, period = int(loop[4]), int(loop[7]), loop[8]
-    if loop[6] != 0.0:
-        raw = speed
-    else:
-        past = max(k - window * ratio, 0)
-        raw = (seen - measured[past]) / (window * period)
-        if loop[5] != 0.0:
-            raw -= (reference[k] - reference[past]) / (window * period)
-    derivative[0] += loop[3] * (raw - derivative[0])
-    voltage: float = loop[1] * (reference[k] - seen) - loop[2] * derivative[0]
-    return voltage
-
-
-@njit(**OPTIONS)
 def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation: float) -> None:
     """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
     x[Y] += gains[3 * k] * innovation
     if x[V] != 0.0:
         x[V] += gains[3 * k + 1] * innovation
-    x[SHAKING] = loop[15] * x[SHAKING] + gains[3 * k + 2] * innovation
+    x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
     for i in range(ns + nz):
-        if loop[16 + i] > 0.0:
-            x[STATES + i] += gains[3 * k + int(loop[16 + i]) - 1] * innovation
+        if loop[MOVED + i] > 0.0:
+            x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
 
 
 @njit(**OPTIONS)
@@ -394,25 +395,35 @@ def run(
 ) -> int:
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
-    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
-    pieces, whether it is known what was applied before, what was, whether to correct, the speed that a step
-    may be wrong by, the share of the shaking that is left a sample later, then for each state whether an observer moves
-    it with the position (1), the velocity (2) or not (0)). An observer has the measured position as `reference`, gives
-    its prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
+    `loop` holds the settings that :mod:`servolens.simulation.digital` names: of the controller, of the time before, of
+    an observer, the speed that a step may be wrong by, then for each state whether an observer moves it with the
+    position (1), the velocity (2) or not (0). An observer has the measured position as `reference`, gives its
+    prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
     shaking. Minus one is returned where more pieces than granted would be needed; zero grants any number. Without a
     closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input reaches the
     actuator `delay` seconds late; before the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
-    p, x, states, output, derivative = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(1)
+    p, x, states, output, memory = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(MEMORY)
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
-    closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[9], loop[10]
-    before = loop[12] if loop[11] != 0.0 else held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0)
+    closed, ratio, resolution, granted = (
+        loop[CLOSED] != 0.0,
+        int(loop[RATIO]),
+        loop[RESOLUTION],
+        loop[MOST_PIECES_GRANTED],
+    )
+    memory[DERIVATIVE], memory[INTEGRAL], before = 0.0, loop[INTEGRAL_BEFORE], held[0]
+    if loop[IS_KNOWN_BEFORE] != 0.0:
+        before = loop[BEFORE]
+    elif closed:
+        measured[0] = start[0]
+        before += asked(0, start[0], 0.0, reference, measured, held, loop, memory)
     set_out(x, p, states, time[0], before, start)
-    derivative[0], voltage, wait, pieces, arrived = 0.0, 0.0, 0, 0, -1
+    memory[DERIVATIVE], memory[INTEGRAL] = 0.0, loop[INTEGRAL_BEFORE]
+    voltage, wait, pieces, arrived = 0.0, 0, 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
@@ -421,20 +432,20 @@ def run(
             seen = math.floor(seen / resolution + 0.5) * resolution
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
-            voltage = asked(k, seen, output[1], reference, measured, loop, derivative)
+            voltage = asked(k, seen, output[1], reference, measured, held, loop, memory)
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
-        if loop[13] != 0.0:
+        if loop[CORRECTS] != 0.0:
             correct(x, loop, gains, k, ns, nz, reference[k] - seen)
-        if k == 0 and loop[11] == 0.0:
+        if k == 0 and loop[IS_KNOWN_BEFORE] == 0.0:
             before = results[2 * n]
             x[U] = before
         if not abs(x[Y]) < FARTHEST:
             return k
         if k + 1 == n:
             break
-        more, arrived = carry(x, p, room, time, results, n, k, arrived, delay, before, substeps, loop[14])
+        more, arrived = carry(x, p, room, time, results, n, k, arrived, delay, before, substeps, loop[COARSE])
         pieces += more
         if pieces > granted > 0.0:
             return -1
