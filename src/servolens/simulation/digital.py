@@ -8,25 +8,37 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import njit
+from numba import float64, int64, njit, types
 
 from servolens.simulation.elementary import OPTIONS
 
-__all__ = ["MEMORY", "MOVED", "asked"]
+__all__ = ["MOVED", "asked", "asked_at_rest", "law_beyond_pd"]
 
 CLOSED, KP, KD, FILTER, WINDOW, ON_ERROR, OWN_VELOCITY, RATIO, PERIOD, RESOLUTION = range(10)
 MOST_PIECES_GRANTED, IS_KNOWN_BEFORE, BEFORE, CORRECTS, COARSE, SHAKING_LEFT = range(10, 16)
 KI, INTEGRAL_RATE, WEIGHT, FORWARD, LIMIT, CLAMPS, PULL, INTEGRAL_BEFORE = range(16, 24)
-MOVED = 24
-"""Where in the settings it begins to stand which states an observer moves."""
-DERIVATIVE, INTEGRAL = 0, 1
-MEMORY = 2
-"""Numbers that a controller remembers."""
+IS_PD, MOVED = 24, 25
+"""Whether the law is nothing but kp and kd; where it begins to stand which states an observer moves."""
+_NUMBERS = types.CPointer(float64)
+BEYOND_PD = float64(int64, float64, float64, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
+beyond_pd = types.ExternalFunction("servolens_beyond_pd", BEYOND_PD)
+"""The law below as a call: written out, it would slow down the loops that do without it."""
 
 
 @njit(**OPTIONS)
-def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, held: Any, loop: Any, memory: Any) -> float:
-    """Return what the digital controller asks for at sample `k` beside what is `held`; carry its memory along."""
+def asked(  # noqa: PLR0913 - every array is an argument
+    k: int,
+    seen: float,
+    speed: float,
+    reference: Any,
+    measured: Any,
+    held: Any,
+    loop: Any,
+    derivative: Any,
+    integral: Any,
+    is_pd: bool,
+) -> float:
+    """Return what the digital controller asks for at sample `k` beside what is `held`; carry its memories along."""
     window, ratio, period = int(loop[WINDOW]), int(loop[RATIO]), loop[PERIOD]
     if loop[OWN_VELOCITY] != 0.0:
         raw = speed
@@ -35,17 +47,29 @@ def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, held
         raw = (seen - measured[past]) / (window * period)
         if loop[ON_ERROR] != 0.0:
             raw -= (reference[k] - reference[past]) / (window * period)
-    memory[DERIVATIVE] += loop[FILTER] * (raw - memory[DERIVATIVE])
-    command: float = loop[KP] * (loop[WEIGHT] * reference[k] - seen) - loop[KD] * memory[DERIVATIVE]
-    if loop[FORWARD] != 0.0:
-        command += loop[FORWARD] * (reference[k] - reference[max(k - ratio, 0)]) / period
-    if loop[KI] != 0.0 or loop[INTEGRAL_RATE] != 0.0 or memory[INTEGRAL] != 0.0:
-        growth = period * (loop[KI] * (reference[k] - seen) + loop[INTEGRAL_RATE] * command)
-        total = command + memory[INTEGRAL] + growth + held[k]
-        if not (loop[CLAMPS] != 0.0 and abs(total) > loop[LIMIT] and growth * total > 0.0):
-            memory[INTEGRAL] += growth
-        total = command + memory[INTEGRAL]
-        excess = min(max(total + held[k], -loop[LIMIT]), loop[LIMIT]) - (total + held[k])
-        memory[INTEGRAL] += loop[PULL] * excess
-        return total
-    return command
+    derivative[0] += loop[FILTER] * (raw - derivative[0])
+    command: float = loop[KP] * (reference[k] - seen) - loop[KD] * derivative[0]
+    return command if is_pd else beyond_pd(k, command, reference[k] - seen, reference, held, loop, integral)
+
+
+def law_beyond_pd(k: int, command: float, error: float, reference: Any, held: Any, loop: Any, integral: Any) -> float:
+    """Return the command of a law that has more than kp and kd, and keep its integral from running away."""
+    command += loop[KP] * (loop[WEIGHT] - 1.0) * reference[k]
+    command += loop[FORWARD] * (reference[k] - reference[max(k - int(loop[RATIO]), 0)]) / loop[PERIOD]
+    limit, state = loop[LIMIT], integral[0]
+    growth = loop[PERIOD] * (loop[KI] * error + loop[INTEGRAL_RATE] * command)
+    total = command + state + growth + held[k]
+    if not (loop[CLAMPS] != 0.0 and abs(total) > limit and growth * total > 0.0):
+        state += growth
+    total = command + state + held[k]
+    integral[0] = state + loop[PULL] * (min(max(total, -limit), limit) - total)
+    answer: float = command + state
+    return answer
+
+
+@njit(**OPTIONS)
+def asked_at_rest(position: float, reference: float, loop: Any) -> float:
+    """Return what the controller asks for first, at rest."""
+    command: float = loop[KP] * (loop[WEIGHT] * reference - position)
+    growth = loop[KI] * (reference - position) + loop[INTEGRAL_RATE] * command
+    return command + loop[INTEGRAL_BEFORE] + loop[PERIOD] * growth

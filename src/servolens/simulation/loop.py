@@ -38,7 +38,7 @@ PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 fast lag splits each sample; most pieces, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
-NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0]
+NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0, 1.0]
 """What it is told of the rest of a law where there is none."""
 NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
@@ -227,6 +227,8 @@ def _loop_settings(controller: Controller, period: float) -> list[float]:
 
 def _law_settings(plant: Plant, controller: Controller, period: float, limit: float | None) -> list[float]:
     """Return what the rule is told of the rest of the law."""
+    if controller.is_pd:
+        return NO_LAW
     if limit is None:
         saturation = plant.effect(Saturation.name)
         limit = saturation.limit if isinstance(saturation, Saturation) else np.inf
@@ -242,6 +244,7 @@ def _law_settings(plant: Plant, controller: Controller, period: float, limit: fl
         controller.anti_windup == "clamping",
         samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
         controller.integral_before,
+        0.0,
     ]
 
 

@@ -34,20 +34,21 @@ from numba.extending import intrinsic
 from servolens.simulation import elementary
 from servolens.simulation.digital import (
     BEFORE,
+    BEYOND_PD,
     CLOSED,
     COARSE,
     CORRECTS,
-    DERIVATIVE,
-    INTEGRAL,
     INTEGRAL_BEFORE,
     IS_KNOWN_BEFORE,
-    MEMORY,
+    IS_PD,
     MOST_PIECES_GRANTED,
     MOVED,
     RATIO,
     RESOLUTION,
     SHAKING_LEFT,
     asked,
+    asked_at_rest,
+    law_beyond_pd,
 )
 from servolens.simulation.elementary import OPTIONS, exponential
 from servolens.simulation.kalman import kalman
@@ -405,24 +406,19 @@ def run(
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
-    p, x, states, output, memory = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(MEMORY)
+    p, x, states, output = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3)
+    derivative, integral = numbers(1), numbers(1)  # apart, for the second is seen by a function that is called
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
-    closed, ratio, resolution, granted = (
-        loop[CLOSED] != 0.0,
-        int(loop[RATIO]),
-        loop[RESOLUTION],
-        loop[MOST_PIECES_GRANTED],
-    )
-    memory[DERIVATIVE], memory[INTEGRAL], before = 0.0, loop[INTEGRAL_BEFORE], held[0]
+    closed, is_pd, ratio = loop[CLOSED] != 0.0, loop[IS_PD] != 0.0, int(loop[RATIO])
+    resolution, granted = loop[RESOLUTION], loop[MOST_PIECES_GRANTED]
+    derivative[0], integral[0], before = 0.0, loop[INTEGRAL_BEFORE], held[0]
     if loop[IS_KNOWN_BEFORE] != 0.0:
         before = loop[BEFORE]
     elif closed:
-        measured[0] = start[0]
-        before += asked(0, start[0], 0.0, reference, measured, held, loop, memory)
+        before += asked_at_rest(start[0], reference[0], loop)
     set_out(x, p, states, time[0], before, start)
-    memory[DERIVATIVE], memory[INTEGRAL] = 0.0, loop[INTEGRAL_BEFORE]
     voltage, wait, pieces, arrived = 0.0, 0, 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
@@ -432,7 +428,7 @@ def run(
             seen = math.floor(seen / resolution + 0.5) * resolution
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
-            voltage = asked(k, seen, output[1], reference, measured, held, loop, memory)
+            voltage = asked(k, seen, output[1], reference, measured, held, loop, derivative, integral, is_pd)
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
@@ -458,7 +454,7 @@ def compiled_rule() -> dict[str, Any]:
 
     llvm.initialize_native_target()
     place = ctypes.cast(ctypes.CDLL("ucrtbase" if os.name == "nt" else None).exp, ctypes.c_void_p).value
-    for name in (*NUMBERS, *FUNCTIONS):
+    for name in (*NUMBERS, *FUNCTIONS, "beyond_pd"):
         llvm.add_symbol(f"servolens_{name}", place)  # numba wants an address
     vectorises, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # loops over the states end up as straight code
     try:
@@ -466,6 +462,7 @@ def compiled_rule() -> dict[str, Any]:
         return {
             "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 9), **OPTIONS)(run),
             "gains": cfunc(int64(int64, *[_NUMBERS] * 5), **OPTIONS)(kalman),
+            "beyond_pd": cfunc(BEYOND_PD, **OPTIONS)(law_beyond_pd),
             "exp": real(elementary.exponential.py_func),
             "sin": real(elementary.sine.py_func),
             "cos": real(elementary.cosine.py_func),
