@@ -75,7 +75,8 @@ def with_history(record: Record) -> Record:
     InputError
         As :func:`controller_voltage`.
     """
-    if record.voltage is None:
+    voltage = record.voltage
+    if voltage is None:
         return record
     controller = _controller(record)
     remembered = controller.derivative_window
@@ -84,11 +85,11 @@ def with_history(record: Record) -> Record:
     ratio = samples_a_period(controller, record.sample_time)  # it forgets as often as it runs
     remembered *= ratio
     if controller.ki != 0 or controller.integral_rate != 0:
-        lacking = (record.voltage - controller_voltage(record))[remembered : 2 * remembered + ratio]
+        lacking = (voltage - controller_voltage(record))[remembered : 2 * remembered + ratio]
         begun = controller.integral_before + (float(np.median(lacking)) if lacking.size else 0.0)
         record = record.with_({"controller": replace(controller, integral_before=begun)})
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
-    added[:remembered] += (record.voltage - controller_voltage(record))[:remembered]
+    added[:remembered] += (voltage - controller_voltage(record))[:remembered]
     return record.with_({"feedforward": added})
 
 
