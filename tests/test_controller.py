@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import control as ct
 import numpy as np
 import pytest
@@ -9,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from servolens import lab
+from servolens.bridge import digital_controller
 from servolens.control_law import controller_voltage, with_history
+from servolens.effects import Saturation
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.prediction import prediction_error
@@ -191,6 +195,8 @@ def test_a_scaled_loop_asks_for_as_much_more(factor):
         ),
         (lambda: Controller.cascade(kp=1, kv=0), "kv must not be 0: the speed loop of a cascade needs it"),
         (lambda: Controller.cascade(kp=1, kv=1, kiv=-1), "kiv must have the sign of kv, got -1"),
+        (lambda: digital_controller(LAWS["pid"], 0.0), "sample_time must be positive and finite, got 0.0"),
+        (lambda: digital_controller(LAWS["clamping"], H), "anti_windup = clamping needs the limit of the command"),
         (
             lambda: simulate_loop(CART, LAWS["clamping"], TIME, 0 * TIME),
             "anti_windup = clamping needs the limit of the command; give it",
@@ -201,6 +207,42 @@ def test_wrong_laws_are_refused_with_a_sentence(make, sentence):
     with pytest.raises(InputError) as refused:
         make()
     assert str(refused.value).startswith(sentence)
+
+
+@each_law
+def test_discrete_system_in_an_interconnection_is_the_simulated_loop(controller):
+    period = controller.control_period or H
+    law = digital_controller(controller, H, limit=2.5, name="law")
+    matrices = ([[0.0, 1.0], [0.0, -6.0]], [[0.0], [1.9]], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [0.0]])
+    axis = ct.ss(
+        ct.sample_system(ct.ss(*matrices), period, method="zoh"),
+        name="axis",
+        inputs=["given"],
+        outputs=["position", "velocity"],
+    )
+    clip = ct.nlsys(
+        None, lambda t, x, u, p: np.clip(u, -2.5, 2.5), inputs=["voltage"], outputs=["given"], dt=period, name="clip"
+    )
+    loop = ct.interconnect([law, clip, axis], inputs=["reference"], outputs=["position", "voltage"], check_unused=False)
+    time = period * np.arange(250)
+    reference = np.where(time < 0.1, 0.2, -0.1)
+    start = [*law.at_rest(0.0, 0.2), 0.0, 0.0]
+    found = ct.input_output_response(loop, time, reference, start)
+    fine = H * np.arange(round(period / H) * 249 + 1)
+    steps = np.where(fine < 0.1, 0.2, -0.1)
+    run = simulate_loop(CART.with_effect(Saturation(limit=2.5)), controller, fine, steps)
+    assert found.outputs[0] == pytest.approx(run.position[:: round(period / H)], abs=1e-7)
+    assert np.abs(found.outputs[1]).max() > 2.5
+
+
+def test_discrete_system_of_a_linear_law_has_its_frequency_response_and_travels_between_processes():
+    law = digital_controller(Controller(kp=60.0, kd=2.0, ki=300.0), H)
+    twin = pickle.loads(pickle.dumps(law))
+    x, u = twin.at_rest(0.02, 0.1), np.array([0.1, 0.02])
+    assert twin.output(0, x, u) == law.output(0, x, u) == pytest.approx([60 * 0.08 + H * 300 * 0.08])
+    at = np.exp(1j * H * np.array([1.0, 10.0, 100.0, 1000.0]))
+    back = 60.0 + 2.0 * (1 - 1 / at) / H + 300.0 * H / (1 - 1 / at)
+    assert -law.linearize(0, 0)(at)[0, 1] == pytest.approx(back, rel=1e-5)
 
 
 def test_default_tracking_times():
