@@ -156,7 +156,8 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     resolution : float
         Encoder step [m or rad]; 0 is none.
     limit : float, optional
-        Of the command, as the controller knows it against windup [V]; None is that of the plant's saturation, if any.
+        Of the command, as the controller knows it against windup [V], perhaps infinite; None is that of the plant's
+        saturation.
     substeps : int, optional
         Steps a sample.
 
@@ -231,8 +232,8 @@ def _law_settings(plant: Plant, controller: Controller, period: float, limit: fl
         return NO_LAW
     if limit is None:
         saturation = plant.effect(Saturation.name)
-        limit = saturation.limit if isinstance(saturation, Saturation) else np.inf
-    if controller.is_limited and limit == np.inf:
+        limit = saturation.limit if isinstance(saturation, Saturation) else None
+    if controller.is_limited and limit is None:
         raise InputError(f"anti_windup = {controller.anti_windup} needs the limit of the command; give it")
     pulls = controller.is_limited and controller.anti_windup == "back_calculation"
     return [
@@ -240,7 +241,7 @@ def _law_settings(plant: Plant, controller: Controller, period: float, limit: fl
         controller.integral_rate,
         controller.setpoint_weight,
         controller.velocity_feedforward,
-        limit,
+        np.inf if limit is None else limit,
         controller.anti_windup == "clamping",
         samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
         controller.integral_before,
