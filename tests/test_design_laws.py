@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from servolens import lab
 from servolens.cli import group
 from servolens.design import PDSpec, evaluate, feedforward, hunting, recommend, tracking, trust, tune
-from servolens.design.feedforward import smooth_move
+from servolens.design.plant_inverse import smooth_move
 from servolens.effects import (
     Backlash,
     CoulombFriction,
@@ -268,7 +268,7 @@ def test_feedforward_needs_a_trajectory():
 def designed(folder, *options):
     done = CliRunner().invoke(group, ["design", model_file(folder), *options, "--json", "-"], prog_name="servolens")
     assert done.exit_code == 0, done.output
-    return json.loads(done.stdout), done.stderr
+    return json.loads(done.stdout), " ".join(done.stderr.split())
 
 
 def model_file(folder):

@@ -6,9 +6,16 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
+    from servolens.bridge import (
+        ResponseWarning,
+        check_response,
+        closed_loop,
+        digital_controller,
+        held_response,
+        to_control,
+    )
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map
+    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, feedforward, gain_map
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -70,9 +77,16 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
+    "bridge": (
+        "ResponseWarning",
+        "check_response",
+        "closed_loop",
+        "digital_controller",
+        "held_response",
+        "to_control",
+    ),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map"),
+    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "feedforward", "gain_map"),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -190,6 +204,8 @@ __all__ = [
     "closed_loop",
     "compare",
     "diagnose",
+    "digital_controller",
+    "feedforward",
     "fit_effects",
     "gain_map",
     "held_response",

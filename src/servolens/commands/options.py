@@ -205,7 +205,7 @@ def specification(
         Whether the loop of the records stands for what is not given.
     """
     records = "that of the records, else " if of_records else ""
-    decorators = (
+    decorators: tuple[Callable[[Command], Command], ...] = (
         _number(
             "--kp", "Proportional gain to design for [V/m or V/rad]; of a cascade [1/s].", required="--kp" in required
         ),
@@ -222,6 +222,25 @@ def specification(
         ),
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
+        *_law(records),
+    )
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def run(**options: Any) -> int:
+            given = {name: options.pop(name) for name in SPEC_FIELDS}
+            return command(
+                spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
+            )
+
+        return _stacked(run, decorators)
+
+    return decorate
+
+
+def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
+    """Return the options of other loops than PD; `records` tells where what is not given comes from."""
+    return (
         _number("--ki", f"Integral gain of a PID [V/(m s)].  [default: {records}0]"),
         _number("--setpoint-weight", f"Share of the reference in its proportional part.  [default: {records}1]"),
         click.option(
@@ -246,18 +265,6 @@ def specification(
             help="Only gains with which the axis comes to rest from all starts that are tried.",
         ),
     )
-
-    def decorate(command: Command) -> Command:
-        @wraps(command)
-        def run(**options: Any) -> int:
-            given = {name: options.pop(name) for name in SPEC_FIELDS}
-            return command(
-                spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
-            )
-
-        return _stacked(run, decorators)
-
-    return decorate
 
 
 json_option = click.option(

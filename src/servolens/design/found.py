@@ -10,8 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from servolens.design.feedforward import Tracking
-    from servolens.design.hunting import Hunting
+    from servolens.design.limit_cycle import Hunting
+    from servolens.design.plant_inverse import Tracking
     from servolens.design.spec import PDSpec
     from servolens.diagnosis import Diagnosis
     from servolens.plant import Plant

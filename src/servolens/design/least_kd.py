@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING
 
 from servolens.design.cover import Cover, last_gain
 from servolens.design.found import Certificate, Design
-from servolens.design.hunting import hunting, without_hunting
 from servolens.design.infeasible import explain
+from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.settle import evaluate, horizon
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from servolens.design.hunting import Hunting
+    from servolens.design.limit_cycle import Hunting
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 

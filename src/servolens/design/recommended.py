@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.design.cover import gain_scale
-from servolens.design.feedforward import tracking
 from servolens.design.found import Recommended
-from servolens.design.hunting import hunting
+from servolens.design.limit_cycle import hunting
+from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import as_models, drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError

@@ -12,7 +12,7 @@ from numba import float64, int64, njit, types
 
 from servolens.simulation.elementary import OPTIONS
 
-__all__ = ["MOVED", "asked", "asked_at_rest", "law_beyond_pd"]
+__all__ = ["MOVED", "applied_before", "asked", "law_beyond_pd"]
 
 CLOSED, KP, KD, FILTER, WINDOW, ON_ERROR, OWN_VELOCITY, RATIO, PERIOD, RESOLUTION = range(10)
 MOST_PIECES_GRANTED, IS_KNOWN_BEFORE, BEFORE, CORRECTS, COARSE, SHAKING_LEFT = range(10, 16)
@@ -68,8 +68,12 @@ def law_beyond_pd(k: int, command: float, error: float, reference: Any, held: An
 
 
 @njit(**OPTIONS)
-def asked_at_rest(position: float, reference: float, loop: Any) -> float:
-    """Return what the controller asks for first, at rest."""
+def applied_before(held: float, reference: float, position: float, loop: Any) -> float:
+    """Return what was applied before the first sample: what is known of it, or what is asked for first, at rest."""
+    if loop[IS_KNOWN_BEFORE] != 0.0:
+        return loop[BEFORE]
+    if loop[CLOSED] == 0.0:
+        return held
     command: float = loop[KP] * (loop[WEIGHT] * reference - position)
     growth = loop[KI] * (reference - position) + loop[INTEGRAL_RATE] * command
-    return command + loop[INTEGRAL_BEFORE] + loop[PERIOD] * growth
+    return held + command + loop[INTEGRAL_BEFORE] + loop[PERIOD] * growth

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_arithmetic import samples_a_period
 from servolens.dynamics import ideal_pd
-from servolens.effects import Saturation, Sensor, Transmission
+from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.settings import NO_LAW, OPEN_LOOP, known, law_settings, loop_settings
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -36,10 +36,6 @@ __all__ = [
 PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
 fast lag splits each sample; most pieces, where there is no such limit."""
-OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
-"""What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
-NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0, 1.0]
-"""What it is told of the rest of a law where there is none."""
 NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
 
@@ -171,8 +167,8 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
-    law = _law_settings(plant, controller, period, limit)
-    settings = [1.0, *_loop_settings(controller, period), resolution, ANY_NUMBER, *_known(before), *NO_OBSERVER, *law]
+    law = law_settings(plant, controller, period, limit)
+    settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *NO_OBSERVER, *law]
     count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
@@ -206,52 +202,9 @@ def simulate_trial(  # noqa: PLR0913 - as simulate_loop
     held = np.zeros(time.size) if feedforward is None else feedforward
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
     period = _sample_time(time)
-    law = _law_settings(plant, controller, period, limit)
-    settings = [1.0, *_loop_settings(controller, period), 0.0, granted, *_known(before), *NO_OBSERVER, *law]
+    law = law_settings(plant, controller, period, limit)
+    settings = [1.0, *loop_settings(controller, period), 0.0, granted, *known(before), *NO_OBSERVER, *law]
     return _run(plant, time, held, reference, settings, start, substeps)
-
-
-def _loop_settings(controller: Controller, period: float) -> list[float]:
-    """Return what the rule is told of proportional part, derivative and ticks; see :mod:`.digital`."""
-    ratio = samples_a_period(controller, period)
-    return [
-        controller.kp,
-        controller.kd,
-        controller.derivative_filter,
-        controller.derivative_window,
-        controller.derivative_on == "error",
-        controller.derivative == "velocity",
-        ratio,
-        ratio * period,
-    ]
-
-
-def _law_settings(plant: Plant, controller: Controller, period: float, limit: float | None) -> list[float]:
-    """Return what the rule is told of the rest of the law."""
-    if controller.is_pd:
-        return NO_LAW
-    if limit is None:
-        saturation = plant.effect(Saturation.name)
-        limit = saturation.limit if isinstance(saturation, Saturation) else None
-    if controller.is_limited and limit is None:
-        raise InputError(f"anti_windup = {controller.anti_windup} needs the limit of the command; give it")
-    pulls = controller.is_limited and controller.anti_windup == "back_calculation"
-    return [
-        controller.ki,
-        controller.integral_rate,
-        controller.setpoint_weight,
-        controller.velocity_feedforward,
-        np.inf if limit is None else limit,
-        controller.anti_windup == "clamping",
-        samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
-        controller.integral_before,
-        0.0,
-    ]
-
-
-def _known(before: float | None) -> tuple[float, float]:
-    """Return what the rule is told of the time before the first sample."""
-    return (0.0, 0.0) if before is None else (1.0, before)
 
 
 def simulate_voltage(
@@ -278,7 +231,7 @@ def simulate_voltage(
         grid,
         held,
         held,
-        [*OPEN_LOOP, ANY_NUMBER, *_known(before), *NO_OBSERVER, *NO_LAW],
+        [*OPEN_LOOP, ANY_NUMBER, *known(before), *NO_OBSERVER, *NO_LAW],
         start,
         substeps or substeps_for(plant, step),
     )
@@ -325,7 +278,7 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
     if gains is not None and gains.shape != (time.size, 3):
         raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
     observer = (float(gains is not None), coarse, remembered)
-    settings = [*OPEN_LOOP, granted, *_known(before), *observer, *NO_LAW, *_moved(plant)]
+    settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant)]
     return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
 
 
@@ -375,7 +328,7 @@ def simulate_continuous(
         grid,
         held,
         held,
-        [*OPEN_LOOP, ANY_NUMBER, *_known(None), *NO_OBSERVER, *NO_LAW],
+        [*OPEN_LOOP, ANY_NUMBER, *known(None), *NO_OBSERVER, *NO_LAW],
         start,
         count,
         gains=(kp, kd),

@@ -33,7 +33,6 @@ from numba.extending import intrinsic
 
 from servolens.simulation import elementary
 from servolens.simulation.digital import (
-    BEFORE,
     BEYOND_PD,
     CLOSED,
     COARSE,
@@ -46,8 +45,8 @@ from servolens.simulation.digital import (
     RATIO,
     RESOLUTION,
     SHAKING_LEFT,
+    applied_before,
     asked,
-    asked_at_rest,
     law_beyond_pd,
 )
 from servolens.simulation.elementary import OPTIONS, exponential
@@ -318,6 +317,12 @@ def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any
 
 
 @njit(**OPTIONS)
+def rounded(position: float, resolution: float) -> float:
+    """Return the position as an encoder shows it; a resolution of 0 is exact."""
+    return math.floor(position / resolution + 0.5) * resolution if resolution > 0.0 else position
+
+
+@njit(**OPTIONS)
 def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation: float) -> None:
     """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
     x[Y] += gains[3 * k] * innovation
@@ -407,25 +412,19 @@ def run(
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
     p, x, states, output = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3)
-    derivative, integral = numbers(1), numbers(1)  # apart, for the second is seen by a function that is called
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
     closed, is_pd, ratio = loop[CLOSED] != 0.0, loop[IS_PD] != 0.0, int(loop[RATIO])
     resolution, granted = loop[RESOLUTION], loop[MOST_PIECES_GRANTED]
-    derivative[0], integral[0], before = 0.0, loop[INTEGRAL_BEFORE], held[0]
-    if loop[IS_KNOWN_BEFORE] != 0.0:
-        before = loop[BEFORE]
-    elif closed:
-        before += asked_at_rest(start[0], reference[0], loop)
+    before = applied_before(held[0], reference[0], start[0], loop)
     set_out(x, p, states, time[0], before, start)
-    voltage, wait, pieces, arrived = 0.0, 0, 0, -1
+    derivative, integral = numbers(1), numbers(1)  # apart, for the second is seen by a function that is called
+    derivative[0], integral[0], voltage, wait, pieces, arrived = 0.0, loop[INTEGRAL_BEFORE], 0.0, 0, 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
-        seen = output[0]
-        if resolution > 0.0:
-            seen = math.floor(seen / resolution + 0.5) * resolution
+        seen = rounded(output[0], resolution)
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
             voltage = asked(k, seen, output[1], reference, measured, held, loop, derivative, integral, is_pd)

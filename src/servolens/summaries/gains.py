@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servolens.design.found import Design, Light
-    from servolens.design.hunting import Hunting
+    from servolens.design.limit_cycle import Hunting
     from servolens.design.spec import PDSpec
 
 __all__ = ["asked_sentence", "design_summary", "least_gain", "light_sentences", "recommended_sentences", "sentence"]

@@ -80,9 +80,9 @@ def hunting(plants: Plant | Sequence[Plant], spec: PDSpec, gain: float) -> Hunti
 
     It sets out at rest, on both sides of the reference, with an empty integral, and at the reference with a full one.
     Each run lasts until an integral could have broken the axis loose several times at the smallest error that matters,
-    but no longer than 200 000 samples. It hunts where the last half of the run has two swings at least, larger than a
-    hundredth of the band, and the last quarter has at least nine tenths of the swing of the quarter before. While a swing
-    grows it is watched on.
+    or for as long as a swing grows, but no longer than 200 000 samples. It hunts where the last half of the run has two
+    swings at least, larger than a hundredth of the band, and the last quarter has at least nine tenths of the swing of
+    the quarter before.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def hunting(plants: Plant | Sequence[Plant], spec: PDSpec, gain: float) -> Hunti
     >>> from servolens import PDSpec, Plant, StribeckFriction
     >>> friction = StribeckFriction(level=0.2, static_excess=0.3, stribeck_speed=0.01)
     >>> axis, spec = Plant(gain=1.9, damping=6.0, effects=(friction,)), PDSpec(kp=100, settling_time=0.5, ki=400)
-    >>> hunting(axis, spec, 8.0) is None, hunting(Plant(gain=1.9, damping=6.0), spec, 8.0) is None
+    >>> hunting(axis, spec, 2.0) is None, hunting(Plant(gain=1.9, damping=6.0), spec, 2.0) is None
     (False, True)
     """
     models = (plants,) if not isinstance(plants, list | tuple) else plants
