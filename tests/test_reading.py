@@ -357,10 +357,38 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ("# kp = 1\n# kp = 2\n" + HEADER + ROWS, "the comment lines give kp twice, with different values; keep one"),
         ("# kd = 1\n" + HEADER + ROWS, "kd is given without kp; give both"),
         (
-            "# kp = 1\n# ki = 0.5\n" + HEADER + ROWS,
-            "ki = 0.5: integral action is not supported yet; only P and PD records are read",
+            "# kp = 1\n# kv = 0.5\n" + HEADER + ROWS,
+            "kv is given and controller = pd has none; its gains are kp, kd, ki",
         ),
-        ("# kp = 1\n# controller = pid\n" + HEADER + ROWS, "controller must be pd, got 'pid'"),
+        (
+            "# controller = cascade\n# kp = 1\n# kv = 1\n# ki = 1\n" + HEADER + ROWS,
+            "ki is given and controller = cascade has none; its gains are kp, kv, kiv",
+        ),
+        (
+            "# controller = cascade\n# kp = 1\n" + HEADER + ROWS,
+            "controller = cascade needs kv, the gain of its speed loop; give it",
+        ),
+        (
+            "# controller = cascade\n# kp = 1 V/m\n# kv = 1\n" + HEADER + ROWS,
+            "kp is in 'V/m', which is not a unit for it; give it in 1/s",
+        ),
+        ("# ki = 2\n" + HEADER + ROWS, "ki is given without kp; give both"),
+        (
+            "# kp = 1\n# ki = 2\n# anti_windup = clamping\n" + HEADER + ROWS,
+            "anti_windup needs the limit of the command; give voltage_limit",
+        ),
+        (
+            "# kp = 1\n# current_limit = 2\n" + HEADER + ROWS,
+            "current_limit is given and the command is in V; give voltage or gains in A",
+        ),
+        (
+            "# kp = 1\n# current_limit = 2 A\n# voltage_limit = 2\n" + HEADER + ROWS,
+            "voltage_limit and current_limit are given both; keep the one that limits the command",
+        ),
+        (
+            "# kp = 1\n# controller = lqr\n" + HEADER + ROWS,
+            "controller must be pd or pid or cascade, got 'lqr'",
+        ),
         ("# kp = 1\n# derivative_on = x\n" + HEADER + ROWS, "derivative_on must be measurement or error, got 'x'"),
         ("# kp = 1\n# derivative_filter = 0\n" + HEADER + ROWS, "derivative_filter must lie in (0, 1], got 0.0"),
         ("# kp = 1\n# derivative_filter = 0.3 V\n" + HEADER + ROWS, "derivative_filter has no unit, got 'V'"),
@@ -794,3 +822,29 @@ def test_ball_screw_axis_follows_its_stated_law():
     assert len(record) == 24841
     difference = (record.voltage - controller_voltage(record))[2:]  # the log begins in motion
     assert np.sqrt(np.mean(difference**2)) < 5e-3
+
+
+def test_integral_and_cascade_are_read_with_their_units(write):
+    pid = (
+        "# kp = 0.06 V/mm\n# ki = 0.4 V/(mm s)\n# setpoint_weight = 0.5\n# anti_windup = back_calculation\n"
+        "# tracking_time = 20 ms\n# voltage_limit = 10 V\n# integral_before = 500 mV\n"
+    )
+    found = read_record(write(pid + HEADER + ROWS))
+    assert found.controller == Controller(
+        kp=60.0,
+        ki=found.controller.ki,
+        setpoint_weight=0.5,
+        anti_windup="back_calculation",
+        tracking_time=0.02,
+        integral_before=0.5,
+    )
+    assert found.controller.ki == pytest.approx(400.0)
+    drive = (
+        "# controller = cascade\n# kp = 20 1/s\n# kv = 5 A s/m\n# kiv = 50 A/m\n# feedforward_speed = 0.9\n"
+        "# current_limit = 3 A\n# anti_windup = clamping\n"
+    )
+    found = read_record(write(drive + HEADER + ROWS))
+    assert (found.command_unit, found.voltage_limit) == ("A", 3.0)
+    assert found.controller == Controller(
+        kp=100.0, kd=5.0, integral_rate=10.0, velocity_feedforward=4.5, anti_windup="clamping"
+    )

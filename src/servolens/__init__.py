@@ -6,7 +6,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
+    from servolens.bridge import (
+        ResponseWarning,
+        check_response,
+        closed_loop,
+        digital_controller,
+        held_response,
+        to_control,
+    )
     from servolens.campaign import read_records
     from servolens.design import (
         Comparison,
@@ -16,6 +23,7 @@ if TYPE_CHECKING:
         Light,
         PDSpec,
         compare,
+        feedforward,
         gain_map,
         recommend,
         tune_gains,
@@ -82,7 +90,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
+    "bridge": (
+        "ResponseWarning",
+        "check_response",
+        "closed_loop",
+        "digital_controller",
+        "held_response",
+        "to_control",
+    ),
     "campaign": ("read_records",),
     "design": (
         "Comparison",
@@ -92,6 +107,7 @@ _HOMES = {
         "Light",
         "PDSpec",
         "compare",
+        "feedforward",
         "gain_map",
         "recommend",
         "tune_gains",
@@ -216,6 +232,8 @@ __all__ = [
     "closed_loop",
     "compare",
     "diagnose",
+    "digital_controller",
+    "feedforward",
     "fit_effects",
     "gain_map",
     "held_response",

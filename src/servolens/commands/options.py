@@ -41,6 +41,12 @@ SPEC_FIELDS = (
     "control",
     "sample_time",
     "derivative_filter",
+    "controller",
+    "ki",
+    "setpoint_weight",
+    "kiv",
+    "anti_windup",
+    "hunting",
 )
 WISHES = (
     "free",
@@ -218,8 +224,10 @@ def specification(
         Whether the loop of the records stands for what is not given.
     """
     records = "that of the records, else " if of_records else ""
-    decorators = (
-        _number("--kp", "Proportional gain to design for [V/m or V/rad].", required="--kp" in required),
+    decorators: tuple[Callable[[Command], Command], ...] = (
+        _number(
+            "--kp", "Proportional gain to design for [V/m or V/rad]; of a cascade [1/s].", required="--kp" in required
+        ),
         _number("--settling-time", "In the band from this time on [s].", required="--settling-time" in required),
         _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
         _number("--reference", "Size of the step [m or rad].  [default: that of the records, else 0.1]"),
@@ -233,6 +241,7 @@ def specification(
         ),
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
+        *_law(records),
     )
 
     def decorate(command: Command) -> Command:
@@ -283,6 +292,35 @@ def several_gains() -> Callable[[Command], Command]:
         return _stacked(run, decorators)
 
     return decorate
+
+
+def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
+    """Return the options of other loops than PD; `records` tells where what is not given comes from."""
+    return (
+        _number("--ki", f"Integral gain of a PID [V/(m s)].  [default: {records}0]"),
+        _number("--setpoint-weight", f"Share of the reference in its proportional part.  [default: {records}1]"),
+        click.option(
+            "--cascade",
+            "controller",
+            flag_value="cascade",
+            default=None,
+            help="P of the position (--kp), PI of the speed: the gain of the speed loop, kv, is sought.",
+        ),
+        _number("--kiv", f"Integral gain of the speed loop [V/m].  [default: {records}0]"),
+        click.option(
+            "--anti-windup",
+            type=click.Choice(["none", "clamping", "back_calculation"]),
+            help=f"Of the integral, at the limit of the model.  [default: {records}none]",
+        ),
+        click.option(
+            "--no-hunting",
+            "hunting",
+            flag_value=False,
+            type=bool,
+            default=None,
+            help="Only gains with which the axis comes to rest from all starts that are tried.",
+        ),
+    )
 
 
 json_option = click.option(

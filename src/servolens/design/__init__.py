@@ -5,6 +5,8 @@ from servolens.design.confidence import trust
 from servolens.design.found import Certificate, Comparison, Design, Light, Recommended, Relaxed, Response
 from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
 from servolens.design.least_kd import tune
+from servolens.design.limit_cycle import Hunting, hunting
+from servolens.design.plant_inverse import Tracking, feedforward, tracking
 from servolens.design.recommended import recommend
 from servolens.design.settle import evaluate, settling_time, step_response
 from servolens.design.several_gains import GainsFound, tune_gains
@@ -18,19 +20,24 @@ __all__ = [
     "GainMap",
     "GainWishes",
     "GainsFound",
+    "Hunting",
     "Light",
     "PDSpec",
     "Recommended",
     "Relaxed",
     "Response",
+    "Tracking",
     "compare",
     "evaluate",
+    "feedforward",
     "gain_map",
+    "hunting",
     "map_axes",
     "noise_gain",
     "recommend",
     "settling_time",
     "step_response",
+    "tracking",
     "trust",
     "tune",
     "tune_gains",

@@ -131,8 +131,17 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
                 f" the band of {100 * design.spec.band:.2g} %: when the axis settles is not certain."
             ),
         )
+    swing = design.hunting.get("least" if chosen is None else "recommended")
+    if swing is not None:
+        return Light(
+            light="amber",
+            sentence=(
+                f"The axis does not come to rest from all starts: it keeps swinging by ±{swing.amplitude:.3g}"
+                f" {models[0].plant.length_unit}."
+            ),
+        )
     if chosen is None:
-        return Light(light="green", sentence=f"kd = {kd:.4g} meets the spec on the model.")
+        return Light(light="green", sentence=f"{design.spec.free} = {kd:.4g} meets the spec on the model.")
     if chosen.interval[0] < NINE_OF_TEN:
         return Light(light="amber", sentence=f"It meets the spec in hardly nine of ten plants: {chosen.why}.")
     return Light(light="green", sentence=_sentence(chosen.why))

@@ -161,11 +161,11 @@ def noise_gain(spec: PDSpec, kd: float) -> float:
     """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the controller alone.
 
     The response of the digital PD to one sample is kp + a, then a((1−φ)ʲ − (1−φ)ʲ⁻¹), with a = kd φ/h and φ the
-    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ).
+    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ). Without an integral, which sums up noise slowly.
     """
-    share = spec.derivative_filter
+    share, loop = spec.derivative_filter, spec.loop(kd)
     slope = kd * share / spec.sample_time
-    return float(np.sqrt((spec.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
+    return float(np.sqrt((loop.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
 
 
 def _pair(models: tuple[Plant, ...], spec: PDSpec, kd: float, *, likely: bool) -> tuple[float, float, bool]:

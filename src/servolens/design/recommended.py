@@ -14,6 +14,8 @@ import numpy as np
 
 from servolens.design.cover import gain_scale
 from servolens.design.found import Recommended
+from servolens.design.limit_cycle import hunting
+from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import as_models, drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
@@ -105,7 +107,9 @@ def recommend(
     own = [evaluate(model.plant, design.spec, choice.kd) for model in known]
     found = in_parallel(lambda one: one.response(choice.kd), tests)
     least = in_parallel(lambda one: one.response(design.kd or 0.0), tests)
-    return replace(design, recommended=_told(design, choice, own, found, least))
+    swings = {**design.hunting, "recommended": hunting([model.plant for model in known], design.spec, choice.kd)}
+    moves = tracking(known[0].plant, design.spec, choice.kd, tests[:CHOICE])
+    return replace(design, recommended=_told(design, choice, own, found, least), hunting=swings, tracking=moves)
 
 
 @final

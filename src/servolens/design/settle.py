@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.design.found import Response
+from servolens.effects import Saturation
 from servolens.errors import NumericalError
-from servolens.record import Controller
 from servolens.simulation import Simulation, simulate_continuous, simulate_loop
 
 if TYPE_CHECKING:
@@ -71,8 +71,8 @@ def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, bac
     reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
-    controller = Controller(kp=spec.kp, kd=kd, derivative_filter=spec.derivative_filter)
-    return simulate_loop(plant, controller, time, reference, start=start)
+    limit = None if plant.effect(Saturation.name) is not None else np.inf
+    return simulate_loop(plant, spec.loop(kd), time, reference, start=start, limit=limit)
 
 
 @lru_cache(maxsize=64)
@@ -150,5 +150,5 @@ def horizon(plant: Plant, spec: PDSpec) -> float:
 
     Of a slow loop no more than twenty settling times are watched after the first.
     """
-    period = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
+    period = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
     return float(spec.settling_time * max(10.0, 1.0 + min(3.0 * period / spec.settling_time, 20.0)))

@@ -149,7 +149,9 @@ def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:
 
 def disturbed(record: Record, error: NDArray[np.float64]) -> Record:
     """Return `record` with what its controller makes of an `error` of the sensor [m or rad] as feedforward."""
-    seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None)
+    assert record.controller is not None  # noqa: S101 - of records in closed loop
+    loop = replace(record.controller, integral_before=0.0, anti_windup="none")  # the answer to the noise alone
+    seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None, controller=loop)
     answer = controller_voltage(seen)
     forward = answer if record.feedforward is None else record.feedforward + answer
     return replace(record, feedforward=forward, encoder_resolution=None)

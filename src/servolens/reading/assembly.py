@@ -45,8 +45,16 @@ KINDS = {
     "mass": "kg",
     "supply_voltage": "V",
     "sample_time": "s",
+    "ki": "{command}/({length} s)",
+    "integral_before": "{command}",
+    "tracking_time": "s",
+    "current_limit": "{command}",
 }
 """What each quantity is measured in; those that settle the units of the record stand first."""
+CASCADE = {"kp": "1/s", "kv": "{command} s/{length}", "kiv": "{command}/{length}"}
+"""The same of a cascade's gains."""
+ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
+"""Settings that only one of the two laws has."""
 LENGTHS = ("m", "rad")
 COMMANDS = ("V", "A", "N", "N m", "%", "pwm")
 LARGEST = 1e15
@@ -88,7 +96,7 @@ def assemble(
     stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
     scales = Scales.of(parsed, stated, signals)
     stated = {key: (text, scales.converted(unit)) for key, (text, unit) in stated.items()}
-    length, command = _settle(stated)
+    length, command = _settle(stated, _kinds(parsed))
     values = _scaled(signals, stated)
     numbers = {key: amount.value * _factor(key, stated) for key, amount in parsed.amounts.items()}
     if "reference" in parsed.texts:
@@ -99,7 +107,7 @@ def assemble(
     made = {
         "controller": controller,
         "encoder_resolution": numbers.get("encoder_resolution", scales.per_count),
-        "voltage_limit": numbers.get("voltage_limit"),
+        "voltage_limit": _limit(numbers, command),
         "voltage_before": numbers.get("voltage_before"),
         "inertia": numbers.get("inertia", numbers.get("mass")),
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
@@ -120,11 +128,23 @@ def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> St
     return stated
 
 
-def _settle(stated: Stated) -> tuple[Literal["m", "rad"], str]:
+def _kinds(settings: Settings) -> dict[str, str]:
+    """Return what each quantity is measured in, with the gains of the stated controller."""
+    return {**KINDS, **CASCADE} if settings.words.get("controller") == "cascade" else KINDS
+
+
+def _limit(numbers: Mapping[str, float], command: str) -> float | None:
+    """Return the limit of the command, by either of its names."""
+    if "current_limit" in numbers and command != "A":
+        raise InputError(f"current_limit is given and the command is in {command}; give voltage or gains in A")
+    return numbers.get("voltage_limit", numbers.get("current_limit"))
+
+
+def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad"], str]:
     """Return the units of length and command that agree with everything that is stated."""
     left = list(product(LENGTHS, COMMANDS))
     seen: list[str] = []
-    for key, kind in KINDS.items():
+    for key, kind in kinds.items():
         if key not in stated:
             continue
         text, unit = stated[key]
@@ -184,23 +204,28 @@ def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
 
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
-    loop = [key for key in ("kd", "control_period", *settings.numbers, *settings.words) if _given(key, settings)]
+    own = ("kd", "ki", "kv", "kiv", "control_period", "tracking_time", "integral_before")
+    loop = [key for key in (*own, *settings.numbers, *settings.words) if _given(key, settings)]
     if "kp" not in numbers:
-        if "kd" in numbers:
-            raise InputError("kd is given without kp; give both")
-        what = [key for key in loop if key != "controller"]
+        gains = [key for key in ("kd", "ki", "kv", "kiv") if numbers.get(key)]
+        if gains or "kd" in numbers:
+            raise InputError(f"{(gains or ['kd'])[0]} is given without kp; give both")
+        what = [key for key in loop if key not in ("controller", "ki")]
         message = f"kp is not given, so {', '.join(what)} says nothing."
         return None, [Finding(code="settings_without_gains", severity="note", message=message)] if what else []
-    window = int(settings.numbers.get("derivative_window", 1))
-    return Controller(
-        kp=numbers["kp"],
-        kd=numbers.get("kd", 0.0),
-        derivative_filter=settings.numbers.get("derivative_filter", 1.0),
-        derivative_window=window,
-        derivative_on=cast("Literal['measurement', 'error']", settings.words.get("derivative_on", "measurement")),
-        derivative=cast("Literal['position', 'velocity']", settings.words.get("derivative", "position")),
-        control_period=numbers.get("control_period"),
-    ), []
+    cascade = settings.words.get("controller") == "cascade"
+    for key in ONLY_PID if cascade else ONLY_CASCADE:
+        if _given(key, settings):
+            law, others = ("cascade", "kp, kv, kiv") if cascade else ("pd", "kp, kd, ki")
+            raise InputError(f"{key} is given and controller = {law} has none; its gains are {others}")
+    if cascade and "kv" not in numbers:
+        raise InputError("controller = cascade needs kv, the gain of its speed loop; give it")
+    wanted = (*(CASCADE if cascade else ("kp", "kd", "ki")), "control_period", "tracking_time", "integral_before")
+    fields: dict[str, Any] = {key: numbers[key] for key in wanted if key in numbers}
+    fields |= {**settings.numbers, **{key: word for key, word in settings.words.items() if key != "controller"}}
+    if "derivative_window" in fields:
+        fields["derivative_window"] = int(fields["derivative_window"])
+    return (Controller.cascade if cascade else Controller)(**fields), []
 
 
 def _given(key: str, settings: Settings) -> bool:

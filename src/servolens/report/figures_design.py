@@ -150,7 +150,7 @@ def gains_figure(key: str, found: GainMap, design: Design, plant: Plant, caption
 
 
 def _settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
-    swing = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
+    swing = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
     watched = max(4.0 * spec.settling_time, 2.0 * swing)
     times = np.array([_settles(plant, spec, float(kd), watched) for kd in gains])
     jumps = np.flatnonzero(np.abs(np.diff(times)) > JUMP * swing) + 1

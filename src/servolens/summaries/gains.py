@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     from servolens.design.found import Design, Light
     from servolens.design.gain_plane import GainMap
+    from servolens.design.limit_cycle import Hunting
     from servolens.design.several_gains import GainsFound
     from servolens.design.spec import PDSpec
 
@@ -67,9 +68,11 @@ def design_summary(
     sentences = [
         *(["Forced: this gain would be withheld."] if forced else []),
         *recommended_sentences(design, kd_unit),
-        f"kd = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
+        f"{spec.free} = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
+        *hunting_sentences(design, length_unit),
+        *_tracking(design, length_unit),
         *trusted,
         asked_sentence(spec, length_unit, command_unit),
         *_program(design),
@@ -160,7 +163,7 @@ def recommended_sentences(design: Design, kd_unit: str) -> list[str]:
     if chosen is None:
         return []
     return [
-        f"kd = {number(chosen.kd)} {kd_unit} is recommended: it {sentence(chosen.why, capital=False)}",
+        f"{design.spec.free} = {number(chosen.kd)} {kd_unit} is recommended: it {sentence(chosen.why, capital=False)}",
         sentence(chosen.risk),
     ]
 
@@ -176,22 +179,76 @@ def _aim(spec: PDSpec) -> str:
 
 def asked_sentence(spec: PDSpec, length_unit: str, command_unit: str) -> str:
     """Return what was asked for."""
+    kp_unit = "1/s" if spec.controller == "cascade" else f"{command_unit}/{length_unit}"
     parts = [
-        f"a step of {number(spec.reference)} {length_unit} with kp = {number(spec.kp)} {command_unit}/{length_unit}"
+        f"a step of {number(spec.reference)} {length_unit} with kp = {number(spec.kp)} {kp_unit}"
         f" stays within ±{percent(100 * spec.band)} from {number(spec.settling_time)} s on"
     ]
     if spec.overshoot is not None:
         parts.append(f"overshoots by at most {percent(100 * spec.overshoot)}")
     if spec.voltage_limit is not None:
         parts.append(f"asks for at most {number(spec.voltage_limit)} {command_unit}")
-    loop = (
-        "an ideal continuous PD"
-        if spec.control == "continuous"
-        else f"a digital PD sampled every {number(1e3 * spec.sample_time)} ms"
+    if not spec.hunting:
+        parts.append("comes to rest from all starts that are tried")
+    return f"Asked: {', '.join(parts)}; {_loop(spec, length_unit, command_unit)}."
+
+
+def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
+    """Return the loop in words."""
+    if spec.control == "continuous":
+        return "an ideal continuous PD"
+    law, added = "PD", []
+    if spec.controller == "cascade":
+        law = "cascade of P position and PI speed" if spec.kiv else "cascade of P position and P speed"
+        added += [f"kiv = {number(spec.kiv)} {command_unit}/{length_unit}"] if spec.kiv else []
+    elif spec.ki:
+        law = "PID"
+        added.append(f"ki = {number(spec.ki)} {command_unit}/({length_unit} s)")
+    if spec.setpoint_weight != 1:
+        added.append(f"a set-point weight of {number(spec.setpoint_weight)}")
+    if spec.derivative_filter < 1:
+        added.append(f"a derivative filter of {number(spec.derivative_filter)}")
+    if spec.anti_windup != "none":
+        added.append(f"{spec.anti_windup.replace('_', ' ')} against windup")
+    tail = f" with {', '.join(added)}" if added else ""
+    return f"a digital {law} sampled every {number(1e3 * spec.sample_time)} ms{tail}"
+
+
+def hunting_sentences(design: Design, length_unit: str) -> list[str]:
+    """Tell of gains with which the axis does not come to rest from all starts."""
+    chosen, name = design.recommended, design.spec.free
+    gains = {"least": least_gain(design), "recommended": "–" if chosen is None else number(chosen.kd)}
+    found = {gains[which]: (which, one) for which, one in design.hunting.items() if one is not None}
+    told = [
+        f"Hunting: with {name} = {gain}, {'the least' if which == 'least' else 'recommended'},"
+        f" {_swings(one, abs(design.spec.reference), length_unit)}."
+        for gain, (which, one) in found.items()
+    ]
+    return [*told, "Option --no-hunting seeks a gain with which it comes to rest."] if told else []
+
+
+def _tracking(design: Design, length_unit: str) -> list[str]:
+    """Tell what feedforward is worth."""
+    found = design.tracking
+    if found is None:
+        return []
+    without, with_it, worst = (number(x, 2) for x in (found.without, found.with_it, found.worst))
+    return [
+        f"On a smooth move of {number(found.size)} {length_unit} in {number(found.duration)} s it lags by {without}"
+        f" {length_unit} (r.m.s.); with feedforward of speed, acceleration and friction from this model by {with_it}"
+        f" {length_unit}, in plants as above by up to {worst} {length_unit}."
+    ]
+
+
+def _swings(found: Hunting, step: float, length_unit: str) -> str:
+    starts = f"{percent(100 * found.share)} of the starts tried"
+    if found.period is None:
+        return f"the axis runs away from {starts}, such as {number(found.start, 3)} {length_unit} off the reference"
+    size, share = number(found.amplitude, 3), percent(100 * found.amplitude / step)
+    return (
+        f"the axis keeps swinging by ±{size} {length_unit} ({share} of the step) every {number(found.period, 3)} s,"
+        f" from {starts}"
     )
-    if spec.control == "sampled" and spec.derivative_filter < 1:
-        loop += f" with a derivative filter of {number(spec.derivative_filter)}"
-    return f"Asked: {', '.join(parts)}; {loop}."
 
 
 def _elsewhere(design: Design) -> str:
@@ -235,7 +292,7 @@ def _intervals(design: Design, kd_unit: str) -> Table:
     rows = [(str(i), *inside(*interval)) for i, interval in enumerate(design.intervals, start=1)]
     return Table(
         title="Gains that meet the spec",
-        columns=("Interval", f"kd from [{kd_unit}]", f"kd to [{kd_unit}]"),
+        columns=("Interval", f"{design.spec.free} from [{kd_unit}]", f"{design.spec.free} to [{kd_unit}]"),
         rows=tuple(rows),
         note=_searched(design),
     )
@@ -243,7 +300,8 @@ def _intervals(design: Design, kd_unit: str) -> Table:
 
 def _searched(design: Design) -> str:
     certificate = design.certificate
-    end = " (beyond, this plant would be too slow)" if certificate.end_from_plant else ""
+    why = "the speed loop would be unstable" if design.spec.controller == "cascade" else "this plant would be too slow"
+    end = f" (beyond, {why})" if certificate.end_from_plant else ""
     trusted = {
         "enclosure": "proven by enclosures",
         "sensitivity": "by the measured sensitivity to the gain",
@@ -267,7 +325,7 @@ def _responses(design: Design, command_unit: str) -> Table:
         for i, r in enumerate(design.verified, start=1)
     ]
     return Table(
-        title=f"Simulated with kd = {least_gain(design)}",
+        title=f"Simulated with {design.spec.free} = {least_gain(design)}",
         columns=("Model", "Settles [s]", "Overshoot [%]", f"Peak [{command_unit}]", "Meets"),
         rows=tuple(rows),
     )
