@@ -339,7 +339,7 @@ BAD_FILES = {
     "no position": (b"time,reference\n0,1\n1,1\n", "position"),
     "unknown unit": (b"# kp = 60\ntime [fortnite],reference,position\n0,1,0\n1,1,0\n", "fortnite"),
     "neither gains nor voltage": (b"time,reference,position\n0,1,0\n1,1,0\n", "kp"),
-    "integral action": (b"# kp = 60\n# ki = 3\ntime,reference,position\n0,1,0\n1,1,0\n", "integral"),
+    "a gain of another law": (b"# kp = 60\n# kv = 3\ntime,reference,position\n0,1,0\n1,1,0\n", "kv"),
 }
 
 
