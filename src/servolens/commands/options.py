@@ -177,15 +177,23 @@ class SpecOptions:
     given: Mapping[str, Any]
 
 
-def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",)) -> Callable[[Command], Command]:
+def recordings(
+    *, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",), folder: bool = False
+) -> Callable[[Command], Command]:
     """Give a command the argument ``RECORD…`` and its options, as one ``recordings``.
 
     Parameters
     ----------
     kp, kd : tuple of str
         How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
+    folder : bool
+        Whether the argument is one ``FOLDER`` of them.
     """
-    decorators = _record_options(kp, kd)
+    argument = ("FOLDER", 1) if folder else ("RECORD...", -1)
+    decorators: tuple[Callable[[Command], Command], ...] = (
+        click.argument("records", nargs=argument[1], required=True, metavar=argument[0]),
+        *_record_options(kp, kd),
+    )
 
     def decorate(command: Command) -> Command:
         @wraps(command)
@@ -198,7 +206,7 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
             stated = {name: value for name, value in gains.items() if value is not None}
             ordered = options.pop("column_order") or {}
             chosen = Recordings(
-                paths=_named(options.pop("records")),
+                paths=_named(_several(options.pop("records"))),
                 settings=_once(options.pop("setting"), "--setting") | stated,
                 columns=ordered | _once(options.pop("column"), "--column"),
                 units=_once(options.pop("unit"), "--unit"),
@@ -359,7 +367,6 @@ force_option = click.option(
 
 def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[[Command], Command], ...]:
     return (
-        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
         click.option(
             *kp,
             "record_kp",
@@ -430,6 +437,10 @@ def _named(paths: tuple[str, ...]) -> tuple[str, ...]:
     if not all(path.strip() for path in paths):
         raise click.UsageError("a record's file name is empty")
     return paths
+
+
+def _several(paths: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (paths,) if isinstance(paths, str) else paths
 
 
 def _once(pairs: tuple[tuple[str, str], ...], option: str) -> dict[str, str]:
