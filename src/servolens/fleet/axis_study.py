@@ -38,10 +38,10 @@ def studied(job: Mapping[str, Any]) -> dict[str, Any]:
     except ServolensError as error:
         return _failed(known, "failed", f"{error}")
     except MemoryError:
-        return _failed(known, "failed", "there is not enough memory for these records; give fewer or shorter ones")
+        return _failed(known, "failed", "There is not enough memory for these records; give fewer or shorter ones")
     except Exception as error:  # one axis must not end the fleet
         return _failed(
-            known, "failed", f"an unexpected {type(error).__name__}: this is a fault of servolens, not of the data"
+            known, "failed", f"An unexpected {type(error).__name__}: this is a fault of servolens, not of the data"
         )
     record = found.records[0]
     body = {

@@ -100,7 +100,7 @@ class Keeper:
                 raise InterruptedError("the fleet is closing")
             if watch.why:
                 break
-        sentence = watch.why or f"the process that studied it ended {TRIES} times ({_how(code)})"
+        sentence = watch.why or f"The process that studied it ended {TRIES} times ({_how(code)})"
         cost = {"seconds": time.monotonic() - began, "largest": watch.largest, "cpu_seconds": None, "memory": None}
         return {"result": stopped(job, sentence), "cost": cost}
 
@@ -175,9 +175,9 @@ class _Watch:
             memory = memory_of(self.child.pid) or 0.0
             self.largest = max(self.largest, memory)
             if memory > self._memory:
-                self.why = f"it needs more than the memory limit of {self._memory:g} MiB"
+                self.why = f"It needs more than the memory limit of {self._memory:g} MiB"
             elif time.monotonic() - began > self._time:
-                self.why = f"it takes longer than the time limit of {self._time:g} s"
+                self.why = f"It takes longer than the time limit of {self._time:g} s"
             if self.why:
                 _kill(self.child)
                 return

@@ -198,7 +198,7 @@ class _Run:
             self.lost[axis.key] += 1
             if self.lost[axis.key] < TRIES:
                 return False
-            why = f"the executor lost it {TRIES} times ({type(error).__name__})"
+            why = f"The executor lost it {TRIES} times ({type(error).__name__})"
             answer = {"result": stopped(self._job(axis), why), "cost": {}}
         self.store.write(axis, answer["result"], answer["cost"])
         self.rows[axis.key] = row_of(answer["result"])
