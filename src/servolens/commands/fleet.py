@@ -23,7 +23,7 @@ from servolens.commands.options import (
     specification,
 )
 from servolens.commands.terminal import progress_bar, show
-from servolens.results import write_json
+from servolens.results import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,7 +84,8 @@ def fleet(  # noqa: PLR0913 - a command's options
     body = found.to_json()
     if json_file:
         write_json(json_file, "fleet", body)
-    show(fleet_summary(body, out), json_file)
+    show(fleet_summary(body), json_file)
+    click.echo(f"\nWrote {Path(out) / 'fleet.html'}", err=json_file == STANDARD_OUTPUT)
     return 1 if found.failed else 0
 
 

@@ -66,8 +66,10 @@ def _tidy() -> float:
 
 
 def _end_with_parent() -> None:
-    """Let this process end when its parent does, however that ends."""
-    parent = os.getppid()
+    """Let this process end when its parent does, however and whenever that ends."""
+    if os.name != "posix":
+        return  # it ends with its input, after the axis it is at
+    parent = int(sys.argv[1])
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()

@@ -186,7 +186,7 @@ class _Watch:
 def _started() -> subprocess.Popen[bytes]:
     root = str(Path(__file__).parents[2])
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", _START.format(root=root)],
+        [sys.executable, "-P", "-c", _START.format(root=root), str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=None if os.environ.get("SERVOLENS_DEBUG") else subprocess.DEVNULL,

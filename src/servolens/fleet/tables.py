@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING, Any
 
 from servolens.fleet.rows import columns_of
+from servolens.reading.files import printable
 from servolens.results import write_atomically
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["table_file", "to_csv", "write_table"]
 
 NAMES = ("summary.parquet", "summary.csv")
-FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
+FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """What a spreadsheet takes for the beginning of a formula (OWASP, CSV injection)."""
 
 
@@ -59,7 +60,8 @@ def table_file(rows: Sequence[Row], *, plain: bool = False) -> tuple[str, bytes]
 
 
 def to_csv(rows: Sequence[Row]) -> bytes:
-    """Return the table as CSV in UTF-8; text that a spreadsheet would take for a formula begins with an apostrophe.
+    """Return the table as CSV in UTF-8; control characters are escaped, and text that a
+    spreadsheet would take for a formula begins with an apostrophe.
 
     Examples
     --------
@@ -81,7 +83,7 @@ def _cell(value: Any) -> str:
         return "true" if value else "false"
     if isinstance(value, float | int):
         return repr(value)
-    text = str(value).replace("\0", "")
+    text = printable(str(value))
     return f"'{text}" if text.lstrip(" ").startswith(FORMULA) else text
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servolens.reading.files import printable
@@ -19,20 +18,16 @@ MOST = 10
 """Rows of each table."""
 
 
-def fleet_summary(body: Mapping[str, Any], out: str) -> Summary:
+def fleet_summary(body: Mapping[str, Any]) -> Summary:
     """Tell of a fleet.
 
     Parameters
     ----------
     body : mapping
         Fields of ``servolens.fleet/1``.
-    out : str
-        Folder of the results.
     """
     tables = [one for one in (_causes(body), _drifts(body), _failures(body)) if one.rows]
-    return Summary(
-        title="Fleet", sentences=(*_sentences(body), f"Wrote {Path(out) / 'fleet.html'}"), tables=tuple(tables)
-    )
+    return Summary(title="Fleet", sentences=_sentences(body), tables=tuple(tables))
 
 
 def _sentences(body: Mapping[str, Any]) -> tuple[str, ...]:
