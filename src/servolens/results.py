@@ -135,10 +135,9 @@ def write_atomically(path: Path, content: bytes, *, durable: bool = False) -> No
 
 
 def _write(path: Path, content: bytes, *, durable: bool) -> None:
-    with path.open("wb") as stream:
-        stream.write(content)
-        if durable:
-            stream.flush()
+    path.write_bytes(content)
+    if durable:
+        with path.open("rb+") as stream:
             os.fsync(stream.fileno())
 
 

@@ -60,8 +60,9 @@ def table_file(rows: Sequence[Row], *, plain: bool = False) -> tuple[str, bytes]
 
 
 def to_csv(rows: Sequence[Row]) -> bytes:
-    """Return the table as CSV in UTF-8; control characters are escaped, and text that a
-    spreadsheet would take for a formula begins with an apostrophe.
+    """Return the table as CSV in UTF-8, without formulas.
+
+    Control characters are escaped, and text that a spreadsheet would take for a formula begins with an apostrophe.
 
     Examples
     --------
