@@ -170,6 +170,27 @@ def test_half_written_results_and_those_of_other_files_or_requests_are_made_agai
     assert run_fleet(axes, out, Request(effort="normal"), cores=1, retry=True).studied_now == 2
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"status": "well"},
+        {"tuning": 3},
+        {"tuning": {"diagnosis": [1]}},
+        {"findings": [1]},
+        {"axis": "b"},
+        {"records": None},
+    ],
+    ids=str,
+)
+def test_result_that_somebody_changed_is_made_again(tmp_path, change):
+    axes, out = make_unreadable(tmp_path / "axes", "a"), tmp_path / "out"
+    run_fleet(axes, out, QUICK, cores=1)
+    whole, path = results(out), out / "results" / "a.json"
+    path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | change), encoding="utf-8")
+    assert run_fleet(axes, out, QUICK, cores=1).studied_now == 1
+    assert results(out) == whole
+
+
 def test_limits_alone_are_no_reason_to_study_a_finished_axis_again(tmp_path):
     axes = make_unreadable(tmp_path / "axes", "a")
     run_fleet(axes, tmp_path / "out", QUICK, cores=1)

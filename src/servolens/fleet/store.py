@@ -10,7 +10,9 @@ from typing import IO, TYPE_CHECKING, Any, final
 
 from servolens.errors import InputError
 from servolens.fleet.axes import MARK, inputs_digest
+from servolens.fleet.axis_page import axis_content
 from servolens.fleet.axis_study import KIND
+from servolens.fleet.rows import row_of
 from servolens.reading.files import printable
 from servolens.results import to_text, write_atomically
 
@@ -24,6 +26,7 @@ __all__ = ["Store", "opened_store"]
 
 RESULTS, PAGES, LOG = "results", "axes", "log.jsonl"
 TRIED_AGAIN = "stopped"
+STATUSES = ("done", "refused", "failed", TRIED_AGAIN)
 
 
 @contextmanager
@@ -88,7 +91,7 @@ class Store:
         if not isinstance(found, dict) or found.get("schema") != f"servolens.{KIND}/1":
             return None
         is_its_own = (found.get("axis"), found.get("measured")) == (axis.name, axis.measured or None)
-        return found if is_its_own and "tuning" in found else None
+        return found if is_its_own and _is_whole(found) else None
 
     def finished(self, axis: Axis, request: Request, *, retry: bool) -> dict[str, Any] | None:
         """Return the result of an axis that need not be studied again.
@@ -116,6 +119,16 @@ class Store:
         line = {"axis": axis.key, "status": result["status"], "created": result["created"], **cost}
         with _writable(self.folder / LOG), (self.folder / LOG).open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
+
+
+def _is_whole(found: Mapping[str, Any]) -> bool:
+    """Tell whether a row and a page can be made of a result; somebody may have changed it."""
+    try:
+        row_of(found)
+        axis_content(found)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return False
+    return found["status"] in STATUSES
 
 
 def _bytes(result: Mapping[str, Any]) -> bytes:
