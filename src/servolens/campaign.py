@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from servolens.errors import InputError
 from servolens.reading import KEYS, read_log
-from servolens.reading.files import located, printable, quote, read_bytes
+from servolens.reading.files import is_folder, located, printable, quote, read_bytes
 from servolens.reading.formats import SUFFIXES, is_bag
 
 if TYPE_CHECKING:
@@ -152,9 +152,9 @@ class _Source:
 
 
 def _sources(path: Path, root: Path | None) -> Iterator[_Source]:
-    if path.suffix.lower() == ".toml" and not path.is_dir():
+    if path.suffix.lower() == ".toml" and not is_folder(path):
         yield from _campaign(path, root)
-    elif path.is_dir() and not is_bag(path):
+    elif is_folder(path) and not is_bag(path):
         yield from _folder(path, root)
     else:
         yield _Source(path=path, label=str(path))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["LARGEST", "located", "printable", "quote", "read_bytes", "read_start"]
+__all__ = ["LARGEST", "is_folder", "located", "printable", "quote", "read_bytes", "read_start"]
 
 LARGEST = 512 * 2**20
 """Largest file that is read [bytes]; about 10 million rows."""
@@ -77,6 +77,14 @@ def _read(stream: BinaryIO, count: int) -> bytes:
     if not content:
         raise InputError("is empty; check how it was written")
     return content
+
+
+def is_folder(path: Path) -> bool:
+    """Tell whether a path leads to a folder; one that the system does not understand does not."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def quote(text: object) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from servolens.errors import InputError
 from servolens.reading import files
-from servolens.reading.files import read_bytes, read_start
+from servolens.reading.files import is_folder, read_bytes, read_start
 from servolens.reading.isolated import read_isolated
 from servolens.reading.json_text import read_json
 from servolens.reading.mat import read_mat
@@ -83,7 +83,7 @@ def read_tables(path: Path) -> tuple[Table, ...]:
 
 def is_bag(path: Path) -> bool:
     """Tell whether a folder is a ROS 2 bag."""
-    return path.is_dir() and (path / "metadata.yaml").is_file()
+    return is_folder(path) and (path / "metadata.yaml").is_file()
 
 
 def _kind(start: bytes) -> _Kind | None:

@@ -1,0 +1,43 @@
+"""Damaged and hostile files: every reader takes them or refuses them with one sentence, soon and with little memory."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from fuzzing import MEMORY, Readers, hostile, judged, memory, seeds
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+GOOD = seeds()
+
+
+@pytest.fixture(scope="module")
+def readers(tmp_path_factory):
+    return Readers(tmp_path_factory.mktemp("fuzz"))
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_good_files_are_read(readers, kind):
+    for content in GOOD[kind]:
+        getattr(readers, kind)(content)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", GOOD)
+@settings(max_examples=400, deadline=None)
+@given(chance=st.randoms(use_true_random=False))
+def test_damaged_files_are_read_or_refused(readers, kind, chance):
+    content = hostile(kind, GOOD[kind], chance)
+    assert judged(readers, kind, content) is None, content
+    assert memory() < MEMORY + 1024  # the tests themselves hold some
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [lambda _content: 1 / 0, lambda _content: [][1], lambda _content: {}["x"]],
+    ids=["arithmetic", "index", "key"],
+)
+def test_fuzzing_finds_a_reader_that_breaks(readers, monkeypatch, wrong):
+    monkeypatch.setattr(Readers, "text", staticmethod(wrong))
+    assert "Error" in judged(readers, "text", random.Random(0).randbytes(10))
