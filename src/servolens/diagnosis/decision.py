@@ -45,29 +45,48 @@ class Decision:
         Gain and damping alone, then with one cause, two …, as far as other records confirm them.
     findings : tuple of Finding
         Causes that these do not confirm.
+    contradiction : Finding or None
+        That the records are of several axes.
     """
 
     case: Case
     found: Search
     path: tuple[Hypothesis, ...]
     findings: tuple[Finding, ...]
+    contradiction: Finding | None = None
 
 
 def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
-    """Search by prediction errors and, where these show that no model is the axis, by simulations."""
-    if case.contradiction() is not None:  # no effect makes one axis of two
-        return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
+    """Search by prediction errors and, where these show that no model is the axis, by simulations.
+
+    Records of several axes are explained by none: asked where the causes of one axis are no simpler than a gain and
+    damping for each record.
+    """
     found = search(
         case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
     )
     if found.chosen.noise.rate > 0.0:
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)
-    if case.is_enough(found.chosen):
-        first = _confirmed(case, found)
-        if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
-            return first
+    first = _explaining(case, found)
+    several = len(case.base.plant.values) * len(case.records)
+    if first is None or len(first.path[-1].plant.values) > several:
+        contradiction = case.contradiction()
+        if contradiction is not None:
+            alone = Search((case.base,), (case.base,), (), ended_early=False)
+            return Decision(case, alone, (case.base,), (), contradiction)
+    if first is not None:
+        return first
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _explaining(case: Case, found: Search) -> Decision | None:
+    """Return what leaves nothing that depends on the inputs, and is confirmed by records held out; else None."""
+    if not case.is_enough(found.chosen):
+        return None
+    first = _confirmed(case, found)
+    is_final = case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1])
+    return first if is_final else None
 
 
 def _unshaken(case: Case, found: Search, effort: Effort) -> Search:

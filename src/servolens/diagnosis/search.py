@@ -138,7 +138,7 @@ def search(
         Tells whether a hypothesis leaves nothing that depends on the inputs; else effects that are a last resort are
         tried as well.
     """
-    explorer = _Explorer(trials, effort, tell, known)
+    explorer = _Explorer(trials, effort, tell, known, is_enough)
     path, early = explorer.walked(base, SIMPLE * effort.work)
     if not is_enough(path[-1]):
         explorer.with_last_resorts = True
@@ -154,9 +154,14 @@ class _Explorer:
     """Fits hypotheses and remembers them."""
 
     def __init__(
-        self, trials: Trials, effort: Effort, tell: Callable[[str, float], None], known: Sequence[Hypothesis]
+        self,
+        trials: Trials,
+        effort: Effort,
+        tell: Callable[[str, float], None],
+        known: Sequence[Hypothesis],
+        is_enough: Callable[[Hypothesis], bool],
     ) -> None:
-        self.trials, self.effort, self.tell = trials, effort, tell
+        self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self.likelihood = trials.likelihood
         self.begun = self.likelihood.work
         self.judged: list[Hypothesis] = [*known]
@@ -189,19 +194,27 @@ class _Explorer:
         return path, False
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
-        found: list[Hypothesis] = []
+        """Return the best extensions of the hypotheses in `beam` by one effect, the best first.
+
+        What seems to be shaken is first taken for an axis that nothing shakes, for an observer is slow and hides what
+        it follows; one effect that then leaves nothing is all that is looked for.
+        """
+        unshaken: list[Hypothesis] = []
         if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
         elif not self.likelihood.simulates:
-            beam = [*beam, *self._unobserved(beam[0])]
+            unshaken = self._unobserved(beam[0])
+        members = [*unshaken, *beam]
+        found: list[Hypothesis] = []
         first: list[Hypothesis] = []
-        for place, hypothesis in enumerate(beam):
-            extensions = self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
+        for place, hypothesis in enumerate(members):
+            extensions = self._fitted(hypothesis, (number + place / len(members)) / self.effort.causes)
             first += sorted(extensions, key=_total)[:1]
             found += extensions
+            if place < len(unshaken) and self._leaves_nothing(first, beam[0]):
+                break
         found.sort(key=_total)
         if number == 0:
             self.singles += _distinct(found)
@@ -212,6 +225,11 @@ class _Explorer:
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=_total)
+
+    def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
+        """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
+        best = self._judged([(h.plant, h) for h in found])[:1]
+        return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
 
     def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""

@@ -115,14 +115,14 @@ def _diagnosed(
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("measuring the gain", 90, 100)
     gains = case.gains(path)
-    verdict = _verdict(case, path, gains)
+    verdict = "unexplained" if decision.contradiction is not None else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     remainder = remainder_of(case, path[-1], gains)
     told = (*findings, *decision.findings, *fits[-1].findings)
-    told = (*told, *said(case, found, path[-1], gains, verdict, remainder))
+    told = (*told, *said(case, decision, path[-1], gains, verdict, remainder))
     model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
@@ -185,8 +185,6 @@ def _check_priors(names: Iterable[str]) -> None:
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     """Judge what is left in the training records, and whether those held out are of the same axis."""
-    if case.contradiction() is not None:
-        return "unexplained"
     chosen = path[-1]
     fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
     if case.is_enough(chosen) and not fails:
