@@ -133,8 +133,8 @@ def _confirmed(case: Case, found: Search) -> Decision:
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
-    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less than
-    that of any simpler model, too, of those with the same waves: whose phases no simulation foretells.
+    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more
+    than that of any simpler model, either, of those with the same waves: whose phases no simulation foretells.
     """
     if not case.misfit(path[-1]) < case.misfit(path[-2]):
         return False
@@ -142,7 +142,7 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
         return True
     alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
     gains = case.gains(alike)
-    return all(gains.tested(-1) < gains.tested(i) for i in range(len(alike) - 1))
+    return not any(gains.is_worse(-1, i, case.likelihood.rate) for i in range(len(alike) - 1))
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
@@ -187,7 +187,8 @@ def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:
         simulating = case.simulating()
     except NumericalError:
         return False
-    return simulating.gains([simulating.base]).tested(0) < case.gains([hypothesis]).tested(0)
+    gains, simulated = case.gains([hypothesis]), simulating.gains([simulating.base])
+    return gains.with_others(simulated).is_worse(0, -1, case.likelihood.rate)
 
 
 def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:

@@ -35,7 +35,7 @@ PROMISING = 0.5
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
-"""Starts of an effect with a shape, from which it is fitted."""
+"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.5
 """Of the effort, what the search without last resorts may take."""
 SHARE, SPENT = 0.25, 0.25
@@ -140,7 +140,9 @@ def search(
     """
     explorer = _Explorer(trials, effort, tell, known, is_enough)
     path, early = explorer.walked(base, SIMPLE * effort.work)
-    if not is_enough(path[-1]):
+    if is_enough(path[-1]):
+        early = False
+    else:
         explorer.with_last_resorts = True
         path, early = explorer.walked(base, effort.work)
     chosen = explorer.settled(path[-1])
@@ -297,9 +299,10 @@ class _Explorer:
     ) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        each = allowance / several
+        tried = [s for place, s in enumerate(starts) if place < several or (several > 1 and s.is_guess)]
         led = [
-            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=each) for s in starts[:several]
+            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=allowance / len(tried))
+            for s in tried
         ]
         return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 

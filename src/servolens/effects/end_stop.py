@@ -78,15 +78,15 @@ class EndStop(Force):
     def starts(cls, seen: Seen) -> Iterator[EndStop]:
         """See :meth:`servolens.effects.base.Effect.starts`: where the positions end, at one side or at both.
 
-        A little inside, for a stop that the axis does not reach changes nothing; the other one is far away.
+        At the ends, and inside, for a stop that the axis does not reach changes nothing; the other one is far away.
         """
         low, high = seen.low, max(seen.low + seen.travel, nextafter(seen.low, inf))
-        for inside in (0.001, NEAR):
+        for inside in (0.0, NEAR):
             room = min(inside * seen.travel + NOISES * seen.noise, 0.25 * seen.travel)
             for first, last in (
+                (low + room, high - room),
                 (low - seen.travel, high - room),
                 (low + room, high + seen.travel),
-                (low + room, high - room),
             ):
                 if first < last:
                     yield within(cls, low=first, high=last)
