@@ -92,7 +92,8 @@ def _explaining(case: Case, found: Search) -> Decision | None:
 def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
     """Return what a search finds that takes the axis for one that nothing shakes, where that is likelier.
 
-    An observer follows what two causes do before either is found, and so hides that both together leave nothing.
+    An observer follows what two causes do before either is found, and so hides that both together leave nothing. What
+    leaves something is no better than what leaves nothing.
     """
     trials = case.trials.unshaken()
     try:
@@ -101,7 +102,9 @@ def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
         return found
     best = {frozenset(h.causes): h for h in sorted((*found.judged, *other.judged), key=lambda h: -h.total)}
     judged = tuple(sorted(best.values(), key=lambda h: h.total))
-    return replace(other if other.chosen.total < found.chosen.total else found, judged=judged)
+    is_likelier = other.chosen.total < found.chosen.total
+    is_better = is_likelier and (case.is_enough(other.chosen) or not case.is_enough(found.chosen))
+    return replace(other if is_better else found, judged=judged)
 
 
 def _simplest(case: Case, found: Search) -> Search:
