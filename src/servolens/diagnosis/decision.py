@@ -65,7 +65,7 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = search(
         case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
     )
-    if found.chosen.noise.rate > 0.0:
+    if found.chosen.noise.rate > 0.0 and not case.is_enough(found.chosen):
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)
     first = _explaining(case, found)
