@@ -169,7 +169,8 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)
-    again = tuple(h for h in (case.likelihood.judged(step.plant) for step in other.path) if h is not None)
+    refits = (case.likelihood.judged(step.plant, allowance=SHARE * work) for step in other.path)
+    again = tuple(h for h in refits if h is not None)
     explains = len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
         return Decision(case, replace(found, path=again), again, ())
