@@ -840,14 +840,14 @@ def still(**changes: Any) -> Record:
 
 
 REFUSED: dict[str, tuple[Any, str]] = {
-    "nothing": (lambda: fit_effects([], []), "no record was given; identification needs at least one"),
+    "nothing": (lambda: fit_effects([], []), "no record was given; at least one is needed"),
     "metres and radians": (
         lambda: fit_effects([still(), still(length_unit="rad")], []),
-        "records in m and rad cannot be identified together; convert one of them",
+        "records in m and rad cannot be used together; convert one of them",
     ),
     "volts and amperes": (
         lambda: fit_effects([still(), still(command_unit="A")], []),
-        "records in A and V cannot be identified together; convert one of them",
+        "records in A and V cannot be used together; convert one of them",
     ),
     "held stranger": (
         lambda: fit_effects(still(), [Delay(time=1e-3)], options=FitOptions(held=("mass",))),

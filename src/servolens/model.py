@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -14,7 +16,6 @@ from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -172,12 +173,12 @@ class Model:
         return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
 
 
-def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
+def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] = ()) -> Model:
     """Read a ``servolens.model/1`` file.
 
     Parameters
     ----------
-    path : Path
+    path : str or path
         The file.
     effects : sequence of type
         Classes of effects beside those of the catalogue and of installed packages.
@@ -187,6 +188,7 @@ def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
     InputError
         If the file cannot be read or is none.
     """
+    path = Path(path)
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: is a folder or a device; give a file that `servolens identify --out` wrote")

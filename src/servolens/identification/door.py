@@ -5,32 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.errors import InputError
-from servolens.record import Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     from servolens.identification.integral import Prior
 
-__all__ = ["check_names", "check_priors", "together"]
-
-
-def together(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    """Return the records of one axis as a tuple.
-
-    Raises
-    ------
-    InputError
-        If there is none, or their units differ.
-    """
-    runs = (records,) if isinstance(records, Record) else tuple(records)
-    if not runs:
-        raise InputError("no record was given; identification needs at least one")
-    for unit in ("length_unit", "command_unit"):
-        kinds = sorted({getattr(run, unit) for run in runs})
-        if len(kinds) > 1:
-            raise InputError(f"records in {' and '.join(kinds)} cannot be identified together; convert one of them")
-    return runs
+__all__ = ["check_names", "check_priors"]
 
 
 def check_priors(priors: Mapping[str, Prior], parameters: Iterable[str]) -> None:

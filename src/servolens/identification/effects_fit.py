@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
-from servolens.identification.door import check_names, together
+from servolens.identification.door import check_names
 from servolens.identification.fit_findings import above_noise, findings_of
 from servolens.identification.fitting import (
     check_loops,
@@ -20,6 +20,7 @@ from servolens.identification.options import FitOptions
 from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
+from servolens.inputs import as_records
 from servolens.model import Model
 from servolens.plant import BASE_PARAMETERS, Plant
 from servolens.processors import single_threaded_blas
@@ -138,7 +139,7 @@ def fit_effects(
     >>> round(fit.plant.effect("coulomb_friction").level, 2)
     0.3
     """
-    runs = together(records)
+    runs = as_records(records)
     asked = options or FitOptions()
     if priors is not None:
         asked = replace(asked, priors=priors)

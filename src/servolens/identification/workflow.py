@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, Unpack, final
 
 import numpy as np
 
@@ -13,11 +13,12 @@ from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import law_from_pieces
 from servolens.identification.data_range import data_range
-from servolens.identification.door import check_priors, together
+from servolens.identification.door import check_priors
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
 from servolens.identification.varying import fit_varying
 from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
+from servolens.inputs import as_records
 from servolens.model import Model, Quantity
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from servolens.identification.segments import Segment
     from servolens.identification.varying import VaryingDamping
     from servolens.identification.velocity import VelocityFit
+    from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
 __all__ = ["Identification", "identify"]
@@ -127,19 +129,20 @@ class Identification:
 
 @single_threaded_blas
 def identify(
-    records: Record | Sequence[Record],
+    records: Records,
     *,
     model: ModelName = "all",
     delta: float | None = None,
     piece: float | None = None,
     bounds: tuple[float, float] = (0.0, np.inf),
     priors: Mapping[str, Prior] | None = None,
+    **settings: Unpack[RecordSettings],
 ) -> Identification:
     """Identify the axis from measured steps by the integral method.
 
     Parameters
     ----------
-    records : Record or sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of the same axis, in the same units.
     model : {"all", "constant", "varying", "velocity"}
         What to fit.
@@ -152,6 +155,8 @@ def identify(
     priors : mapping of str to Prior, optional
         Data-sheet knowledge by parameter name, e.g. ``{"gain": Prior(value=45.0, deviation=2.0)}``; for the constant
         and the velocity model.
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Returns
     -------
@@ -171,7 +176,7 @@ def identify(
     >>> round(fit.velocity.plant.gain, 2)
     1.91
     """
-    runs = together(records)
+    runs = as_records(records, settings)
     _check(model, delta)
     check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
     segments = motion_segments(runs)

@@ -13,8 +13,8 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import NumericalError, ServolensError
 from servolens.identification import identify
-from servolens.identification.door import together
 from servolens.identification.velocity import SHAPE, SIZE
+from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
 from servolens.processors import single_threaded_blas
 from servolens.quality import assess, fatal
@@ -92,9 +92,7 @@ def study_records(
     >>> [light.light for light in found.lights.values()], [cause.effect for cause in found.diagnosis.causes]
     (['green', 'green', 'green'], ['velocity_decay_damping'])
     """
-    runs = together(records)
-    others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
-    together((*runs, *others))
+    runs, others = as_groups(records, heldout)
     check_request(runs, others, priors or {}, effort)
     progress("Checking", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
