@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servolens import PDSpec, Plant, diagnose, fit_effects, identify, lab, study_records, tune
+import servolens
+from servolens import PDSpec, Plant, diagnose, identify, lab, study_records, tune
 from servolens import design as designing
 from servolens.design import settling_time
 from servolens.effects import CoulombFriction, Saturation
@@ -244,7 +245,7 @@ def test_suggested_spec_can_be_met(cart):
 
 def test_tune_takes_whatever_has_a_model(cart):
     records, plant = list(cart.records), Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
-    fit = fit_effects(records, [CoulombFriction(level=0.2)])
+    fit = servolens.fit([CoulombFriction(level=0.2)], records)
     wanted = designing.tune(plant, SPEC).kd
     sources = {
         "plant": plant,

@@ -29,6 +29,7 @@ __all__ = [
     "as_plant",
     "as_record",
     "as_records",
+    "check_units",
     "described",
     "listed",
 ]
@@ -157,6 +158,21 @@ def as_model(source: Plants) -> Model:
 def as_plant(source: Plants) -> Plant:
     """Return the plant of what :func:`as_model` takes."""
     return source if isinstance(source, Plant) else as_model(source).plant
+
+
+def check_units(plant: Plant, record: Record) -> None:
+    """Refuse a record in other units than the plant's.
+
+    Raises
+    ------
+    InputError
+        With both units.
+    """
+    for kind, what in (("length_unit", "positions"), ("command_unit", "commands")):
+        ours, theirs = getattr(plant, kind), getattr(record, kind)
+        if ours != theirs:
+            whose = record.source or record.name
+            raise InputError(f"{whose} has {what} in {theirs}, the model in {ours}; use records in the model's units")
 
 
 def as_effects(source: Effects) -> tuple[Effect | type[Effect], ...]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.decoding import read_fields
 from servolens.errors import InputError
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
@@ -57,6 +58,28 @@ class Quantity:
         if self.stderr is None:
             return None
         return (self.value - NORMAL_95 * self.stderr, self.value + NORMAL_95 * self.stderr)
+
+    def __float__(self) -> float:
+        return self.value
+
+    def __format__(self, spec: str) -> str:
+        """Return the value as `spec` has it; without one, value ± standard error and unit."""
+        return format(self.value, spec) if spec else str(self)
+
+    def __str__(self) -> str:
+        error = "" if self.stderr is None else f" ± {self.stderr:.2g}"
+        return f"{self.value:.6g}{error} {self.unit}".rstrip()
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Quantity:
+        """Build the quantity from what :meth:`to_json` returned.
+
+        Raises
+        ------
+        InputError
+            If a field is no number or the value is missing.
+        """
+        return read_fields(cls, data)
 
     def to_json(self) -> dict[str, Any]:
         """Return ``{"value", "stderr", "interval", "unit"}``, and ``"reason"`` where the error is not known."""

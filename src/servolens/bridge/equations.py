@@ -61,7 +61,7 @@ class Equations:
         left_out = [effect for effect in plant.effects if _nothing_to_remember(effect)]
         kept = tuple(effect for effect in plant.effects if effect not in left_out)
         self.plant, self.closed, self.width = replace(plant, effects=kept), bool(gains), width
-        values = dict(zip(self.plant.parameters, self.plant.values, strict=True)) | gains
+        values = self.plant.named | gains
         self.defaults = {prefix + key: value for key, value in values.items()}
         self._names = tuple(self.defaults.items())
         self._left_out = {

@@ -27,7 +27,7 @@ from servolens.commands.options import (
     recordings,
 )
 from servolens.commands.terminal import progress_bar, show
-from servolens.errors import InputError, NumericalError, ServolensError
+from servolens.errors import NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.model import Model
-    from servolens.plant import Plant
-    from servolens.record import Record
 
 __all__ = ["check", "identify", "predict"]
 
@@ -158,6 +156,7 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
 
     Each record's reference is simulated with its own gains; a record without them from its logged voltage.
     """
+    from servolens.inputs import check_units
     from servolens.prediction import Prediction, prediction_error
     from servolens.summaries import prediction_summary
 
@@ -165,7 +164,8 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     (model,) = load_models([model_file])
     with progress_bar() as progress:
         records = load_records(recordings, {"--json": json_file}, progress)
-        _check_units(model.plant, records, model_file)
+        for record in records:
+            check_units(model.plant, record)
         errors, failed = [], {}
         for done, record in enumerate(records):
             progress("Simulating", done, len(records))
@@ -189,18 +189,6 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     )
     show(replace(summary, findings=findings), json_file)
     return 0
-
-
-def _check_units(plant: Plant, records: Sequence[Record], model_file: str) -> None:
-    for record in records:
-        for kind in ("length_unit", "command_unit"):
-            given, wanted = getattr(record, kind), getattr(plant, kind)
-            if given != wanted:
-                what = "positions" if kind == "length_unit" else "commands"
-                raise InputError(
-                    f"{record.source or record.name}: has {what} in {given}, {model_file} in {wanted};"
-                    " predict records of the axis that was identified, in its units"
-                )
 
 
 def _voltage_driven(names: Sequence[str]) -> tuple[Finding, ...]:

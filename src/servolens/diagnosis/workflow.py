@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.findings import Finding
-    from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.options import Prior
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 

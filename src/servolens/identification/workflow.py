@@ -11,13 +11,13 @@ import numpy as np
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
-from servolens.identification.damping_law import law_from_pieces
+from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
 from servolens.identification.data_range import data_range
-from servolens.identification.door import check_priors
+from servolens.identification.options import wanted
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
 from servolens.identification.varying import fit_varying
-from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
+from servolens.identification.velocity import fit_velocity, law_left
 from servolens.inputs import as_records
 from servolens.model import Model, Quantity
 from servolens.model_evidence import Evidence
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.integral import Prior
     from servolens.identification.noise import NoiseModel
+    from servolens.identification.options import Bounds, FitOptions, Priors
     from servolens.identification.segments import Segment
     from servolens.identification.varying import VaryingDamping
     from servolens.identification.velocity import VelocityFit
@@ -134,8 +134,9 @@ def identify(
     model: ModelName = "all",
     delta: float | None = None,
     piece: float | None = None,
-    bounds: tuple[float, float] = (0.0, np.inf),
-    priors: Mapping[str, Prior] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Bounds | None = None,
+    priors: Priors | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Identification:
     """Identify the axis from measured steps by the integral method.
@@ -150,11 +151,13 @@ def identify(
         δ of eq. 18 [1/s] for the time-varying damping; unconstrained when None.
     piece : float, optional
         Length of its pieces [s]; half the smallest interval between velocity zeros when None.
-    bounds : tuple of float
-        Least and largest damping of a piece [1/s].
-    priors : mapping of str to Prior, optional
-        Data-sheet knowledge by parameter name, e.g. ``{"gain": Prior(value=45.0, deviation=2.0)}``; for the constant
-        and the velocity model.
+    fixed : mapping of str to float, optional
+        Values of parameters that are known: ``"gain"``, ``"damping"``, ``"velocity_decay_damping.alpha1"`` and
+        ``"velocity_decay_damping.alpha2"``.
+    bounds : mapping of str to (least, largest), optional
+        Of the same parameters; that of damping, which is not negative, holds for each piece too.
+    priors : mapping of str to Prior or (value, standard deviation), optional
+        Data-sheet knowledge by parameter name, e.g. ``{"gain": (45.0, 2.0)}``; for the constant and the velocity model.
     **settings
         ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
@@ -178,20 +181,20 @@ def identify(
     """
     runs = as_records(records, settings)
     _check(model, delta)
-    check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
+    options = _wanted(fixed, bounds, priors)
     segments = motion_segments(runs)
-    constant = fit_constant(segments, priors or {})
+    constant = fit_constant(segments, options)
     result = Identification(records=runs, findings=(*_reconstructed(runs), *constant.findings))
     left = constant.left
-    law = fit_velocity(segments, priors or {}, constant.model.plant) if model in ("all", "velocity") else None
+    law = fit_velocity(segments, options, constant.model.plant) if model in ("all", "velocity") else None
     if law is not None:
         left = law.left
     elif model == "varying" and not left.is_enough:
-        left = law_left(segments, priors or {})
+        left = law_left(segments, options)
     if model in ("all", "constant"):
         result = replace(result, constant=constant.model)
     if model in ("all", "varying"):
-        result = _with_varying(result, segments, (piece, delta, bounds), left.noise, wanted=model == "varying")
+        result = _with_varying(result, segments, (piece, delta, options), left.noise, is_asked=model == "varying")
     if law is not None:
         result = _with_velocity(result, law)
     if not left.is_enough:
@@ -206,20 +209,31 @@ def _check(model: str, delta: float | None) -> None:
         raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
 
 
+def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Priors | None) -> FitOptions:
+    options = wanted(fixed or {}, bounds, priors)
+    options.check(("gain", "damping", SIZE, SHAPE))
+    if set(options.held) - set(options.values):
+        raise InputError(f"fixed must give values, such as {{{options.held[0]!r}: 1.9}}: nothing else gives them here")
+    return options
+
+
 def _with_varying(
     result: Identification,
     segments: Sequence[Segment],
-    options: tuple[float | None, float | None, tuple[float, float]],
+    request: tuple[float | None, float | None, FitOptions],
     noise: NoiseModel,
     *,
-    wanted: bool,
+    is_asked: bool,
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
-    piece, delta, bounds = options
+    piece, delta, options = request
+    within, gain = options.range_of("damping", low=0.0), options.range_of("gain")
     try:
-        varying = fit_varying(segments, duration=piece, delta=delta, bounds=bounds, noise=noise)
+        if "damping" in options.values:
+            raise InputError("damping is fixed, so it cannot vary; leave it free, or bound it")
+        varying = fit_varying(segments, duration=piece, delta=delta, bounds=within, gain=gain, noise=noise)
     except ServolensError as error:
-        if wanted or piece is not None or delta is not None:
+        if is_asked or piece is not None or delta is not None:
             raise
         finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
         return replace(result, findings=(*result.findings, finding))

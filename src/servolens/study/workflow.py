@@ -13,7 +13,7 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import NumericalError, ServolensError
 from servolens.identification import identify
-from servolens.identification.velocity import SHAPE, SIZE
+from servolens.identification.damping_law import SHAPE, SIZE
 from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
 from servolens.processors import single_threaded_blas
