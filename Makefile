@@ -86,5 +86,5 @@ $(RUN_STAMP): pyproject.toml constraints.txt | $(BIN)/python
 
 $(DEV_STAMP): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing servolens and its development tools into $(VENV) ..." >&2
-	@$(PIP_INSTALL) --editable '.[dev,docs]'
+	@$(PIP_INSTALL) --editable '.[dev,docs,formats]'
 	@touch $@ $(RUN_STAMP)

@@ -197,7 +197,7 @@ def test_nothing_to_read_is_said(folder, tmp_path):
     assert refusal([]) == "no records are given; name files, folders or a campaign TOML"
     empty = tmp_path / "empty"
     empty.mkdir()
-    assert refusal(empty) == f"{empty}: is a folder without .csv or .mat files"
+    assert refusal(empty) == f"{empty}: is a folder without logs such as .csv, .mat or .xlsx"
     assert refusal(tmp_path / "no.toml") == f"{tmp_path / 'no.toml'}: cannot be opened: no such file or directory"
 
 

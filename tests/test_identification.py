@@ -341,7 +341,10 @@ def test_node_rule_is_half_the_interval_between_velocity_zeros() -> None:
     ("arguments", "message"),
     [
         ({"model": "cubic"}, "model must be 'all'"),
-        ({"priors": {"mass": Prior(value=1.0, deviation=1.0)}}, "a prior on 'mass' is not possible"),
+        (
+            {"priors": {"mass": Prior(value=1.0, deviation=1.0)}},
+            "'mass' is no parameter of this model; those are gain, damping",
+        ),
         ({"delta": -1.0}, "delta must not be negative"),
         ({"piece": 9.0}, "a piece must last between"),
         ({"piece": 0.001}, "would be"),

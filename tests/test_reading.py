@@ -35,11 +35,16 @@ GAIN = "# kp = 60\n"
 ROW = "0,0,1\n"
 TWO = "0,0,1\n1,1,1\n"
 FILL = "; fill or leave out such rows"
-LAW = "; give it in V/m or V/rad, or A, N, N m, % in place of V"
+LAW = "; give it in V/m or V/rad, or A, N, N m, %, pwm in place of V"
+NAMELESS = (
+    "has no row that names its {} columns, which begin with {}; name them in their order, e.g."
+    " --columns time,position,voltage (- for one that is not needed)"
+)
 MAP = " (map names of your own, e.g. --column {}=NAME)"
 PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
 SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS
+TEXT = "is text without a table of numbers; a record has a row of names and rows of numbers below it"
 
 
 @pytest.fixture
@@ -267,10 +272,14 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (GAIN + HEADER + "0,0,0\n", "a record needs at least 2 samples, got 1"),
         (
             "0,1,2\n3,4,5\n",
-            "line 1: numbers stand where the header row should; name the columns, e.g. time [s],position [m]",
+            NAMELESS.format(3, "0, 1, 2"),
         ),
         (HEADER + ROWS, "no voltage is logged and the gains are unknown; give kp and kd"),
-        ("time,position\n0,0\n1,1\n", "neither reference nor voltage is given; log at least one of the two"),
+        (
+            "time,position\n0,0\n1,1\n",
+            "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"
+            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5",
+        ),
         (
             GAIN + "time,reference\n0,0\n1,1\n",
             "no column named position; the columns are 'time, reference'" + MAP.format("position"),
@@ -279,10 +288,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
             "a,b\n0,0\n1,1\n",
             "no column named time and none named position; the columns are 'a, b'" + MAP.format("time"),
         ),
-        (
-            ",\n0,0\n1,1\n",
-            "no column named time and none named position; the table has no named columns" + MAP.format("time"),
-        ),
+        (",\n0,0\n1,1\n", NAMELESS.format(2, "0, 0")),
         ("time,position,position\n0,0,0\n1,1,1\n", "2 columns are named 'position'; names must differ"),
         (GAIN + HEADER + "0,0,1\n0,1,1\n", "time must increase; sample 1 (0 s) repeats sample 0 (0 s)"),
         (GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n", "time must increase; sample 2 (1 s) lies before sample 1 (2 s)"),
@@ -304,15 +310,16 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (GAIN + HEADER + "0,0,1\n1,1\n", "line 4 has 2 values where the header row has 3"),
         (
             GAIN + HEADER + "0,0,1\n1,1,1,1\n",
-            "line 4 has 4 values where the header row has 3; decimal commas are not read, write points",
+            "line 4 has 4 values where the header row has 3",
         ),
         (
             GAIN + HEADER + "0,0,0,5,0,1\n1,0,0,5,0,1\n",
-            "line 3 has 6 values where the header row has 3; decimal commas are not read, write points",
+            "the rows have 6 values where the header row has 3; where commas are decimal too, separate the columns by"
+            " semicolons",
         ),
         (
-            GAIN + HEADER.replace(",", ";") + "0;0;1\n1;0,5;1\n",
-            "line 4, position: '0,5' has a decimal comma; write points",
+            GAIN + HEADER.replace(",", ";") + "0;0;1\n1;0,5;0.1\n",
+            "line 4, position: '0,5' has a decimal comma where other numbers have points" + FILL,
         ),
         (
             GAIN + "time,position [blub],reference\n" + TWO,
@@ -338,7 +345,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             "time,position,voltage [W]\n" + TWO,
-            "voltage is in 'W', which is not a unit for it; give it in V, or A, N, N m, % in place of V",
+            "voltage is in 'W', which is not a unit for it; give it in V, or A, N, N m, %, pwm in place of V",
         ),
         ("# kp = nan\n" + HEADER + ROWS, "kp must be a number, perhaps with a unit; 'nan' is not a number"),
         ("# kp = \n" + HEADER + ROWS, "kp must be a number, perhaps with a unit; '' is not a number"),
@@ -350,10 +357,38 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ("# kp = 1\n# kp = 2\n" + HEADER + ROWS, "the comment lines give kp twice, with different values; keep one"),
         ("# kd = 1\n" + HEADER + ROWS, "kd is given without kp; give both"),
         (
-            "# kp = 1\n# ki = 0.5\n" + HEADER + ROWS,
-            "ki = 0.5: integral action is not supported yet; only P and PD records are read",
+            "# kp = 1\n# kv = 0.5\n" + HEADER + ROWS,
+            "kv is given and controller = pd has none; its gains are kp, kd, ki",
         ),
-        ("# kp = 1\n# controller = pid\n" + HEADER + ROWS, "controller must be pd, got 'pid'"),
+        (
+            "# controller = cascade\n# kp = 1\n# kv = 1\n# ki = 1\n" + HEADER + ROWS,
+            "ki is given and controller = cascade has none; its gains are kp, kv, kiv",
+        ),
+        (
+            "# controller = cascade\n# kp = 1\n" + HEADER + ROWS,
+            "controller = cascade needs kv, the gain of its speed loop; give it",
+        ),
+        (
+            "# controller = cascade\n# kp = 1 V/m\n# kv = 1\n" + HEADER + ROWS,
+            "kp is in 'V/m', which is not a unit for it; give it in 1/s",
+        ),
+        ("# ki = 2\n" + HEADER + ROWS, "ki is given without kp; give both"),
+        (
+            "# kp = 1\n# ki = 2\n# anti_windup = clamping\n" + HEADER + ROWS,
+            "anti_windup needs the limit of the command; give voltage_limit",
+        ),
+        (
+            "# kp = 1\n# current_limit = 2\n" + HEADER + ROWS,
+            "current_limit is given and the command is in V; give voltage or gains in A",
+        ),
+        (
+            "# kp = 1\n# current_limit = 2 A\n# voltage_limit = 2\n" + HEADER + ROWS,
+            "voltage_limit and current_limit are given both; keep the one that limits the command",
+        ),
+        (
+            "# kp = 1\n# controller = lqr\n" + HEADER + ROWS,
+            "controller must be pd or pid or cascade, got 'lqr'",
+        ),
         ("# kp = 1\n# derivative_on = x\n" + HEADER + ROWS, "derivative_on must be measurement or error, got 'x'"),
         ("# kp = 1\n# derivative_filter = 0\n" + HEADER + ROWS, "derivative_filter must lie in (0, 1], got 0.0"),
         ("# kp = 1\n# derivative_filter = 0.3 V\n" + HEADER + ROWS, "derivative_filter has no unit, got 'V'"),
@@ -369,24 +404,27 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             "# kp = 1\ntime,position [counts],reference\n" + TWO,
-            "column position is in encoder counts; give counts_per_unit, counts per m or rad",
+            "column position is in encoder counts; give counts_per_unit, counts per m or rad, or counts_per_rev",
         ),
         (
             "# kp = 1\n# counts_per_unit = 10\ntime,position [mm],reference\n" + TWO,
             "position is in 'mm' and counts_per_unit is given too; give only one of the two",
         ),
-        (b"\xff\x00\x01\x02", "is a binary file of an unknown kind; CSV and MAT v5 are read"),
-        (b"\x93\x94abc\xff", "is not UTF-8 text (byte 0); save it as UTF-8 CSV"),
-        ("time,pos".encode("utf-16"), "is UTF-16 text; save it as UTF-8"),
-        (b"PAR1....", "is Parquet, which is not read yet; export it as CSV"),
-        (b"TDSm....", "is TDMS (LabVIEW), which is not read yet; export it as CSV"),
-        (b"MDF     4.10    ", "is MDF4 (ASAM measurement data), which is not read yet; export it as CSV"),
-        (b"\x89HDF\r\n\x1a\n...", "is HDF5, which is not read yet; export it as CSV"),
-        (b"PK\x03\x04...", "is ZIP (perhaps an Excel workbook), which is not read yet; export it as CSV"),
-        (b"\x1f\x8b...", "is gzip, which is not read yet; export it as CSV"),
+        (
+            b"\xff\x00\x01\x02",
+            "is a binary file of an unknown kind; see the documentation for the formats that are read",
+        ),
+        (b"\x93\x94abc\xff", TEXT),
+        ("time,pos".encode("utf-16"), "the header row is not followed by numbers"),
+        (b"PAR1....", "is a damaged Parquet file; write it again"),
+        (b"TDSm....", "holds no columns of numbers"),
+        (b"MDF     4.10    ", "is a damaged MDF file; record or export it again"),
+        (b"\x89HDF\r\n\x1a\n...", "is a damaged HDF5 file; write it again"),
+        (b"PK\x03\x04...", "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx"),
+        (b"\x1f\x8b...", "is a damaged gzip file; pack it again"),
         (
             b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM",
-            "is MAT v7.3 (HDF5), which is not read yet; save it with -v7 in MATLAB",
+            "is a damaged MAT file; save it again with -v7",
         ),
     ],
 )
@@ -441,7 +479,7 @@ def test_large_files_are_refused(write, monkeypatch):
 
 
 def test_too_many_columns_are_refused(write):
-    assert refusal(write(",".join(["x"] * 1001))) == "line 1: the header row has 1001 columns; at most 1000 are read"
+    assert refusal(write(",".join(["1"] * 1001) + "\n")) == "the table has 1001 columns; at most 1000 are read"
 
 
 def test_quotes_are_short_whatever_the_file_holds(write):
@@ -524,21 +562,22 @@ def test_mat_is_known_by_its_content(write):
     [
         (
             mat(data={"t": [1, 2]}),
-            "holds only a struct 'data'; save its fields as plain vectors (save with -struct in MATLAB)",
+            "no column named position; the columns are 't, data'" + MAP.format("position"),
         ),
         (mat(time=COLUMN, position={"a": 1}), "variable 'position' is a struct, " + PLAIN_VECTOR),
         (mat(time=COLUMN, position=np.array([1, "a"], dtype=object)), "variable 'position' is a cell, " + PLAIN_VECTOR),
         (mat(time=COLUMN, position="text"), "variable 'position' is a char, " + PLAIN_VECTOR),
         (
             mat(time=COLUMN, position=np.eye(5)),
-            "variable 'position' has shape 5 × 5; a signal is a vector, one column of it",
+            "the position may be one of 'position(:,1)', 'position(:,2)', 'position(:,3)', 'position(:,4)' and 1 other;"
+            " say which, e.g. --column position=position(:,1) or --column position=position(:,2)",
         ),
         (mat(time=COLUMN, position=COLUMN * 1j), "variable 'position' is complex; a signal is real"),
         (mat(time=COLUMN, position=np.arange(3.0), voltage=COLUMN), "position has 3 samples, time has 5"),
         (mat(time=COLUMN, position=COLUMN * np.nan, voltage=COLUMN), "position must be finite; sample 0 is nan"),
         (mat(time=COLUMN), "no column named position; the columns are 'time'" + MAP.format("position")),
         (mat(time=COLUMN, position=COLUMN, voltage=COLUMN)[:200], "is a damaged MAT file; save it again with -v7"),
-        (b"junk", "is not a MAT v5 file (version 4, or damaged); save it with -v7 in MATLAB"),
+        (b"junk", "is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB"),
         (
             b" " * 124 + b"\x00\x01IM" + struct.pack("<II", 15, 4) + b"abcd",
             "is a damaged MAT file; save it again with -v7",
@@ -615,11 +654,11 @@ def test_index_of_a_dataframe_is_the_time(index):
         ([1, 2], "a pandas DataFrame is needed, got list"),
         (
             pd.DataFrame({"time": [0, 1], "position": ["a", "b"], "voltage": [0, 1]}),
-            "column position holds something else than numbers",
+            "column 'position' holds something else than numbers",
         ),
         (
             pd.DataFrame({"time": [0, 1], "position": [0, 1j], "voltage": [0, 1]}),
-            "column position is complex; a signal is real",
+            "column 'position' is complex; a signal is real",
         ),
         (
             pd.DataFrame({"time": [0, 1], "position": [0, None], "voltage": [0, 1]}),
@@ -632,7 +671,7 @@ def test_index_of_a_dataframe_is_the_time(index):
         (pd.DataFrame({"position": [0, 1.0]}), "no column named time; the columns are 'position'" + MAP.format("time")),
         (
             pd.DataFrame(),
-            "no column named time and none named position; the table has no named columns" + MAP.format("time"),
+            "holds no columns of numbers",
         ),
     ],
 )
@@ -783,3 +822,29 @@ def test_ball_screw_axis_follows_its_stated_law():
     assert len(record) == 24841
     difference = (record.voltage - controller_voltage(record))[2:]  # the log begins in motion
     assert np.sqrt(np.mean(difference**2)) < 5e-3
+
+
+def test_integral_and_cascade_are_read_with_their_units(write):
+    pid = (
+        "# kp = 0.06 V/mm\n# ki = 0.4 V/(mm s)\n# setpoint_weight = 0.5\n# anti_windup = back_calculation\n"
+        "# tracking_time = 20 ms\n# voltage_limit = 10 V\n# integral_before = 500 mV\n"
+    )
+    found = read_record(write(pid + HEADER + ROWS))
+    assert found.controller == Controller(
+        kp=60.0,
+        ki=found.controller.ki,
+        setpoint_weight=0.5,
+        anti_windup="back_calculation",
+        tracking_time=0.02,
+        integral_before=0.5,
+    )
+    assert found.controller.ki == pytest.approx(400.0)
+    drive = (
+        "# controller = cascade\n# kp = 20 1/s\n# kv = 5 A s/m\n# kiv = 50 A/m\n# feedforward_speed = 0.9\n"
+        "# current_limit = 3 A\n# anti_windup = clamping\n"
+    )
+    found = read_record(write(drive + HEADER + ROWS))
+    assert (found.command_unit, found.voltage_limit) == ("A", 3.0)
+    assert found.controller == Controller(
+        kp=100.0, kd=5.0, integral_rate=10.0, velocity_feedforward=4.5, anti_windup="clamping"
+    )

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import servolens
@@ -16,7 +17,7 @@ from servolens.effects import CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.record import Controller
-from servolens.results import to_text
+from servolens.results import to_text, write_json
 from servolens.study import completed_spec, held_out_prediction, suggested_spec
 
 CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
@@ -273,6 +274,34 @@ def test_tune_of_records_brings_what_it_found(cart):
     assert set(found.lights) == {"data", "model", "gain"}
 
 
+def as_frame(record):
+    return pd.DataFrame({"time [s]": record.time, "position [m]": record.position, "reference [m]": record.reference})
+
+
+def test_tune_reads_the_records_that_it_is_given_as_files_folders_or_tables(tmp_path, cart):
+    (record,), spec = steps(CART, 80), replace(SPEC, kp=80.0)
+    wanted = tune(record, spec, effort="quick")
+    as_frame(record).to_csv(tmp_path / "run.csv", index=False)
+    sources = {"file": tmp_path / "run.csv", "text": str(tmp_path / "run.csv"), "folder": tmp_path}
+    for name, source in {**sources, "table": as_frame(record), "several": [as_frame(record)]}.items():
+        found = tune(source, spec, effort="quick", kp=80.0, kd=0.0)
+        assert found.kd == pytest.approx(wanted.kd, rel=1e-3), name
+        assert found.recommended.kp == spec.kp, name
+
+
+def test_tune_reads_a_model(tmp_path):
+    plant = Plant(gain=1.9, damping=6.0)
+    write_json(tmp_path / "model.json", "model", Model(plant=plant).to_json(), ())
+    assert tune(tmp_path / "model.json", SPEC).kd == tune(plant, SPEC).kd
+
+
+def test_gains_of_records_cannot_be_given_for_what_has_them_already(cart):
+    with pytest.raises(InputError, match="kp cannot be given for records that are read already"):
+        tune(cart.records[0], SPEC, kp=80.0)
+    with pytest.raises(InputError, match="kp cannot be given for plants and models"):
+        tune(Plant(gain=1.9, damping=6.0), SPEC, kp=80.0)
+
+
 def test_tune_withholds_on_a_diagnosis_but_not_on_a_plant():
     other = replace(CART, gain=0.8)
     diagnosis = diagnose(steps(CART, 60, 80), heldout=steps(other, 70), effort="quick")
@@ -285,11 +314,12 @@ def test_tune_withholds_on_a_diagnosis_but_not_on_a_plant():
     ("source", "says"),
     [
         (5, "got int"),
-        ("model.json", "got str"),
+        ("none.json", "none.json: cannot be read"),
+        ("none.csv", "none.csv: cannot be opened"),
         ([], "at least one"),
         ([Plant(gain=1.0, damping=1.0), lab.step_record(CART, 60)], "cannot be mixed"),
     ],
-    ids=["number", "text", "nothing", "mixture"],
+    ids=["number", "model", "file", "nothing", "mixture"],
 )
 def test_tune_says_what_it_takes(source, says):
     with pytest.raises(InputError, match=says):

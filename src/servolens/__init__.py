@@ -6,9 +6,29 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from servolens.bridge import ResponseWarning, check_response, closed_loop, held_response, to_control
+    from servolens.bridge import (
+        ResponseWarning,
+        check_response,
+        closed_loop,
+        digital_controller,
+        held_response,
+        to_control,
+    )
     from servolens.campaign import read_records
-    from servolens.design import Comparison, Design, GainMap, PDSpec, compare, gain_map
+    from servolens.design import (
+        Comparison,
+        Design,
+        GainMap,
+        GainWishes,
+        Light,
+        PDSpec,
+        compare,
+        feedforward,
+        gain_map,
+        recommend,
+        tune_gains,
+    )
+    from servolens.design.confidence import trust
     from servolens.diagnosis import Diagnosis, diagnose
     from servolens.effects import (
         ActuatorLag,
@@ -69,9 +89,29 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
-    "bridge": ("ResponseWarning", "check_response", "closed_loop", "held_response", "to_control"),
+    "bridge": (
+        "ResponseWarning",
+        "check_response",
+        "closed_loop",
+        "digital_controller",
+        "held_response",
+        "to_control",
+    ),
     "campaign": ("read_records",),
-    "design": ("Comparison", "Design", "GainMap", "PDSpec", "compare", "gain_map"),
+    "design": (
+        "Comparison",
+        "Design",
+        "GainMap",
+        "GainWishes",
+        "Light",
+        "PDSpec",
+        "compare",
+        "feedforward",
+        "gain_map",
+        "recommend",
+        "tune_gains",
+    ),
+    "design.confidence": ("trust",),
     "diagnosis": ("Diagnosis", "diagnose"),
     "effects": (
         "ActuatorLag",
@@ -152,9 +192,11 @@ __all__ = [
     "FrictionMap",
     "GainDrift",
     "GainMap",
+    "GainWishes",
     "HardeningSpring",
     "Identification",
     "InputError",
+    "Light",
     "LoadFriction",
     "Model",
     "NumericalError",
@@ -187,6 +229,8 @@ __all__ = [
     "closed_loop",
     "compare",
     "diagnose",
+    "digital_controller",
+    "feedforward",
     "fit",
     "gain_map",
     "held_response",
@@ -196,6 +240,7 @@ __all__ = [
     "read_model",
     "read_record",
     "read_records",
+    "recommend",
     "record_from_dataframe",
     "record_from_timeresponse",
     "simulate",
@@ -205,7 +250,9 @@ __all__ = [
     "simulate_voltage",
     "study_records",
     "to_control",
+    "trust",
     "tune",
+    "tune_gains",
     "write_report",
 ]
 

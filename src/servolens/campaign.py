@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from servolens.errors import InputError
-from servolens.reading import KEYS, read_record
+from servolens.reading import KEYS, read_log
 from servolens.reading.files import located, printable, quote, read_bytes
+from servolens.reading.formats import SUFFIXES, is_bag
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from servolens.reading import Reading
     from servolens.record import Record
 
-__all__ = ["read_records"]
+__all__ = ["Log", "read_logs", "read_records"]
 
 StrPath = str | os.PathLike[str]
-SUFFIXES = (".csv", ".mat")
 LARGEST_TOML = 2**20
 TABLES = ("columns", "units")
 
@@ -38,7 +39,7 @@ def read_records(
     Parameters
     ----------
     paths : path or iterable of paths
-        Files; folders, of which every ``.csv`` and ``.mat`` is read in the order of their names; campaign files
+        Files; folders, of which every log is read in the order of their names; campaign files
         ``.toml`` with ``[[records]]`` entries (``file``, settings, ``columns``, ``units``) and a ``[defaults]`` table
         with what all entries share.
     settings, columns, units : mapping, optional
@@ -64,15 +65,61 @@ def read_records(
         ...
     servolens.errors.InputError: no records are given; name files, folders or a campaign TOML
     """
+    logs = read_logs(paths, settings=settings, columns=columns, units=units, data_root=data_root)
+    return tuple(log.reading.record for log in logs)
+
+
+def read_logs(
+    paths: StrPath | Iterable[StrPath],
+    *,
+    settings: Mapping[str, object] | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    data_root: StrPath | None = None,
+) -> tuple[Log, ...]:
+    """Read the records of one axis and tell how each was read.
+
+    Parameters
+    ----------
+    paths, settings, columns, units, data_root
+        As in :func:`read_records`.
+
+    Returns
+    -------
+    tuple of Log
+        In the order given.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_records` does.
+    """
     named = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     root = None if data_root is None else _real(Path(data_root))
     sources = [source for path in named for source in _sources(Path(path), root)]
     if not sources:
         raise InputError("no records are given; name files, folders or a campaign TOML")
     _check_distinct(sources)
-    records = tuple(_read(source, settings, columns, units) for source in sources)
-    _check_units(records, sources)
-    return records
+    logs = tuple(Log(path=source.path, reading=_read(source, settings, columns, units)) for source in sources)
+    _check_units([log.reading.record for log in logs], sources)
+    return logs
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Log:
+    """A file and what was read from it.
+
+    Parameters
+    ----------
+    path : Path
+        Where the file really is.
+    reading : Reading
+        Its record, and how it was found.
+    """
+
+    path: Path
+    reading: Reading
 
 
 @final
@@ -90,7 +137,7 @@ class _Source:
 def _sources(path: Path, root: Path | None) -> Iterator[_Source]:
     if path.suffix.lower() == ".toml" and not path.is_dir():
         yield from _campaign(path, root)
-    elif path.is_dir():
+    elif path.is_dir() and not is_bag(path):
         yield from _folder(path, root)
     else:
         yield _Source(path=path, label=str(path))
@@ -99,14 +146,19 @@ def _sources(path: Path, root: Path | None) -> Iterator[_Source]:
 def _folder(folder: Path, root: Path | None) -> Iterator[_Source]:
     with located(str(folder)):
         try:
-            files = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+            files = sorted(path for path in folder.iterdir() if _is_log(path))
         except OSError as error:
             raise InputError(f"cannot be listed: {(error.strerror or str(error)).lower()}") from error
         if not files:
-            raise InputError("is a folder without .csv or .mat files")
+            raise InputError("is a folder without logs such as .csv, .mat or .xlsx")
     for file in files:
         with located(str(file)):
             yield _Source(path=_inside(file, folder, root), label=str(file))
+
+
+def _is_log(path: Path) -> bool:
+    name = path.name.lower()
+    return (name.endswith(SUFFIXES) and not name.startswith((".", "~$"))) or is_bag(path)
 
 
 def _campaign(path: Path, root: Path | None) -> Iterator[_Source]:
@@ -201,9 +253,9 @@ def _read(
     settings: Mapping[str, object] | None,
     columns: Mapping[str, str] | None,
     units: Mapping[str, str] | None,
-) -> Record:
+) -> Reading:
     given = {key: value for key, value in (settings or {}).items() if value is not None}
-    return read_record(
+    return read_log(
         source.path,
         settings={**source.settings, **given},
         columns={**source.columns, **(columns or {})},

@@ -49,18 +49,31 @@ class RecordSettings(TypedDict, total=False):
     kp: float | str
     kd: float | str
     ki: float | str
-    encoder_resolution: float | str
-    voltage_limit: float | str
-    voltage_before: float | str
-    control_period: float | str
-    counts_per_unit: float | str
-    inertia: float | str
-    mass: float | str
+    kv: float | str
+    kiv: float | str
+    controller: str
+    anti_windup: str
+    tracking_time: float | str
+    integral_before: float | str
+    setpoint_weight: float | str
+    feedforward_speed: float | str
+    derivative: str
+    derivative_on: str
     derivative_filter: float | str
     derivative_window: float | str
-    controller: str
-    derivative_on: str
-    derivative: str
+    control_period: float | str
+    sample_time: float | str
+    reference: str
+    encoder_resolution: float | str
+    counts_per_unit: float | str
+    counts_per_rev: float | str
+    voltage_limit: float | str
+    voltage_before: float | str
+    current_limit: float | str
+    supply_voltage: float | str
+    pwm_full_scale: float | str
+    inertia: float | str
+    mass: float | str
 
 
 def as_records(

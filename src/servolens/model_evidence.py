@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -13,7 +13,7 @@ from servolens.results import to_finite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["MATERIAL", "DataRange", "Evidence", "Remainder"]
+__all__ = ["MATERIAL", "DataRange", "Evidence", "ModelError", "Remainder"]
 
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
@@ -90,11 +90,15 @@ class DataRange:
         [m/s or rad/s].
     step : float
         Step of the reference, or travel where none was logged [m or rad].
+    kp, kd : float or None
+        Gains of the loops [V/m, V s/m]; None where no record states them.
     """
 
     voltage: float
     speed: float
     step: float
+    kp: float | None = None
+    kd: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
@@ -103,7 +107,41 @@ class DataRange:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DataRange:
         """Build the range from what :meth:`to_json` returned."""
-        return cls(**{f.name: _size(data[f.name], f"range.{f.name}") for f in fields(cls)})
+        given = {f.name: data[f.name] for f in fields(cls) if f.default is MISSING or data.get(f.name) is not None}
+        return cls(**{name: _size(value, f"range.{name}") for name, value in given.items()})
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelError:
+    """What the records say of a model's relative error at each frequency.
+
+    Attributes
+    ----------
+    frequency : tuple of float
+        Rising [Hz].
+    size : tuple of float
+        |Δ| where the axis answers a command as the model does times 1 + Δ; where noise hides it, as much as noise may
+        hide, but no more than 1.
+    loop : tuple of float
+        Largest complementary sensitivity |T| of the loops that made the records: they are stable with T·Δ.
+    """
+
+    frequency: tuple[float, ...]
+    size: tuple[float, ...]
+    loop: tuple[float, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {name: list(getattr(self, name)) for name in self.__slots__}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> ModelError:
+        """Build it from what :meth:`to_json` returned."""
+        columns = {f.name: tuple(_size(v, f"model_error.{f.name}") for v in data[f.name]) for f in fields(cls)}
+        if len({len(column) for column in columns.values()}) != 1 or not columns["frequency"]:
+            raise InputError("model_error must hold frequency, size and loop, as many of each")
+        return cls(**columns)
 
 
 @final
@@ -123,6 +161,8 @@ class Evidence:
         R.m.s. of the simulation's error on records that took no part in the fit, over the step: the worst of them.
     fatal : tuple of str
         Sentences of the findings for which the model is worthless.
+    model_error : ModelError or None
+        Its relative error at each frequency; None where no loop of the records can be simulated.
     """
 
     range: DataRange
@@ -130,6 +170,7 @@ class Evidence:
     remainder: Remainder | None = None
     heldout_of_step: float | None = None
     fatal: tuple[str, ...] = ()
+    model_error: ModelError | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that stand beside those of the plant in ``servolens.model/1``; finite numbers only."""
@@ -140,6 +181,7 @@ class Evidence:
                 "range": self.range.to_json(),
                 "heldout_of_step": self.heldout_of_step,
                 "fatal": self.fatal,
+                "model_error": None if self.model_error is None else self.model_error.to_json(),
             }
         )
         return result
@@ -162,6 +204,7 @@ class Evidence:
             remainder=None if remainder is None else Remainder.from_json(remainder),
             heldout_of_step=None if heldout is None else _size(heldout, "heldout_of_step"),
             fatal=tuple(str(sentence) for sentence in data.get("fatal") or ()),
+            model_error=None if data.get("model_error") is None else ModelError.from_json(data["model_error"]),
         )
 
 

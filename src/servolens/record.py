@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
+from servolens.control_arithmetic import Seen, answer
+from servolens.controller import Controller
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,81 +19,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
+    from servolens.control_arithmetic import Answer
     from servolens.findings import Finding
 
 __all__ = ["Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Controller:
-    """The digital P or PD loop that made a record.
-
-    ``V[k] = kp (r[k] − y[k]) − kd d[k]`` with
-    ``d[k] = d[k−1] + derivative_filter ((y[k] − y[k−w])/(w h) − d[k−1])`` and zero-order hold.
-
-    Parameters
-    ----------
-    kp : float
-        Proportional gain [V/m or V/rad], finite.
-    kd : float
-        Derivative gain [V s/m or V s/rad], finite.
-    derivative_filter : float
-        Share of the new difference in the derivative, in (0, 1]; 1 is no filter.
-    derivative_window : int
-        Samples ``w`` that the raw difference spans, at least 1.
-    derivative_on : {"measurement", "error"}
-        What is differentiated.
-    derivative : {"position", "velocity"}
-        ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
-    control_period : float or None
-        Period of the loop [s] where it is slower than the log; None means every sample.
-
-    Raises
-    ------
-    InputError
-        If a value is outside its range.
-    """
-
-    kp: float
-    kd: float = 0.0
-    derivative_filter: float = 1.0
-    derivative_window: int = 1
-    derivative_on: Literal["measurement", "error"] = "measurement"
-    derivative: Literal["position", "velocity"] = "position"
-    control_period: float | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("kp", "kd", "derivative_filter", "derivative_window", "control_period"):
-            value = getattr(self, name)
-            is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            _require(
-                is_number or (name == "control_period" and value is None), f"{name} must be a number, got {value!r}"
-            )
-        _require(np.isfinite(self.kp), f"kp must be finite, got {self.kp!r}")
-        _require(np.isfinite(self.kd), f"kd must be finite, got {self.kd!r}")
-        _require(
-            0 < self.derivative_filter <= 1, f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}"
-        )
-        _require(
-            self.derivative_window >= 1 and self.derivative_window == int(self.derivative_window),
-            f"derivative_window must be a whole number of samples, at least 1, got {self.derivative_window!r}",
-        )
-        _require(
-            self.derivative_on in ("measurement", "error"),
-            f"derivative_on must be 'measurement' or 'error', got {self.derivative_on!r}",
-        )
-        _require(
-            self.derivative in ("position", "velocity"),
-            f"derivative must be 'position' or 'velocity', got {self.derivative!r}",
-        )
-        period = self.control_period
-        _require(
-            period is None or (np.isfinite(period) and period > 0), f"control_period must be positive, got {period!r}"
-        )
 
 
 @final
@@ -192,6 +126,10 @@ class Record:
             )
 
         _check_enabled(self.enabled, self.name)
+        _require(
+            self.controller is None or not self.controller.is_limited or self.voltage_limit is not None,
+            f"{self.name}: anti_windup needs the limit of the command; give voltage_limit",
+        )
         before = self.voltage_before
         _require(before is None or np.isfinite(before), f"{self.name}: voltage_before must be finite, got {before!r}")
 
@@ -298,7 +236,36 @@ class Record:
         _require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names
 
+    def answer(self, controller: Controller) -> Answer:
+        """Return what a `controller` makes of the signals, see :mod:`servolens.control_arithmetic`.
+
+        Raises
+        ------
+        InputError
+            If there is no reference, or a velocity is needed and not logged, or the period does not fit.
+        """
+        _require(self.reference is not None, "the control law needs the reference; log it")
+        assert self.reference is not None  # noqa: S101 - required above
+        seen = Seen(
+            time=self.time,
+            reference=self.reference,
+            position=self.position,
+            sample_time=self.sample_time,
+            velocity=self.velocity,
+            added=self.feedforward,
+            limit=self.voltage_limit,
+        )
+        return answer(controller, seen)
+
     def _take(self, first: int, last: int) -> Record:
+        taken = self._signals(first, last)
+        loop = self.controller
+        if first == 0 or loop is None or not loop.integrates or self.reference is None:
+            return taken
+        begun = float(self._signals(0, first + 1).answer(loop).remembered[first - 1])
+        return replace(taken, controller=replace(loop, integral_before=begun))
+
+    def _signals(self, first: int, last: int) -> Record:
         parts = {s: v[first:last] for s in SIGNALS if (v := getattr(self, s)) is not None}
         return replace(self, **parts, voltage_before=self.voltage_before if first == 0 else None)
 

@@ -34,6 +34,8 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "s": (1.0, {"s": 1}),
     "ms": (1e-3, {"s": 1}),
     "us": (1e-6, {"s": 1}),
+    "ns": (1e-9, {"s": 1}),
+    **dict.fromkeys(("sec", "seconds", "second"), (1.0, {"s": 1})),
     "m": (1.0, {"m": 1}),
     "cm": (1e-2, {"m": 1}),
     "mm": (1e-3, {"m": 1}),
@@ -43,7 +45,10 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "mrad": (1e-3, {"rad": 1}),
     "deg": (math.pi / 180, {"rad": 1}),
     "°": (math.pi / 180, {"rad": 1}),
-    "rev": (2 * math.pi, {"rad": 1}),
+    **dict.fromkeys(("degree", "degrees"), (math.pi / 180, {"rad": 1})),
+    **dict.fromkeys(("rev", "revs", "turn", "turns"), (2 * math.pi, {"rad": 1})),
+    "rpm": (2 * math.pi / 60, {"rad": 1, "s": -1}),
+    "min": (60.0, {"s": 1}),
     "V": (1.0, _VOLT),
     "mV": (1e-3, _VOLT),
     "A": (1.0, {"A": 1}),
@@ -55,8 +60,20 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
     "mNm": (1e-3, _TORQUE),
     "%": (1.0, {"%": 1}),
     "percent": (1.0, {"%": 1}),
+    "duty": (100.0, {"%": 1}),
+    "pwm": (1.0, {"pwm": 1}),
+    **dict.fromkeys(("volt", "volts"), (1.0, _VOLT)),
     **dict.fromkeys(("count", "counts", "cts", "cnt", "tick", "ticks"), (1.0, {"count": 1})),
 }
+_SPELLINGS = {
+    **dict.fromkeys(("sek", "Sek", "Sekunden"), "s"),
+    **dict.fromkeys(("Grad", "grad"), "deg"),
+    **dict.fromkeys(("U", "Umdr", "Umdrehungen"), "rev"),
+    **dict.fromkeys(("inc", "Ink", "Inkr", "Inkremente"), "count"),
+    **dict.fromkeys(("Volt", "Volts"), "V"),
+    **dict.fromkeys(("RPM",), "rpm"),
+}
+"""What logs write for units; pint reads some of them as others (grad as gon) or not at all."""
 _BASES = {
     "[length]": "m",
     "[mass]": "kg",
@@ -65,6 +82,7 @@ _BASES = {
     "[angle]": "rad",
     "[percent]": "%",
     "[count]": "count",
+    "[pwm]": "pwm",
 }
 _NO_UNITS = re.compile(r"\b(units?|position|per cent of)\b", re.IGNORECASE)  # pint reads "unit" as a micronit
 _HARMLESS = re.compile(r"[A-Za-z0-9_°%·*/^(). ²³-]+")
@@ -170,7 +188,8 @@ def _from_table(text: str) -> Unit | None:
     if slash:
         powers.append((below.strip(), -1))
     factor, dimension = 1.0, dict[str, float]()
-    for atom, power in powers:
+    for written, power in powers:
+        atom = _SPELLINGS.get(written, written)
         if atom not in _ATOMS:
             return None
         size, bases = _ATOMS[atom]
@@ -206,6 +225,8 @@ def _registry() -> Any:
     registry: Any = pint.UnitRegistry(on_redefinition="ignore")
     registry.define("radian = [angle] = rad")
     registry.define("percent = [percent] = %")
+    registry.define("pwm = [pwm]")
+    registry.define("duty = 100 * percent")
     registry.define("count = [count] = counts = cts = cnt = tick = ticks")
     registry.define("rev = 2 * pi * radian")
     registry.define("Nm = newton * meter")

@@ -26,19 +26,24 @@ What python-control does with such systems, and what to do about it (version 0.1
 * A name in ``params=`` that no system has is ignored.
 * ``frequency_response``, ``bode_plot`` and their like take linear systems: linearise first. A plant or loop from here
   is linearised exactly, an interconnection by python-control's differences.
+* The digital controller itself, PID and cascade included, is :func:`digital_controller`, in discrete time.
+  python-control does not mix discrete and continuous systems: sample the linearised axis first.
 * An interconnection cannot be pickled; the systems made here can.
 """
 
 from servolens.bridge.checking import ResponseWarning, check_response
+from servolens.bridge.digital import ControllerSystem, digital_controller
 from servolens.bridge.response import SOLVER, held_response
 from servolens.bridge.system import PlantSystem, closed_loop, to_control
 
 __all__ = [
     "SOLVER",
+    "ControllerSystem",
     "PlantSystem",
     "ResponseWarning",
     "check_response",
     "closed_loop",
+    "digital_controller",
     "held_response",
     "to_control",
 ]

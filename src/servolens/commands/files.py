@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servolens.errors import InputError, ServolensError
 from servolens.results import STANDARD_OUTPUT
@@ -13,6 +13,7 @@ from servolens.results import STANDARD_OUTPUT
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from servolens.campaign import Log
     from servolens.commands.options import Recordings
     from servolens.findings import Finding
     from servolens.identification import Prior
@@ -23,6 +24,7 @@ __all__ = [
     "about",
     "check_apart",
     "check_outputs",
+    "load_logs",
     "load_models",
     "load_records",
     "priors_from",
@@ -68,15 +70,31 @@ def load_records(
 
     check_outputs(outputs, recordings.paths)
     progress("Reading", 0, 0)
-    records = read_records(
-        recordings.paths,
-        settings=recordings.settings or None,
-        columns=recordings.columns or None,
-        units=recordings.units or None,
-        data_root=recordings.data_root,
-    )
+    records = read_records(recordings.paths, **_options(recordings))
     check_outputs(outputs, [record.source for record in records if record.source])
     return records
+
+
+def load_logs(
+    recordings: Recordings, outputs: Mapping[str, str | None], progress: Callable[[str, int, int], None]
+) -> tuple[Log, ...]:
+    """Read the records and how they were found; otherwise as :func:`load_records`."""
+    from servolens.campaign import read_logs
+
+    check_outputs(outputs, recordings.paths)
+    progress("Reading", 0, 0)
+    logs = read_logs(recordings.paths, **_options(recordings))
+    check_outputs(outputs, [log.reading.record.source for log in logs])
+    return logs
+
+
+def _options(recordings: Recordings) -> dict[str, Any]:
+    return {
+        "settings": recordings.settings or None,
+        "columns": recordings.columns or None,
+        "units": recordings.units or None,
+        "data_root": recordings.data_root,
+    }
 
 
 def check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:

@@ -26,6 +26,7 @@ __all__ = [
     "json_option",
     "prior_option",
     "recordings",
+    "several_gains",
     "specification",
 ]
 
@@ -40,6 +41,21 @@ SPEC_FIELDS = (
     "control",
     "sample_time",
     "derivative_filter",
+    "controller",
+    "ki",
+    "setpoint_weight",
+    "kiv",
+    "anti_windup",
+    "hunting",
+)
+WISHES = (
+    "free",
+    "objective",
+    "peak_sensitivity",
+    "peak_complementary",
+    "delay_margin",
+    "voltage_noise",
+    "position_noise",
 )
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
@@ -103,6 +119,26 @@ def _mapped(value: str) -> tuple[str, str]:
     return signal, text
 
 
+def _ordered(value: str) -> dict[str, str]:
+    """Convert signals in the order of the columns to their columns' numbers."""
+    names = [name.strip() for name in value.split(",")]
+    wrong = next((name for name in names if name not in (*SIGNALS, "-", "")), None)
+    if wrong is not None:
+        raise click.BadParameter(f"{wrong[:40]!r} is no signal; known are {', '.join(SIGNALS)}, and - for others")
+    given = [name for name in names if name in SIGNALS]
+    if len(set(given)) < len(given):
+        raise click.BadParameter("a signal stands twice; keep one")
+    return {name: str(k) for k, name in enumerate(names, start=1) if name in SIGNALS}
+
+
+def _keyed(value: str) -> tuple[str, str]:
+    """Convert ``key=value``."""
+    key, mark, text = (part.strip() for part in value.partition("="))
+    if not mark or not key or not text:
+        raise click.BadParameter(f"{value[:40]!r} is not KEY=VALUE, e.g. supply_voltage=24")
+    return key, text
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recordings:
@@ -113,7 +149,7 @@ class Recordings:
     paths : tuple of str
         Files, folders, campaigns.
     settings : mapping
-        ``kp``, ``kd`` where given.
+        ``kp``, ``kd``, ``reference`` and others where given.
     columns, units : mapping
         Signal to column name, signal to unit.
     data_root : str or None
@@ -149,33 +185,22 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
     kp, kd : tuple of str
         How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
     """
-    decorators = (
-        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
-        click.option(
-            *kp,
-            "record_kp",
-            type=_setting,
-            metavar="NUMBER",
-            help="Proportional gain of the loop that made the records.",
-        ),
-        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
-        click.option(
-            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
-        ),
-        click.option(
-            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
-        ),
-        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
-    )
+    decorators = _record_options(kp, kd)
 
     def decorate(command: Command) -> Command:
         @wraps(command)
         def run(**options: Any) -> int:
-            gains = {"kp": options.pop("record_kp"), "kd": options.pop("record_kd")}
+            gains = {
+                "kp": options.pop("record_kp"),
+                "kd": options.pop("record_kd"),
+                "reference": options.pop("reference_step"),
+            }
+            stated = {name: value for name, value in gains.items() if value is not None}
+            ordered = options.pop("column_order") or {}
             chosen = Recordings(
                 paths=_named(options.pop("records")),
-                settings={name: value for name, value in gains.items() if value is not None},
-                columns=_once(options.pop("column"), "--column"),
+                settings=_once(options.pop("setting"), "--setting") | stated,
+                columns=ordered | _once(options.pop("column"), "--column"),
                 units=_once(options.pop("unit"), "--unit"),
                 data_root=options.pop("data_root"),
             )
@@ -199,8 +224,10 @@ def specification(
         Whether the loop of the records stands for what is not given.
     """
     records = "that of the records, else " if of_records else ""
-    decorators = (
-        _number("--kp", "Proportional gain to design for [V/m or V/rad].", required="--kp" in required),
+    decorators: tuple[Callable[[Command], Command], ...] = (
+        _number(
+            "--kp", "Proportional gain to design for [V/m or V/rad]; of a cascade [1/s].", required="--kp" in required
+        ),
         _number("--settling-time", "In the band from this time on [s].", required="--settling-time" in required),
         _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
         _number("--reference", "Size of the step [m or rad].  [default: that of the records, else 0.1]"),
@@ -214,6 +241,7 @@ def specification(
         ),
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
+        *_law(records),
     )
 
     def decorate(command: Command) -> Command:
@@ -227,6 +255,72 @@ def specification(
         return _stacked(run, decorators)
 
     return decorate
+
+
+def several_gains() -> Callable[[Command], Command]:
+    """Give a command the options of a design with several free gains, as one ``wishes``; None where none is given."""
+    decorators = (
+        click.option(
+            "--free",
+            cls=Paths,
+            multiple=True,
+            metavar="GAIN...",
+            help="Gains to choose: kp, kd, derivative_filter.  [default with --objective: kp kd]",
+        ),
+        click.option(
+            "--objective",
+            type=click.Choice(["noise", "kd", "settling_time", "margin"]),
+            help="What free gains are to be best for.  [default with --free: noise]",
+        ),
+        _number("--peak-sensitivity", "Of free gains: largest Ms of the linearised loop."),
+        _number("--peak-complementary", "Of free gains: largest Mt."),
+        _number("--delay-margin", "Of free gains: by how much the command may come later [s]."),
+        _number("--voltage-noise", "Of free gains: largest r.m.s. noise of the command [V]."),
+        _number("--position-noise", "R.m.s. of the measurement noise [m or rad].  [default: that of the records]"),
+    )
+
+    def decorate(command: Command) -> Command:
+        @wraps(command)
+        def run(**options: Any) -> int:
+            given = {name: options.pop(name) for name in WISHES}
+            given = {name: value for name, value in given.items() if value is not None and value != ()}
+            if given and not {"free", "objective"} & set(given):
+                option = next(iter(given)).replace("_", "-")
+                raise click.UsageError(f"--{option} is for free gains; add --free kp kd or --objective")
+            return command(wishes=given or None, **options)
+
+        return _stacked(run, decorators)
+
+    return decorate
+
+
+def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
+    """Return the options of other loops than PD; `records` tells where what is not given comes from."""
+    return (
+        _number("--ki", f"Integral gain of a PID [V/(m s)].  [default: {records}0]"),
+        _number("--setpoint-weight", f"Share of the reference in its proportional part.  [default: {records}1]"),
+        click.option(
+            "--cascade",
+            "controller",
+            flag_value="cascade",
+            default=None,
+            help="P of the position (--kp), PI of the speed: the gain of the speed loop, kv, is sought.",
+        ),
+        _number("--kiv", f"Integral gain of the speed loop [V/m].  [default: {records}0]"),
+        click.option(
+            "--anti-windup",
+            type=click.Choice(["none", "clamping", "back_calculation"]),
+            help=f"Of the integral, at the limit of the model.  [default: {records}none]",
+        ),
+        click.option(
+            "--no-hunting",
+            "hunting",
+            flag_value=False,
+            type=bool,
+            default=None,
+            help="Only gains with which the axis comes to rest from all starts that are tried.",
+        ),
+    )
 
 
 json_option = click.option(
@@ -261,6 +355,46 @@ effort_option = click.option(
 force_option = click.option(
     "--force", is_flag=True, help="Write the model although a sign or a unit in the records is wrong."
 )
+
+
+def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[[Command], Command], ...]:
+    return (
+        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
+        click.option(
+            *kp,
+            "record_kp",
+            type=_setting,
+            metavar="NUMBER",
+            help="Proportional gain of the loop that made the records.",
+        ),
+        click.option(*kd, "record_kd", type=_setting, metavar="NUMBER", help="Its derivative gain."),
+        click.option(
+            "--column", multiple=True, type=_mapped, metavar="SIGNAL=NAME", help="Column of a signal: position=qm."
+        ),
+        click.option(
+            "--unit", multiple=True, type=_mapped, metavar="SIGNAL=UNIT", help="Unit of a column: position=mm."
+        ),
+        click.option(
+            "--columns",
+            "column_order",
+            type=_ordered,
+            metavar="SIGNAL,...",
+            help="Signals in the order of the columns, - for others: time,position,-,voltage.",
+        ),
+        click.option(
+            "--reference-step",
+            metavar="LEVEL[@TIME],...",
+            help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
+        ),
+        click.option(
+            "--setting",
+            multiple=True,
+            type=_keyed,
+            metavar="KEY=VALUE",
+            help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
+        ),
+        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
+    )
 
 
 def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:

@@ -34,7 +34,7 @@ DELTA = 0.5
 """δ of eq. 18 [1/s], as in the paper."""
 SHORT_PIECE = 0.05
 """Pieces [s] short enough to follow the damping through a reversal."""
-SPEC = {"kp": 100.0, "settling_time": 0.5, "band": 0.01, "reference": 0.1}
+SPEC: dict[str, Any] = {"kp": 100.0, "settling_time": 0.5, "band": 0.01, "reference": 0.1}
 """Eq. 36."""
 LARGEST_LEAST = 6.0
 """Where only the least gain matters, the search ends here."""

@@ -10,7 +10,6 @@ import numpy as np
 from servolens import lab
 from servolens.design import settling_time
 from servolens.errors import NumericalError
-from servolens.record import Controller
 from servolens.study import study_records
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ def study_hidden_axis(progress: Callable[[str, int, int], None] = lambda _what, 
 
 
 def _tried(campaign: HiddenCampaign, name: str, kd: float, spec: PDSpec) -> TriedGain:
-    controller = Controller(kp=spec.kp, kd=kd, derivative_filter=spec.derivative_filter)
+    controller = spec.loop(kd)
     try:
         run = campaign.tried(controller, [spec.reference], WATCHED * spec.settling_time, spec.sample_time)
     except NumericalError:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Span = tuple[float, float]
 
-__all__ = ["Cover", "gain_scale", "last_gain"]
+__all__ = ["SPARE", "Cover", "gain_scale", "last_gain"]
 
 CELLS = 8
 """Cells that the search begins with, for each unit of asinh(kd / scale)."""
@@ -38,23 +38,30 @@ SPARE = 2.0
 def gain_scale(plant: Plant, spec: PDSpec) -> float:
     """Return the change of Kd over which the loop changes within the settling time [V s/m].
 
-    A pole moves by about gain/2 per unit of Kd, and the loop's own frequency is ω = √(gain·kp): the smaller of ω/gain
-    and 2/(gain·settling time).
+    A pole moves by about gain/2 per unit of Kd, and the loop's own frequency is ω = √(gain·kp), of a cascade kp: the
+    smaller of ω/gain and 2/(gain·settling time).
     """
-    gain = abs(plant.gain)
-    return float(min(np.sqrt(gain * spec.kp), 2.0 / spec.settling_time) / gain)
+    return float(min(spec.rate(plant.gain), 2.0 / spec.settling_time) / abs(plant.gain))
 
 
 def last_gain(plant: Plant, spec: PDSpec) -> float:
     """Return a Kd beyond which the loop cannot be fast enough, rounded up to two digits.
 
     An overdamped loop creeps with exp(−kp t/(Kd + damping/gain)): Kd may be no larger than kp·t/ln(1/band), or than
-    about twice ω/gain, where the poles of a linear loop meet. The search goes twice as far.
+    about twice ω/gain, where the poles of a linear loop meet. The search goes twice as far. A cascade does not become
+    slow with Kv: there it ends where the speed loop alone is unstable, at 2/(gain·h), for its speed is the mean over
+    the last sample.
     """
     gain = abs(plant.gain)
+    if spec.controller == "cascade":
+        return _rounded_up(2.0 / (gain * spec.sample_time))
     creeping = spec.kp * spec.settling_time / np.log(1.0 / spec.band)
     meeting = 2.0 * np.sqrt(spec.kp / gain)
-    last = SPARE * max(creeping, meeting)
+    return _rounded_up(SPARE * max(creeping, meeting))
+
+
+def _rounded_up(last: float) -> float:
+    """Return the number with two digits."""
     digits = 10.0 ** (np.floor(np.log10(last)) - 1)
     return float(f"{np.ceil(last / digits - 1e-9) * digits:.6g}")
 

@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from servolens.design.limit_cycle import Hunting
+    from servolens.design.plant_inverse import Tracking
     from servolens.design.spec import PDSpec
     from servolens.diagnosis import Diagnosis
     from servolens.plant import Plant
@@ -215,6 +217,11 @@ class Design:
         Why there is none.
     recommended : Recommended or None
         The gain to use, beside the least one; None until :func:`servolens.design.recommend` looked for it.
+    hunting : mapping of str to Hunting or None
+        What swing around the reference the ``"least"`` and the ``"recommended"`` gain keep up; None where all starts
+        come to rest.
+    tracking : Tracking or None
+        What feedforward from the model is worth with the recommended gain, on a smooth move.
     lights : mapping of str to Light
         How far ``"model"`` and ``"gain"`` can be trusted, from records also ``"data"``; empty where nobody judged.
     check : tuple of RecordQuality
@@ -234,6 +241,8 @@ class Design:
     nearest: tuple[Relaxed, ...] = ()
     reason: str | None = None
     recommended: Recommended | None = None
+    hunting: Mapping[str, Hunting | None] = field(default_factory=dict)
+    tracking: Tracking | None = None
     lights: Mapping[str, Light] = field(default_factory=dict)
     check: tuple[RecordQuality, ...] = ()
     diagnosis: Diagnosis | None = None
@@ -255,7 +264,7 @@ class Design:
 
     def withhold(self, reason: str) -> Design:
         """Return the design without its gains, for a `reason` that is told; the intervals stay."""
-        return replace(self, kd=None, recommended=None, verified=(), reason=reason)
+        return replace(self, kd=None, recommended=None, verified=(), hunting={}, tracking=None, reason=reason)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.design/1`` without the file's header."""
@@ -267,7 +276,8 @@ class Design:
             "kp": self.spec.kp,
             "settling_time": None if worst is None else worst.settling_time,
             "intervals": [list(interval) for interval in self.intervals],
-            "gains": {"kp": self.spec.kp, "kd": self.kd},
+            "free": self.spec.free,
+            "gains": self.spec.gains(self.kd),
             "certificate": self.certificate.to_json(),
             "candidates": list(self.candidates),
             "margin": self.margin,
@@ -275,6 +285,8 @@ class Design:
             "models": [response.to_json() for response in self.verified],
             "spec": self.spec.to_json(),
             "recommended": None if self.recommended is None else self.recommended.to_json(),
+            "tracking": None if self.tracking is None else self.tracking.to_json(),
+            "hunting": {which: None if one is None else one.to_json() for which, one in self.hunting.items()},
         }
         if self.reason is not None:
             result["reason"] = self.reason

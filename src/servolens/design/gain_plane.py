@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.design.settle import FEASIBLE, evaluate, settling_time, step_response
+from servolens.design.cover import SPARE, last_gain
+from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
 from servolens.errors import InputError, NumericalError
 from servolens.processors import in_parallel
 
@@ -18,10 +19,12 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
-__all__ = ["GainMap", "gain_map", "noise_gain"]
+__all__ = ["LEAST_KP", "MOST_KP", "GainMap", "gain_map", "map_axes", "noise_gain"]
 
 WATCHED = 2.0
 """Settling times for which each step is watched at first; what settles in time is watched for the whole horizon."""
+LEAST_KP, MOST_KP = 0.2, 2.5
+"""Share of the kp of the spec at which a map begins and ends, unless it is told where."""
 
 
 @final
@@ -61,6 +64,24 @@ class GainMap:
         i, j = np.unravel_index(np.argmin(np.where(self.feasible, self.noise, np.inf)), self.noise.shape)
         return float(self.kp[i]), float(self.kd[j])
 
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.map/1`` without the file's header; null for what is not a finite number."""
+        pair = self.least_noise
+        reason = (
+            "a pair whose step does not settle in twice the time asked for has none, one that is unstable no overshoot"
+        )
+        return {
+            "spec": self.spec.to_json(),
+            "kp": self.kp,
+            "kd": self.kd,
+            "settling_time": self.settling_time,
+            "overshoot": self.overshoot,
+            "noise": self.noise,
+            "feasible": self.feasible,
+            "least_noise": None if pair is None else {"kp": pair[0], "kd": pair[1]},
+            **({} if np.isfinite([self.settling_time, self.overshoot]).all() else {"reason": reason}),
+        }
+
 
 def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> GainMap:
     """Simulate the step of `spec` with each pair of gains.
@@ -96,7 +117,10 @@ def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: A
     specs = [replace(spec, kp=float(value)) for value in rows]
 
     def row(one: PDSpec) -> list[tuple[float, float, bool]]:
-        return [_pair(models, one, float(value)) for value in columns]
+        found: list[tuple[float, float, bool]] = []
+        for value in columns:
+            found.append(_pair(models, one, float(value), likely=bool(found) and found[-1][2]))
+        return found
 
     found = np.array(in_parallel(row, specs), dtype=np.float64)
     return GainMap(
@@ -110,29 +134,62 @@ def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: A
     )
 
 
+def map_axes(
+    plants: Plant | Sequence[Plant], spec: PDSpec, *, kp: tuple[float, float] | None = None, count: int = 100
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return gains for a map around a spec: `count` of kp and as many of kd.
+
+    kp is that of the spec times 0.2 to 2.5, or what is given. kd begins at 0 and ends where the spec says, or else
+    where the loops with the largest kp are too slow.
+
+    Raises
+    ------
+    InputError
+        If the range of kp is empty or not positive, or `count` is less than 2.
+    """
+    models = tuple(plants) if isinstance(plants, Sequence) else (plants,)
+    low, high = kp or (LEAST_KP * spec.kp, MOST_KP * spec.kp)
+    if not 0.0 < low < high < np.inf:
+        raise InputError(f"kp of a map must run from a positive number to a larger one, got {low:g} to {high:g}")
+    if count < 2:
+        raise InputError(f"a map needs at least 2 gains of each kind, got {count}")
+    last = spec.kd_max or max(last_gain(model, replace(spec, kp=high)) for model in models) / SPARE
+    return np.linspace(low, high, count), np.linspace(0.0, last, count)
+
+
 def noise_gain(spec: PDSpec, kd: float) -> float:
     """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the controller alone.
 
     The response of the digital PD to one sample is kp + a, then a((1−φ)ʲ − (1−φ)ʲ⁻¹), with a = kd φ/h and φ the
-    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ).
+    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ). Without an integral, which sums up noise slowly.
     """
-    share = spec.derivative_filter
+    share, loop = spec.derivative_filter, spec.loop(kd)
     slope = kd * share / spec.sample_time
-    return float(np.sqrt((spec.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
+    return float(np.sqrt((loop.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
 
 
-def _pair(models: tuple[Plant, ...], spec: PDSpec, kd: float) -> tuple[float, float, bool]:
-    """Return settling time, overshoot, and whether the spec holds."""
-    times, overshoots = [], []
-    for model in models:
-        try:
-            run = step_response(model, spec, kd, WATCHED * spec.settling_time)
-        except NumericalError:
-            return np.nan, np.inf, False
-        error = (spec.reference - run.position) / abs(spec.reference)
-        settled = settling_time(run.time, error, spec.band + FEASIBLE)
-        times.append(np.nan if settled is None else settled)
-        overshoots.append(max(0.0, float(np.max(-error * np.sign(spec.reference)))))
-    slowest = float(np.max(times))
-    may = slowest <= spec.settling_time * (1 + 1e-9)
-    return slowest, max(overshoots), may and all(evaluate(model, spec, kd).meets for model in models)
+def _pair(models: tuple[Plant, ...], spec: PDSpec, kd: float, *, likely: bool) -> tuple[float, float, bool]:
+    """Return settling time, overshoot, and whether the spec holds; steps that `likely` hold it are watched on."""
+    found = [_seen(model, spec, kd, whole=likely) for model in models]
+    slowest, overshoot = max(one[0] for one in found), max(one[1] for one in found)
+    meets = all(one[2] for one in found)
+    if not likely and slowest <= spec.settling_time * (1 + 1e-9):
+        meets = all(_seen(model, spec, kd, whole=True)[2] for model in models)
+    return (slowest if np.isfinite(slowest) else np.nan), overshoot, meets
+
+
+def _seen(model: Plant, spec: PDSpec, kd: float, *, whole: bool) -> tuple[float, float, bool]:
+    """Return settling time and overshoot in the time that a map shows, and whether the `whole` step meets the spec."""
+    shown = WATCHED * spec.settling_time
+    try:
+        run = step_response(model, spec, kd, horizon(model, spec) if whole else shown)
+    except NumericalError:  # perhaps only after what the map shows
+        return _seen(model, spec, kd, whole=False) if whole else (np.inf, np.inf, False)
+    count = int(np.ceil(shown / spec.sample_time)) + 1
+    left = (spec.reference - run.position[:count]) / spec.reference
+    settled = settling_time(run.time[:count], left, spec.band + FEASIBLE)
+    return (
+        np.inf if settled is None else settled,
+        max(0.0, -float(left.min())),
+        whole and measured(run, spec, kd).meets,
+    )

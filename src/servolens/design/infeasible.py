@@ -55,7 +55,7 @@ def explain(
     gains : sequence of float
         Where to look, in increasing order.
     """
-    searched = f"no kd in [0, {spec.kd_max:g}]"
+    searched = f"no {spec.free} in [0, {spec.kd_max:g}]"
     if any(model.gain < 0 for model in models):
         reason = "the plant's gain is negative, so a positive kp drives the axis away; invert the command"
         return reason, ("kp",), ()
@@ -68,11 +68,11 @@ def explain(
     closest = _closest(spec, steps)
     settles = f"settles in {closest.settling_time:.4g} s" if np.isfinite(closest.settling_time) else "does not settle"
     reason += (
-        f"; the closest, kd = {closest.kd:.4g}, {settles}, overshoots by {100 * max(closest.overshoot, 0.0):.3g} % "
-        f"and asks for {closest.voltage_limit:.4g} V"
+        f"; the closest, {spec.free} = {closest.kd:.4g}, {settles}, overshoots by"
+        f" {100 * max(closest.overshoot, 0.0):.3g} % and asks for {closest.voltage_limit:.4g} V"
     )
     if nearest:
-        reason += f"; {_offer(nearest[0])}"
+        reason += f"; {_offer(nearest[0], spec.free)}"
     return reason, conflict, nearest
 
 
@@ -186,10 +186,10 @@ def _ratio(spec: PDSpec, wish: str, value: float) -> float:
     return float(value / max(getattr(spec, wish), spec.band))
 
 
-def _offer(found: Relaxed) -> str:
+def _offer(found: Relaxed, gain: str) -> str:
     names = {"band": "band", **WORDS}
     parts = [f"{'an' if wish == 'overshoot' else 'a'} {names[wish]} of {value:g}" for wish, value in found.changes]
-    return f"{' with '.join(parts)} can be met (kd = {found.kd:.4g})"
+    return f"{' with '.join(parts)} can be met ({gain} = {found.kd:.4g})"
 
 
 def _round_up(value: float) -> float:

@@ -13,12 +13,14 @@ from typing import TYPE_CHECKING
 from servolens.design.cover import Cover, last_gain
 from servolens.design.found import Certificate, Design
 from servolens.design.infeasible import explain
+from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.settle import evaluate, horizon
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from servolens.design.limit_cycle import Hunting
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
@@ -57,7 +59,8 @@ def tune(
     Raises
     ------
     InputError
-        If no plant is given or their units differ, or an enclosure is asked for of a plant that is not smooth.
+        If no plant is given or their units differ, an enclosure is asked for of a plant that is not smooth, or program
+        or enclosure of another loop than PD.
 
     Examples
     --------
@@ -71,11 +74,14 @@ def tune(
         raise InputError("no model was given; a design needs at least one")
     if len({(m.length_unit, m.command_unit) for m in models}) > 1:
         raise InputError("the models have different units; a gain cannot hold for all of them")
+    if (with_program or certify) and not spec.is_pd:
+        raise InputError("CasADi's program and the proof by enclosures are for PD only; leave them out")
     stated = spec.kd_max
     top = stated or max(last_gain(model, spec) for model in models)
     spec = replace(spec, kd_max=top)
     cover = Cover(models, spec, progress)
-    intervals = cover.intervals()
+    settling = cover.intervals()
+    intervals = settling if spec.hunting else without_hunting(models, spec, settling, cover.gap)
     certificate = Certificate(
         searched=(0.0, top),
         gap=cover.gap,
@@ -84,15 +90,28 @@ def tune(
         end_from_plant=stated is None,
     )
     design = Design(spec=spec, kd=None, intervals=intervals, certificate=certificate)
-    if not intervals:
+    if settling and not intervals:
+        worst = hunting(models, spec, settling[0][0])
+        design = replace(design, reason=_all_hunt(settling, spec, worst), conflict=("hunting",))
+    elif not intervals:
         reason, conflict, nearest = explain(models, spec, cover.grid())
         design = replace(design, reason=reason, conflict=conflict, nearest=nearest)
     else:
         kd = intervals[0][0]
-        design = replace(design, kd=kd, verified=tuple(evaluate(model, spec, kd) for model in models))
+        verified = tuple(evaluate(model, spec, kd) for model in models)
+        design = replace(design, kd=kd, verified=verified, hunting={"least": hunting(models, spec, kd)})
     if with_program:
         design = _with_program(models, design)
     return _certified(models, design, cover.scale, progress) if certify else design
+
+
+def _all_hunt(settling: Sequence[tuple[float, float]], spec: PDSpec, worst: Hunting | None) -> str:
+    low, high = settling[0][0], settling[-1][1]
+    size = "" if worst is None else f" (with {spec.free} = {low:.4g} by ±{worst.amplitude:.3g})"
+    return (
+        f"every {spec.free} that meets the spec otherwise, {low:.4g} to {high:.4g}, hunts from some starts{size};"
+        " choose less integral action, or admit hunting"
+    )
 
 
 def _certified(

@@ -44,7 +44,7 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
         (spec.overshoot is not None, spec.voltage_limit is not None),
     )
     width = interval[1] - interval[0]
-    parameters = [*plant.values, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
+    parameters = [*plant.values, FRICTION_WIDTH, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
     late = (samples - first) // stride + 1
     lower, upper = [-spec.band * (1.0 - INSIDE)] * late, [spec.band * (1.0 - INSIDE)] * late
     if spec.overshoot is not None:
@@ -74,7 +74,7 @@ def _program(
     samples, first, stride, substeps, late = grid
     overshoot, voltage = limits
 
-    loop = _Loop(structure, continuous, substeps, (late, split))
+    loop = Loop(structure, continuous, substeps, (late, split))
     kd = ca.MX.sym("kd")
     given = ca.MX.sym("given", loop.settings - 1)
     settings = ca.vertcat(given, kd)
@@ -90,12 +90,12 @@ def _program(
 
 
 @final
-class _Loop:
+class Loop:
     """One sample of the loop as CasADi functions.
 
     The state is [output, asked, last shown, derivative, time, axis, asked before, …]; the settings are the plant's
-    parameters and [kp, r, h, filter, due, kd], of which `due` is the share of a sample that the command is late
-    beyond `late` samples.
+    parameters and [width, kp, r, h, filter, due, kd]: `width` is the speed over which dry friction changes sign, `due`
+    the share of a sample that the command is late beyond `late` samples.
     """
 
     def __init__(
@@ -107,22 +107,23 @@ class _Loop:
         self.axis = ca.vertcat(d.position, d.velocity, d.states)
         self._continuous, self._substeps = continuous, substeps
         self._late, self._split = delay
-        width = ca.tanh(d.velocity / FRICTION_WIDTH)
-        flow = ca.substitute(ca.vertcat(d.velocity, d.acceleration, d.rates), d.direction, width)
-        inputs = [self.axis, d.time, d.command, d.parameters]
+        width = ca.SX.sym("width")
+        direction = ca.tanh(d.velocity / width)
+        flow = ca.substitute(ca.vertcat(d.velocity, d.acceleration, d.rates), d.direction, direction)
+        inputs = [self.axis, d.time, d.command, ca.vertcat(d.parameters, width)]
         self._flow = ca.Function("flow", inputs, [flow])
         self._seen = ca.Function("seen", [self.axis, d.parameters], [d.shown, d.output_velocity, d.output])
         resting = ca.vertcat(0.0, 0.0, ca.substitute(d.beginning, d.position, 0.0))
         self._resting = ca.Function("resting", [d.time, d.command, d.parameters], [resting])
         self.parameters = d.parameters.numel()
-        self.settings = self.parameters + 6
+        self.settings = self.parameters + 7
         self.step = self._sample()
 
     def beginning(self, settings: Any) -> Any:
         """Return the state of the loop at rest at 0, its first command applied for long."""
         import casadi as ca
 
-        asked = settings[self.parameters] * settings[self.parameters + 1]
+        asked = settings[self.parameters + 1] * settings[self.parameters + 2]
         axis = self._resting(0.0, asked, settings[: self.parameters])
         return ca.vertcat(0.0, asked, 0.0, 0.0, 0.0, axis, ca.repmat(asked, self._late + 1, 1))
 
@@ -131,7 +132,7 @@ class _Loop:
 
         size = self.axis.numel()
         state, settings = ca.SX.sym("state", 5 + size + self._late + 1), ca.SX.sym("settings", self.settings)
-        kp, reference, h, share, due, kd = ca.vertsplit(settings[self.parameters :])
+        _, kp, reference, h, share, due, kd = ca.vertsplit(settings[self.parameters :])
         p, axis, before = settings[: self.parameters], state[5 : 5 + size], state[5 + size :]
         shown, velocity, _ = self._seen(axis, p)
         slope = state[3] + share * ((shown - state[2]) / h - state[3])
@@ -143,17 +144,21 @@ class _Loop:
         for part, held in parts:
             step = part * h / self._substeps
             for _ in range(self._substeps):
-                axis = self._runge_kutta(axis, time, step, held, (kp, kd, reference), p)
+                axis = self._runge_kutta(axis, time, step, held, (kp, kd, reference), settings)
                 time += step
         output = self._seen(axis, p)[2]
         after = ca.vertcat(output, asked, shown, slope, time, axis, row[: self._late + 1])
         return ca.Function("sample", [state, settings], [after])
 
-    def _runge_kutta(self, axis: Any, time: Any, step: Any, held: Any, gains: tuple[Any, Any, Any], p: Any) -> Any:
+    def _runge_kutta(
+        self, axis: Any, time: Any, step: Any, held: Any, gains: tuple[Any, Any, Any], settings: Any
+    ) -> Any:
+        p, known = settings[: self.parameters], settings[: self.parameters + 1]
+
         def rate(x: Any, t: Any) -> Any:
             shown, velocity, _ = self._seen(x, p)
             command = ideal_pd(*gains, shown, velocity) if self._continuous else held
-            return self._flow(x, t, command, p)
+            return self._flow(x, t, command, known)
 
         k1 = rate(axis, time)
         k2 = rate(axis + step / 2 * k1, time + step / 2)

@@ -14,6 +14,8 @@ import numpy as np
 
 from servolens.design.cover import gain_scale
 from servolens.design.found import Recommended
+from servolens.design.limit_cycle import hunting
+from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import as_models, drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
@@ -37,8 +39,9 @@ CHOICE = 40
 """Scenarios by which the gain is chosen: one that fails in a tenth of all is noticed in 98 of 100 cases."""
 GAINS, FEWEST = 40, 3
 """Gains that are tried in all intervals together, and in each at least."""
-GLANCE = 1.25
-"""Settling times for which a step is watched at first: most gains that fail do so soon, but some swing up slowly."""
+GLANCE = 3.0
+"""Settling times for which steps are watched while gains are compared: most gains that fail do so soon. Some swing up
+slowly; so the gain that is taken, and those half way to gains that are less safe, are watched for the whole horizon."""
 
 
 def recommend(
@@ -104,32 +107,81 @@ def recommend(
     own = [evaluate(model.plant, design.spec, choice.kd) for model in known]
     found = in_parallel(lambda one: one.response(choice.kd), tests)
     least = in_parallel(lambda one: one.response(design.kd or 0.0), tests)
-    return replace(design, recommended=_told(design, choice, own, found, least))
+    swings = {**design.hunting, "recommended": hunting([model.plant for model in known], design.spec, choice.kd)}
+    moves = tracking(known[0].plant, design.spec, choice.kd, tests[:CHOICE])
+    return replace(design, recommended=_told(design, choice, own, found, least), hunting=swings, tracking=moves)
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A gain, and the overshoot limit that no gain keeps."""
+    """A gain, the overshoot limit that no gain keeps, and the gains half way to those that are less safe."""
 
     kd: float
     unkept: float | None
+    halfway: tuple[float, float]
+
+
+@final
+class _Race:
+    """Gains in a race for the fewest scenarios that fail: one that has lost is watched no further."""
+
+    def __init__(self, scenarios: Sequence[Scenario], settling_times: float | None) -> None:
+        self._scenarios, self._settling_times = scenarios, settling_times
+        self._fewest = len(scenarios)
+
+    def row(self, kd: float) -> tuple[float, NDArray[np.float64]]:
+        """Return how many scenarios fail, infinitely many for one that has lost, and the overshoot in each."""
+        failures, overshoots = 0, []
+        for scenario in self._scenarios:
+            times = self._settling_times
+            response = scenario.response(kd, None if times is None else times * scenario.spec.settling_time)
+            overshoots.append(response.overshoot)
+            failures += not response.meets
+            if failures > self._fewest:
+                return np.inf, np.full(len(self._scenarios), np.inf)
+        self._fewest = min(self._fewest, failures)
+        return failures, np.array(overshoots)
 
 
 def _chosen(models: Sequence[Model], design: Design, scenarios: Sequence[Scenario], limit: float | None) -> Choice:
     scale = min(gain_scale(model.plant, design.spec) for model in models)
     grids = _grids(design.intervals, scale)
-    jobs = [(kd, scenario) for grid in grids for kd in grid for scenario in scenarios]
-    found = np.array(in_parallel(_tried, jobs)).reshape(-1, len(scenarios), 2)
-    meets, overshoots = found[..., 0] > 0.5, found[..., 1]
-    gains, shares = np.concatenate(grids), meets.mean(axis=1)
-    safest = shares == shares.max()
+    choice = _best(grids, scale, _Race(scenarios, GLANCE), limit)
+    some = sorted({choice.kd, *choice.halfway})
+    soon, late = ([row[0] for row in map(_Race(scenarios, t).row, some)] for t in (GLANCE, None))
+    if soon != late:
+        choice = _best(grids, scale, _Race(scenarios, None), limit)
+    return replace(choice, kd=_short(choice.kd, design))
+
+
+def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit: float | None) -> Choice:
+    """Return the gain of those that fail in the fewest scenarios that is farthest from the others."""
+    gains = np.concatenate(grids)
+    order = np.argsort(-_margins(grids, np.ones(gains.size, dtype=bool), scale), kind="stable")
+    rows = dict(zip(order, in_parallel(race.row, [float(kd) for kd in gains[order]]), strict=True))
+    failures = np.array([rows[i][0] for i in range(gains.size)])
+    overshoots = np.array([rows[i][1] for i in range(gains.size)])
+    safest = failures == failures.min()
     mild = np.mean(overshoots <= (np.inf if limit is None else limit), axis=1) >= NINE_OF_TEN
-    if not (safest & mild).any():
-        mildest = np.argmin(np.where(safest, overshoots.mean(axis=1), np.inf))
-        return Choice(_short(float(gains[mildest]), design), limit)
-    farthest = np.argmax(np.where(safest & mild, _margins(grids, safest, scale), -1.0))
-    return Choice(_short(float(gains[farthest]), design), None)
+    if (safest & mild).any():
+        best = int(np.argmax(np.where(safest & mild, _margins(grids, safest, scale), -1.0)))
+        return Choice(float(gains[best]), None, _halfway(grids, safest, best))
+    best = int(np.argmin(np.where(safest, overshoots.mean(axis=1), np.inf)))
+    return Choice(float(gains[best]), limit, _halfway(grids, safest, best))
+
+
+def _halfway(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], index: int) -> tuple[float, float]:
+    """Return the gains of a grid half way from that of `index` to those that are less safe, or to the grid's ends."""
+    begin = 0
+    for grid in grids:
+        if index < begin + grid.size:
+            break
+        begin += grid.size
+    others = np.flatnonzero(~safest[begin : begin + grid.size])
+    place = index - begin
+    low, high = others[others < place].max(initial=0), others[others > place].min(initial=grid.size - 1)
+    return float(grid[(low + place + 1) // 2]), float(grid[(place + high) // 2])
 
 
 def _short(kd: float, design: Design) -> float:
@@ -147,15 +199,6 @@ def _grids(intervals: Sequence[tuple[float, float]], scale: float) -> list[NDArr
         np.clip(scale * np.sinh(np.linspace(a, b, n)), *interval)
         for (a, b), n, interval in zip(ends, counts, intervals, strict=True)
     ]
-
-
-def _tried(job: tuple[float, Scenario]) -> tuple[float, float]:
-    """Return whether the spec holds, and the overshoot."""
-    kd, scenario = job
-    response = scenario.response(kd, GLANCE * scenario.spec.settling_time)
-    if response.meets:
-        response = scenario.response(kd)
-    return float(response.meets), response.overshoot
 
 
 def _margins(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], scale: float) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any, final
 
@@ -112,8 +112,7 @@ def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: 
     for i in range(count):
         model, spec, back = turns[i % len(turns)]
         realised = 1.0 + float(random.uniform(-TOLERANCE, TOLERANCE))
-        limit = None if spec.voltage_limit is None else realised * spec.voltage_limit
-        spec = replace(spec, kp=realised * spec.kp, voltage_limit=limit)
+        spec = spec.scaled(realised)
         plant = _pushed(_plant(model, random), model, random)
         found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back))
     return found

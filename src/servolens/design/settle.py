@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servolens.design.found import Response
+from servolens.effects import Saturation
 from servolens.errors import NumericalError
-from servolens.record import Controller
 from servolens.simulation import Simulation, simulate_continuous, simulate_loop
 
 if TYPE_CHECKING:
@@ -64,13 +66,21 @@ def settling_time(
 
 def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, back: bool = False) -> Simulation:
     """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0."""
-    time = spec.sample_time * np.arange(int(np.ceil(duration / spec.sample_time)) + 1)
+    time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)
     begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
     reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
-    controller = Controller(kp=spec.kp, kd=kd, derivative_filter=spec.derivative_filter)
-    return simulate_loop(plant, controller, time, reference, start=start)
+    limit = None if plant.effect(Saturation.name) is not None else np.inf
+    return simulate_loop(plant, spec.loop(kd), time, reference, start=start, limit=limit)
+
+
+@lru_cache(maxsize=64)
+def _instants(sample_time: float, count: int) -> NDArray[np.float64]:
+    """Return the sampling instants, which many steps share: read-only."""
+    time = np.asarray(sample_time * np.arange(count), dtype=np.float64)
+    time.setflags(write=False)
+    return time
 
 
 def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, duration: float | None = None) -> Response:
@@ -94,6 +104,11 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, durat
     except NumericalError:
         nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "peak_speed": np.inf, "final_error": np.inf}
         return Response(kd=kd, settling_time=None, meets=False, stable=False, **nothing)
+    return measured(run, spec, kd, back=back)
+
+
+def measured(run: Simulation, spec: PDSpec, kd: float, *, back: bool = False) -> Response:
+    """Measure a simulated step with the derivative gain `kd` against the spec; see :func:`evaluate`."""
     step = -spec.reference if back else spec.reference
     left = ((0.0 if back else spec.reference) - run.position) / step
     overshoot = max(0.0, float(-left.min()))
@@ -113,10 +128,27 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, durat
     )
 
 
+def closed_loop_gain(plant: Plant, spec: PDSpec, kd: float, frequency: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the complementary sensitivity |T| at each `frequency` [Hz], of a step as large as the spec's.
+
+    With the loop's drive g, the command at a position that stands still, T is 1 − u/g; as the spectrum of the simulated
+    step has it, so that it holds for plants that are not linear.
+
+    Raises
+    ------
+    NumericalError
+        If the loop is unstable.
+    """
+    run = step_response(plant, spec, kd, horizon(plant, spec))
+    waves = np.exp(-2j * np.pi * np.outer(frequency, run.time))
+    found: NDArray[np.float64] = np.abs(1.0 - waves @ np.diff(run.voltage, prepend=0.0) / (spec.kp * spec.reference))
+    return found
+
+
 def horizon(plant: Plant, spec: PDSpec) -> float:
     """Return how long a step is watched [s]: ten settling times, or three periods of the undamped loop after one.
 
     Of a slow loop no more than twenty settling times are watched after the first.
     """
-    period = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
+    period = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
     return float(spec.settling_time * max(10.0, 1.0 + min(3.0 * period / spec.settling_time, 20.0)))

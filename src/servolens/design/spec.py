@@ -1,17 +1,19 @@
-"""What a PD gain has to achieve."""
+"""What a gain has to achieve, and in which loop."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal, final
 
 import numpy as np
 
+from servolens.controller import AntiWindup, Controller
 from servolens.errors import InputError
 
 __all__ = ["PDSpec"]
 
 
+WORDS = ("control", "controller", "anti_windup", "hunting")
 MOST_SAMPLES = 20_000
 """Samples within a settling time; more would take minutes and show nothing new."""
 
@@ -19,12 +21,12 @@ MOST_SAMPLES = 20_000
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PDSpec:
-    """A step response to be reached with the least derivative gain.
+    """A step response to be reached with the least derivative gain; in a cascade, the least gain of the speed loop.
 
     Parameters
     ----------
     kp : float
-        Proportional gain [V/m or V/rad], positive.
+        Proportional gain [V/m or V/rad], positive; of a cascade's position loop [1/s].
     settling_time : float
         The error stays within the band from this time on [s], positive.
     band : float
@@ -44,6 +46,16 @@ class PDSpec:
         Of the digital loop [s], positive.
     derivative_filter : float
         Of the digital loop, in (0, 1]; 1 is no filter.
+    controller : {"pd", "cascade"}
+        The law: PD or PID, whose kd is sought; or P of the position and PI of the speed, whose kv is.
+    ki, setpoint_weight : float
+        Integral gain [V/(m s) or V/(rad s)], not negative, and set-point weight of a PID.
+    kiv : float
+        Integral gain of a cascade's speed loop [V/m or V/rad], not negative.
+    anti_windup : {"none", "clamping", "back_calculation"}
+        What the integral does at the plant's voltage limit (its saturation), where it has one.
+    hunting : bool
+        Whether a limit cycle around the reference is admissible, see :func:`servolens.design.hunting`.
 
     Raises
     ------
@@ -61,6 +73,12 @@ class PDSpec:
     control: Literal["sampled", "continuous"] = "sampled"
     sample_time: float = 1e-3
     derivative_filter: float = 1.0
+    controller: Literal["pd", "cascade"] = "pd"
+    ki: float = 0.0
+    setpoint_weight: float = 1.0
+    kiv: float = 0.0
+    anti_windup: AntiWindup = "none"
+    hunting: bool = True
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -78,6 +96,7 @@ class PDSpec:
             raise InputError(f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}")
         if self.control not in ("sampled", "continuous"):
             raise InputError(f"control must be 'sampled' or 'continuous', got {self.control!r}")
+        _check_law(self)
         if self.settling_time > MOST_SAMPLES * self.sample_time:
             raise InputError(
                 f"settling_time {self.settling_time:g} s is more than {MOST_SAMPLES} samples of "
@@ -88,16 +107,83 @@ class PDSpec:
                 f"settling_time {self.settling_time:g} s is less than three samples of {self.sample_time:g} s"
             )
 
+    @property
+    def free(self) -> Literal["kd", "kv"]:
+        """The gain that is sought."""
+        return "kv" if self.controller == "cascade" else "kd"
+
+    @property
+    def is_pd(self) -> bool:
+        """Whether the loop is nothing but kp and kd."""
+        return self.controller == "pd" and self.ki == 0 and self.setpoint_weight == 1
+
+    def loop(self, gain: float) -> Controller:
+        """Return the digital loop with the gain that is sought; a cascade without it does nothing."""
+        if self.controller == "pd":
+            return Controller(
+                kp=self.kp,
+                kd=gain,
+                ki=self.ki,
+                setpoint_weight=self.setpoint_weight,
+                anti_windup=self.anti_windup if self.ki else "none",
+                derivative_filter=self.derivative_filter,
+            )
+        if gain == 0:
+            return Controller(kp=0.0)
+        return Controller.cascade(
+            kp=self.kp,
+            kv=gain,
+            kiv=self.kiv,
+            anti_windup=self.anti_windup if self.kiv else "none",
+            derivative_filter=self.derivative_filter,
+        )
+
+    def gains(self, gain: float | None) -> dict[str, float | None]:
+        """Return all gains of the loop by name, with the one that is sought."""
+        if self.controller == "cascade":
+            return {"kp": self.kp, "kv": gain, "kiv": self.kiv}
+        return {"kp": self.kp, "kd": gain, "ki": self.ki or None}
+
+    def scaled(self, factor: float) -> PDSpec:
+        """Return the spec of a loop whose command is multiplied by `factor`, and so is the gain that is sought."""
+        limit = None if self.voltage_limit is None else factor * self.voltage_limit
+        if self.controller == "cascade":
+            return replace(self, kiv=factor * self.kiv, voltage_limit=limit)
+        return replace(self, kp=factor * self.kp, ki=factor * self.ki, voltage_limit=limit)
+
+    def rate(self, plant_gain: float) -> float:
+        """Return how fast the loop is without damping [rad/s], around an axis of so much gain."""
+        return self.kp if self.controller == "cascade" else float(np.sqrt(abs(plant_gain) * self.kp))
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
+def _check_law(spec: PDSpec) -> None:
+    for name, allowed in (("controller", ("pd", "cascade")), ("anti_windup", ("none", "clamping", "back_calculation"))):
+        if getattr(spec, name) not in allowed:
+            raise InputError(f"{name} must be {' or '.join(map(repr, allowed))}, got {getattr(spec, name)!r}")
+    for name in ("ki", "kiv"):
+        if not (np.isfinite(getattr(spec, name)) and getattr(spec, name) >= 0):
+            raise InputError(f"{name} must be finite and not negative, got {getattr(spec, name)!r}")
+    if not np.isfinite(spec.setpoint_weight):
+        raise InputError(f"setpoint_weight must be finite, got {spec.setpoint_weight!r}")
+    if spec.controller == "cascade" and (spec.ki or spec.setpoint_weight != 1):
+        raise InputError("a cascade has no ki and no setpoint_weight; the integral of its speed loop is kiv")
+    if spec.controller == "pd" and spec.kiv:
+        raise InputError("kiv is for a cascade only; ask for a cascade, or give ki")
+    if spec.control == "continuous" and not spec.is_pd:
+        raise InputError("control = continuous is the ideal PD; an integral or a cascade needs control = sampled")
+    if not (spec.ki or spec.kiv or spec.anti_windup == "none"):
+        raise InputError(f"anti_windup = {spec.anti_windup} needs an integral; give ki, or kiv of a cascade")
+
+
 def _check_numbers(spec: PDSpec) -> None:
-    for field in fields(spec):
+    for field in (f for f in fields(spec) if f.name not in WORDS):
         value = getattr(spec, field.name)
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-        if field.name != "control" and not (is_number or (value is None and field.default is None)):
+        if not (is_number or (value is None and field.default is None)):
             raise InputError(f"{field.name} must be a number, got {value!r}")
 
 

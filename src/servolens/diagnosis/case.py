@@ -19,6 +19,7 @@ from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise_in_loop import drawn_loop_errors
 from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
+from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
 from servolens.identification.structure import can_tell, depends_on_inputs, loop_depends_on_inputs
@@ -143,12 +144,14 @@ class Case:
     def _depends(self, hypothesis: Hypothesis) -> bool:
         """Ask the innovations; and the loops where the noise may have taken up what the model lacks.
 
-        An observer that follows a shaken axis is an approximation: what it leaves is whitened as well as can be.
+        An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process:
+        what they leave is whitened as well as can be.
         """
         noise = hypothesis.noise
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
-        asked = hypothesis if noise.rate == 0.0 else self.likelihood.whitened_well(hypothesis)
-        if noise.wanders or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+        is_rough = noise.rate > 0.0 or dominates(noise)
+        asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis
+        if noise.is_model_error or depends_on_inputs(ScoreTest(self.likelihood, asked)):
             return True
         if not closed or (noise.rate == 0.0 and noise.order == 0):
             return False
@@ -193,7 +196,7 @@ class Case:
         for plant in structures:
             with suppress(InputError, NumericalError):
                 found = likelihood.judged(plant)
-                is_simulation = found is not None and found.noise.rate == 0.0 and not found.noise.wanders
+                is_simulation = found is not None and found.noise.rate == 0.0 and not found.noise.is_model_error
                 if found is not None and is_simulation and not depends_on_inputs(ScoreTest(likelihood, found)):
                     return found.plant
         return None

@@ -10,7 +10,6 @@ from servolens.diagnosis.search import INDISTINCT, SHARE, Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
-from servolens.identification.refine import AT_NOISE
 from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
@@ -22,10 +21,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Decision", "decided"]
 
+MOST = 0.9
+"""Share of the squared error that causes must take of a remainder that is immaterial, to be named."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.5, 2.0 / 3.0
-"""Of the effort of the first search, what a second one by simulations may take: it knows where the first one ended.
+"""Of the effort of the first search, what a second one, by simulations or without shaking, may take.
 The first one's share of both."""
 
 
@@ -56,13 +57,32 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     """Search by prediction errors and, where these show that no model is the axis, by simulations."""
     if case.contradiction() is not None:  # no effect makes one axis of two
         return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
-    found = search(case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share))
+    found = search(
+        case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
+    )
+    if found.chosen.noise.rate > 0.0:
+        found = _unshaken(case, found, effort)
     found = _simplest(case, found)
     if case.is_enough(found.chosen):
         first = _confirmed(case, found)
         if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
             return first
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
+    """Return what a search finds that takes the axis for one that nothing shakes, where that is likelier.
+
+    An observer follows what two causes do before either is found, and so hides that both together leave nothing.
+    """
+    trials = case.trials.unshaken()
+    try:
+        other = search(trials, trials.base(), replace(effort, work=SECOND * effort.work), is_enough=case.is_enough)
+    except NumericalError:
+        return found
+    best = {frozenset(h.causes): h for h in sorted((*found.judged, *other.judged), key=lambda h: -h.total)}
+    judged = tuple(sorted(best.values(), key=lambda h: h.total))
+    return replace(other if other.chosen.total < found.chosen.total else found, judged=judged)
 
 
 def _simplest(case: Case, found: Search) -> Search:
@@ -117,7 +137,7 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     try:
         simulating = case.simulating()
         base = simulating.base
-        if _is_immaterial(simulating, base) and not _is_near(case, chosen):
+        if _is_immaterial(simulating, base) and not _takes_most(case, chosen):
             alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
@@ -139,9 +159,10 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
 def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:
     """Tell whether gain and damping alone, fitted to simulations, are closer to records that were not fitted.
 
-    Then the causes only help an observer to follow what they do not explain.
+    Then the causes only help an observer to follow what they do not explain. A wave says nothing there: no simulation
+    foretells its phase.
     """
-    if not hypothesis.causes or hypothesis.noise.rate == 0.0:
+    if not hypothesis.causes or hypothesis.noise.rate == 0.0 or own_phases(hypothesis.plant):
         return False
     try:
         simulating = case.simulating()
@@ -159,10 +180,12 @@ def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:
     return not left.material and left.of_motor <= MATERIAL
 
 
-def _is_near(case: Case, hypothesis: Hypothesis) -> bool:
-    """Tell whether simulations with the causes of a hypothesis are about as close as the noise lets them be."""
-    gains = case.gains([hypothesis])
-    return bool(hypothesis.causes) and gains.train(0) <= AT_NOISE * gains.noise
+def _takes_most(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether the causes of a hypothesis take most of what gain and damping alone leave of records not fitted."""
+    if not hypothesis.causes:
+        return False
+    gains = case.gains([case.base, hypothesis])
+    return gains.tested(1) ** 2 <= (1.0 - MOST) * gains.tested(0) ** 2
 
 
 def _cross_validated(case: Case, found: Search) -> Search:

@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.diagnosis.errors import pooled, residual
 from servolens.identification.data_range import data_range
+from servolens.identification.model_error import model_error
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
 from servolens.model_evidence import MATERIAL, Evidence, Remainder
@@ -70,6 +71,7 @@ def evidence_of(
         remainder=remainder,
         heldout_of_step=max(missed, default=None),
         fatal=tuple(against),
+        model_error=model_error(chosen.plant, (*case.records, *case.heldout)),
     )
 
 

@@ -6,6 +6,7 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -35,6 +36,8 @@ FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted."""
+SIMPLE = 0.5
+"""Of the effort, what the search without last resorts may take."""
 SHARE, SPENT = 0.25, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for."""
@@ -115,6 +118,7 @@ def search(
     effort: Effort,
     tell: Callable[[str, float], None] = lambda _, __: None,
     known: Sequence[Hypothesis] = (),
+    is_enough: Callable[[Hypothesis], bool] = lambda _: False,
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
 
@@ -130,20 +134,15 @@ def search(
         Is told what is done and the share of the whole search that is.
     known : sequence of Hypothesis
         Others that were fitted to these records before.
+    is_enough : callable
+        Tells whether a hypothesis leaves nothing that depends on the inputs; else effects that are a last resort are
+        tried as well.
     """
     explorer = _Explorer(trials, effort, tell, known)
-    path, beam, early = [base], [base], False
-    while len(path[-1].causes) < effort.causes:
-        if explorer.left <= SPENT * effort.work:
-            early = True
-            break
-        found = explorer.extended(beam, len(path[-1].causes))
-        better = [h for h in found if h.total < path[-1].total]
-        if not better or explorer.is_chance(path[-1], better[0]):
-            break
-        best = explorer.reduced(better[0])
-        path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
-        beam = _families([best, *better[1:]])[: effort.beam]
+    path, early = explorer.walked(base, SIMPLE * effort.work)
+    if not is_enough(path[-1]):
+        explorer.with_last_resorts = True
+        path, early = explorer.walked(base, effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=_worse)}.values(), key=_total)
@@ -162,6 +161,7 @@ class _Explorer:
         self.begun = self.likelihood.work
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
+        self.with_last_resorts = False
         self._seen: set[tuple[frozenset[str], bool]] = set()
 
     @property
@@ -173,21 +173,45 @@ class _Explorer:
         """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order."""
         return SHARE * self.left / max(jobs, 1)
 
+    def walked(self, base: Hypothesis, work: float) -> tuple[list[Hypothesis], bool]:
+        """Return the best with no effect, one, two …, and whether `work` of the effort was spent before the end."""
+        path, beam = [base], [base]
+        while len(path[-1].causes) < self.effort.causes:
+            if self.left <= self.effort.work - (1.0 - SPENT) * work:
+                return path, True
+            found = self.extended(beam, len(path[-1].causes))
+            better = [h for h in found if h.total < path[-1].total]
+            if not better or self.is_chance(path[-1], better[0]):
+                break
+            best = self.exchanged(self.reduced(better[0]))
+            path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
+            beam = _families([best, *better[1:]])[: self.effort.beam]
+        return path, False
+
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         found: list[Hypothesis] = []
         if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
-            beam = beam[:1]  # what leaves no more than sensor noise is no impostor
+            # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
+            best, *others = beam
+            beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
         elif not self.likelihood.simulates:
             beam = [*beam, *self._unobserved(beam[0])]
+        first: list[Hypothesis] = []
         for place, hypothesis in enumerate(beam):
-            found += self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
+            extensions = self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
+            first += sorted(extensions, key=_total)[:1]
+            found += extensions
         found.sort(key=_total)
         if number == 0:
             self.singles += _distinct(found)
         known = [h for h in self.judged if len(h.causes) == number + 1]
-        jobs = _distinct(found)[: self.effort.judged]
-        return sorted([*known, *self._judged([(h.plant, h) for h in jobs])], key=_total)
+        jobs = _distinct([*found[: self.effort.judged], *first])
+        fitted = self._judged([(h.plant, h) for h in jobs])
+        reached = {frozenset(h.causes) for h in fitted}
+        kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
+        self.judged += kept
+        return sorted([*known, *fitted, *kept], key=_total)
 
     def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
@@ -220,7 +244,8 @@ class _Explorer:
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
         is_observed = hypothesis.noise.rate > 0.0
-        names = [n for n in catalogue() if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
+        tried = [name for name, cls in catalogue().items() if self.with_last_resorts or not cls.is_last_resort]
+        names = [n for n in tried if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
@@ -274,12 +299,48 @@ class _Explorer:
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` without the effects that do not pay for themselves."""
         while len(hypothesis.causes) > 1:
-            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes[:-1]]
+            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
             simpler = self._judged([(plant, hypothesis) for plant in without])
             if not simpler or simpler[0].total >= hypothesis.total:
                 return hypothesis
             hypothesis = simpler[0]
         return hypothesis
+
+    def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` or the best with a cause replaced by one that did as well alone, or by one of its kin.
+
+        What cannot be told apart while another cause is missing often can beside it.
+        """
+        if len(hypothesis.causes) < 2:
+            return hypothesis
+        known = {frozenset(h.causes) for h in self.judged}
+        plants = [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
+        others = {
+            causes: plant
+            for plant in plants
+            if (causes := frozenset(effect.name for effect in plant.effects)) not in known
+        }
+        return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=_total)
+
+    def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
+        """Yield the plant with a cause replaced by one that explained about as much while it was alone."""
+        alone = {h.causes[0]: h for h in sorted(self.singles, key=_worse) if len(h.causes) == 1}
+        for name in hypothesis.causes:
+            limit = alone[name].total + INDISTINCT if name in alone else -np.inf
+            for other, single in alone.items():
+                if single.total <= limit and other not in hypothesis.causes:
+                    with suppress(InputError):  # two that do not go together
+                        yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
+
+    def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
+        """Yield the plant with a cause replaced by another one that generalises the same."""
+        for special in _specialised(hypothesis.plant):
+            name = special.effects[-1].name
+            others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
+            test = ScoreTest(self.likelihood, replace(hypothesis, plant=special))
+            for other, cls in others.items():
+                starts = [] if cls.is_last_resort else self.trials.starts(test, other)
+                yield from (start.plant for start in starts[:1])
 
     def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
@@ -289,7 +350,8 @@ class _Explorer:
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=_total)
-        return next((h for h in forms if h is not best and self.is_chance(h, best)), best)
+        simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
+        return next((h for h in simpler if self.is_chance(h, best)), best)
 
     def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""

@@ -14,7 +14,7 @@ from servolens.identification.likelihood import Hypothesis, Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.segments import applied_voltage, motion_segments, moving_parts
+from servolens.identification.segments import applied_voltage, motion_segments, moving_parts, parts
 from servolens.identification.smoothing import smooth
 from servolens.identification.starting import Screen, seen_in
 
@@ -102,6 +102,12 @@ class Trials:
         other.likelihood = self.likelihood.simulating()
         return other
 
+    def unshaken(self) -> Trials:
+        """Return the trials of an axis that nothing shakes."""
+        other = copy(self)
+        other.likelihood = self.likelihood.unshaken()
+        return other
+
     def base(self) -> Hypothesis:
         """Return gain and damping alone.
 
@@ -150,6 +156,8 @@ class Trials:
         plant, cls = test.hypothesis.plant, effect_class(name)
         if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
             return []
+        if cls.is_rotary and plant.length_unit != "rad":
+            return []
         parts = [effect for effect in plant.effects if effect.name in cls.generalises]
         for special in cls.generalises:
             plant = plant.without_effect(special)
@@ -170,9 +178,23 @@ class Trials:
         if regressor(cls).sizes:
             return self._solved(plant, cls, proposals)
         tried = [plant.with_effect(effect) for effect in proposals]
+        tried += [free.with_effect(effect) for effect in proposals if (free := self._free_of(plant, effect))]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
         return [*tried, *_swapped(plant, cls, self.likelihood.rate)]
+
+    def _free_of(self, plant: Plant, effect: Effect) -> Plant | None:
+        """Return `plant` as the integral equation finds it where the axis runs free of `effect`; else None."""
+        free = []
+        for segment in self.screen.segments:
+            is_free = effect.is_free(segment.position, self.seen)
+            if is_free is None:
+                return None
+            free += parts(segment, is_free)
+        try:
+            return Screen.of(free).solve(plant.effects)[0] if free else None
+        except (InputError, NumericalError):
+            return None
 
     def _solved(self, plant: Plant, cls: type[Effect], proposals: list[Effect]) -> list[Plant]:
         """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""

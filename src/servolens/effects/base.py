@@ -19,6 +19,8 @@ from servolens.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
 __all__ = ["Axis", "Effect", "Parameter", "Seen", "State", "parameter"]
 
 SX = Any  # casadi.SX; importing servolens must not load CasADi
@@ -181,6 +183,10 @@ class Effect(ABC):
         Names of effects that together are this one; see `united`.
     found_last : tuple of str
         Names of parameters that a fit holds at the values it starts from until it has found the others.
+    is_last_resort : bool
+        Whether it describes nearly anything, so that a diagnosis tries it only where nothing simpler is enough.
+    is_rotary : bool
+        Whether it makes sense for angles only.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     bends_with_speed : bool
@@ -204,6 +210,8 @@ class Effect(ABC):
     same_structure: ClassVar[tuple[str, ...]] = ()
     unites: ClassVar[tuple[str, ...]] = ()
     found_last: ClassVar[tuple[str, ...]] = ()
+    is_last_resort: ClassVar[bool] = False
+    is_rotary: ClassVar[bool] = False
     passes_for_damping: ClassVar[bool] = False
     bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0
@@ -245,6 +253,14 @@ class Effect(ABC):
         Nothing where what :meth:`starts` yields is as good.
         """
         yield from ()
+
+    def is_free(self, position: NDArray[np.float64], seen: Seen) -> NDArray[np.bool_] | None:
+        """Tell for each `position` [m or rad] whether the axis surely runs without the effect there, shape (n,).
+
+        Gain and damping are found there, before a fit that knows nothing of the effect has bent them. None where the
+        place says nothing of it.
+        """
+        return None
 
     @property
     def values(self) -> tuple[float, ...]:

@@ -15,10 +15,15 @@ from servolens.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from servolens.effects.base import Axis, Seen
 
 __all__ = ["EndStop"]
 
+NEAR = 0.02
+"""Share of the travel within which of a stop the axis may be in contact."""
 NOISES = 4.0
 """How many standard deviations of the noise the largest of a few thousand samples may be off."""
 
@@ -76,7 +81,7 @@ class EndStop(Force):
         A little inside, for a stop that the axis does not reach changes nothing; the other one is far away.
         """
         low, high = seen.low, max(seen.low + seen.travel, nextafter(seen.low, inf))
-        for inside in (0.001, 0.02):
+        for inside in (0.001, NEAR):
             room = min(inside * seen.travel + NOISES * seen.noise, 0.25 * seen.travel)
             for first, last in (
                 (low - seen.travel, high - room),
@@ -90,3 +95,8 @@ class EndStop(Force):
         """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""
         noise = NOISES * seen.noise
         return self.high <= seen.high + noise or self.low >= seen.low - noise
+
+    def is_free(self, position: NDArray[np.float64], seen: Seen) -> NDArray[np.bool_]:
+        """See :meth:`servolens.effects.base.Effect.is_free`: between the stops, not near them."""
+        room = NEAR * seen.travel + NOISES * seen.noise
+        return (position > max(self.low, seen.low) + room) & (position < min(self.high, seen.high) - room)

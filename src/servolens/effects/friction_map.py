@@ -44,6 +44,7 @@ class FrictionMap(DryFriction):
     latex = r"F_\pm(y)\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.0)
     generalises = ("coulomb_friction", "asymmetric_friction", "position_friction")
+    is_last_resort = True
     found_last = ("low", "high")
     looks_like = (
         "How far from its target the axis stops depends on the place and on the direction of approach; "

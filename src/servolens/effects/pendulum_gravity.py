@@ -32,6 +32,7 @@ class PendulumGravity(Force):
     latex = r"A\,\sin(y + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
     wave = ("amplitude", "phase")
+    is_rotary = True
     looks_like = (
         "The error at rest depends on the angle: none where the arm hangs or stands, largest where it is level."
     )

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["PeriodicDisturbance"]
 
+MAINS = tuple(float(f * k) for k in range(1, 6) for f in (50, 60))
+"""[Hz]; the frequencies of public grids, IEC 60196, and their multiples that rectifiers leave."""
 FEWEST_PERIODS = 0.5
 """In the longest record; less of it is as good as a drift."""
 
@@ -60,5 +62,6 @@ class PeriodicDisturbance(Force):
             yield within(cls, amplitude=0.05 * seen.push, frequency=frequency, phase=0.0)
 
     def is_whole(self, seen: Seen) -> bool:
-        """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        return self.frequency * seen.duration >= FEWEST_PERIODS
+        """See :meth:`servolens.effects.base.Effect.is_whole`; at a mains frequency it is a ripple of the sensor."""
+        is_ripple = any(abs(self.frequency - line) * seen.duration < 1.0 for line in MAINS)
+        return not is_ripple and self.frequency * seen.duration >= FEWEST_PERIODS

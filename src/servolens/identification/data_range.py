@@ -19,10 +19,13 @@ __all__ = ["data_range"]
 
 
 def data_range(records: Sequence[Record]) -> DataRange:
-    """Return the largest voltage that was asked for, the largest speed and the largest step of the records."""
+    """Return the largest voltage that was asked for, the largest speed, step and gains of the records."""
+    loops = [record.controller for record in records if record.controller is not None]
     asked = [record.voltage if record.voltage is not None else controller_voltage(record) for record in records]
     return DataRange(
         voltage=max(float(np.abs(voltage).max()) for voltage in asked),
         speed=max(top_speed(record) for record in records),
         step=max(record.step_size for record in records),
+        kp=max((abs(loop.kp) for loop in loops), default=None),
+        kd=max((abs(loop.kd) for loop in loops), default=None),
     )

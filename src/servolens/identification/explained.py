@@ -11,6 +11,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.closed_loop import fit_loop
 from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
+from servolens.identification.noise import NEGLIGIBLE
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import depends_on_inputs, is_shaking
@@ -30,8 +31,6 @@ __all__ = ["Explained", "excerpt_of", "explained"]
 
 MOST_JUDGED = 4_000
 """Samples of an excerpt from which the noise is estimated: its spread is then known to about 1 %."""
-NEGLIGIBLE = 2e-5
-"""Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 
 
 @final
@@ -173,8 +172,7 @@ def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothes
 
 
 def _is_enough(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
-    travel = max(float(np.ptp(signals.measured)) for signals in likelihood.signals)
-    if hypothesis.noise.rate == 0.0 and hypothesis.noise.spread <= NEGLIGIBLE * travel:
+    if hypothesis.noise.rate == 0.0 and hypothesis.noise.spread <= NEGLIGIBLE * likelihood.travel:
         return True
     try:
         return not depends_on_inputs(ScoreTest(likelihood, hypothesis))

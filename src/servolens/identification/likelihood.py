@@ -154,6 +154,12 @@ class Likelihood:
         other.simulates, other.work = True, 0
         return other
 
+    def unshaken(self) -> Likelihood:
+        """Return the likelihood of an axis that nothing shakes: no observer follows what a model lacks."""
+        other = copy(self)
+        other._rates, other.work = (), 0
+        return other
+
     def count(self, simulated: int) -> None:
         """Add to the samples times substeps that were simulated, from any thread."""
         with self._counting:

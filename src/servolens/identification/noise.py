@@ -27,9 +27,11 @@ SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
 REWEIGHTED, LEAST = 8, 1e-4
 """Times that the regression of squares is weighed by what it found, and share of their mean that the sensor's is."""
-WANDERS = 50.0
-"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9998, whose time
-constant is 5000 samples."""
+WANDERS = 12.0
+"""Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
+constant is 290 samples."""
+NEGLIGIBLE = 2e-5
+"""Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -69,6 +71,8 @@ class NoiseModel:
         doi:10.1080/01621459.2018.1469995).
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
+    is_model_error : bool
+        Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
     """
 
     rate: float
@@ -84,6 +88,7 @@ class NoiseModel:
     damping: float = 0.0
     discount: float = 1.0
     parameters: int = 0
+    is_model_error: bool = False
 
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:

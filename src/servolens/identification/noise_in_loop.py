@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage
 from servolens.errors import NumericalError
-from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
+from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 
@@ -60,17 +58,9 @@ def drawn_loop_errors(
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(NumericalError):
             return tuple(
-                simulate(plant, _disturbed(record, errors[:, k])).position + errors[:, k] - position
+                simulate(plant, disturbed(record, errors[:, k])).position + errors[:, k] - position
                 for record, errors, position in zip(records, drawn, still, strict=True)
             )
         return None
 
     return [errors for errors in in_parallel(one, range(DRAWS)) if errors is not None]
-
-
-def _disturbed(record: Record, error: NDArray[np.float64]) -> Record:
-    """Return `record` with what its controller makes of an `error` of the sensor as feedforward."""
-    seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None)
-    answer = controller_voltage(seen)
-    forward = answer if record.feedforward is None else record.feedforward + answer
-    return replace(record, feedforward=forward, encoder_resolution=None)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.noise import NoiseModel, instants
+from servolens.identification.noise import NEGLIGIBLE, NoiseModel, instants
 from servolens.identification.rounding import dominates
-from servolens.model_evidence import MATERIAL
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -120,9 +119,8 @@ class NoiseTrials:
             self._left = missed
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
-        if noise.wanders and noise.spread > MATERIAL * likelihood.travel:
-            # that is what the model lacks, and no noise: a filter would hide it
-            noise = first.scaled(missed)
+        if noise.wanders and noise.spread > NEGLIGIBLE * likelihood.travel:
+            noise = replace(first.scaled(missed), is_model_error=True)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf
         parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)

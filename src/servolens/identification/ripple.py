@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.effects.periodic_disturbance import MAINS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -16,9 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Ripple", "mains_ripple"]
 
-MAINS = (50.0, 60.0)
-"""[Hz]; the frequencies of public grids, IEC 60196."""
-MULTIPLES = 5
 RIPPLE_LEVEL = 1e-6
 """Probability that noise shows a line as high by chance, all lines that are looked at together."""
 
@@ -75,7 +74,7 @@ def mains_ripple(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDA
     from scipy.stats import chi2
 
     fastest = 0.5 / max(float(np.median(np.diff(run.signals.time[:64]))) for run in runs)
-    lines = sorted({f * k for f in MAINS for k in range(1, MULTIPLES + 1) if f * k < 0.9 * fastest})
+    lines = sorted({line for line in MAINS if line < 0.9 * fastest})
     limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(runs)))
     shown = [f for f in lines if sum(_power(run.signals, r, f) for run, r in zip(runs, white, strict=True)) > limit]
     fits = [_fitted(run, residual, shown) for run, residual in zip(runs, white, strict=True)]

@@ -6,11 +6,17 @@ bootstrap: Efron and Tibshirani 1993, chapter 6).
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.control_law import controller_voltage
+from servolens.errors import NumericalError
 from servolens.identification.noise import Whitener
+from servolens.processors import in_parallel
+from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -21,8 +27,9 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
+    from servolens.record import Record
 
-__all__ = ["DRAWS", "dominates", "drawn_noise", "is_rounded", "limit_of", "rounded", "spectrum_of"]
+__all__ = ["DRAWS", "disturbed", "dominates", "drawn_noise", "is_rounded", "limit_of", "rounded", "spectrum_of"]
 
 DOMINATES = 0.5
 """Share of rounding in the noise's variance from which on it is what decides: an axis at rest shows no noise."""
@@ -51,7 +58,10 @@ def rounded(
 ) -> list[NDArray[np.float64]]:
     """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
 
-    The simulated position, with noise as the model has it, rounded to a grid that lies anywhere.
+    The position, with noise as the model has it, rounded as the encoder does. In closed loop the position is that of a
+    loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
+    which is where the encoder shows the next step, and so at one side of it. Else it is the run's own, and the
+    encoder's steps lie anywhere.
 
     Parameters
     ----------
@@ -60,21 +70,24 @@ def rounded(
     plants, starts : sequence
         The plant of each run and its initial state.
     """
-    positions = [
+    whole = [
         run.whiten.position + run.missed(plant, start, substeps_for(plant, run.sample_time))
         for run, plant, start in zip(runs, plants, starts, strict=True)
     ]
     noise = runs[0].noise
-    spectrum = _own_spectrum(runs, positions, noise)
+    spectrum = _own_spectrum(runs, plants, whole, noise)
     stream = np.random.default_rng(0)
     return [
-        np.column_stack([w(error) for w, error in _drawn(run, position, spectrum, stream)])
-        for run, position in zip(runs, positions, strict=True)
+        np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectrum, stream)])
+        for run, plant, position in zip(runs, plants, whole, strict=True)
     ]
 
 
 def _own_spectrum(
-    runs: Sequence[ObservedRun | SimulatedRun], positions: Sequence[NDArray[np.float64]], noise: NoiseModel
+    runs: Sequence[ObservedRun | SimulatedRun],
+    plants: Sequence[Plant],
+    positions: Sequence[NDArray[np.float64]],
+    noise: NoiseModel,
 ) -> NDArray[np.float64]:
     """Return the spectrum of the sensor's noise as the encoder has not rounded it yet, at even frequencies up to half.
 
@@ -87,8 +100,8 @@ def _own_spectrum(
     own[own < LEAST * shown] = 0.0
     for _ in range(CORRECTED):
         stream, power, samples = np.random.default_rng(1), np.zeros(own.size), 0
-        for run, position in zip(runs, positions, strict=True):
-            for _, error in _drawn(run, position, own, stream):
+        for run, plant, position in zip(runs, plants, positions, strict=True):
+            for _, error in _drawn(run, plant, position, own, stream):
                 power += _power(error)
                 samples += error.size
         own = own * np.clip(shown * samples / np.maximum(power, 1e-300), 1.0 / MOST_CORRECTED, MOST_CORRECTED)
@@ -97,19 +110,51 @@ def _own_spectrum(
 
 def _drawn(
     run: ObservedRun | SimulatedRun,
+    plant: Plant,
     position: NDArray[np.float64],
     spectrum: NDArray[np.float64],
     stream: np.random.Generator,
 ) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
-    """Yield what the encoder would make of `position` beside noise of this `spectrum`, and the filter that whitens it.
+    """Yield what the encoder would make of draws of noise of this `spectrum`, and the filter that whitens it.
 
     The error, shape (n,), is the position less what is shown.
     """
-    step = run.noise.rounding
-    own = drawn_noise(spectrum, position.size, stream)
-    for one, place in zip(own.T, stream.uniform(0.0, step, DRAWS), strict=True):  # where the encoder's steps lie
-        shown = step * np.round((position + one + place) / step) - place
-        yield Whitener(shown, run.whiten.speed, run.noise), position - shown
+    step, record = run.noise.rounding, run.signals.record
+    places = stream.uniform(-0.5 * step, 0.5 * step, DRAWS)
+    closed = record.reference is not None and record.controller is not None
+    own = drawn_noise(spectrum, len(record) if closed else position.size, stream)
+    at = None if not closed else _compared(run, position.size)
+
+    def one(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if at is not None:
+            loop = replace(disturbed(record, own[:, k]), position=record.position + places[k], encoder_resolution=step)
+            with suppress(NumericalError):
+                driven = replace(loop, voltage=simulate(plant, loop).voltage, encoder_resolution=None)
+                moved = simulate(plant, driven, voltage_driven=True).measured
+                return moved[at], step * np.round((moved + own[:, k]) / step)[at]
+            return position, step * np.round((position + own[at, k]) / step)
+        return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]
+
+    for there, shown in in_parallel(one, range(DRAWS)):
+        yield Whitener(shown, run.whiten.speed, run.noise), there - shown
+
+
+def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:
+    """Return which samples of its record a run compares, shape (size,)."""
+    signals = run.signals
+    time = signals.time if signals.index is None else signals.time[signals.index]
+    at = np.searchsorted(signals.record.time, time[:size])
+    return np.clip(at, 0, len(signals.record) - 1)
+
+
+def disturbed(record: Record, error: NDArray[np.float64]) -> Record:
+    """Return `record` with what its controller makes of an `error` of the sensor [m or rad] as feedforward."""
+    assert record.controller is not None  # noqa: S101 - of records in closed loop
+    loop = replace(record.controller, integral_before=0.0, anti_windup="none")  # the answer to the noise alone
+    seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None, controller=loop)
+    answer = controller_voltage(seen)
+    forward = answer if record.feedforward is None else record.feedforward + answer
+    return replace(record, feedforward=forward, encoder_resolution=None)
 
 
 def spectrum_of(noise: NoiseModel) -> NDArray[np.float64]:

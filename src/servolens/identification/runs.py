@@ -104,6 +104,7 @@ class ClosedLoop:
             feedforward=added,
             start=start,
             before=self._before,
+            limit=self.record.voltage_limit,
             substeps=substeps,
         )
 

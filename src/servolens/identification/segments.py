@@ -30,6 +30,7 @@ __all__ = [
     "motion_segments",
     "moving_parts",
     "noise_level",
+    "parts",
     "resting_noise",
     "rests_between",
     "settled_steps",
@@ -130,15 +131,19 @@ def moving_parts(segments: Sequence[Segment]) -> tuple[Segment, ...]:
 
     A standing axis says nothing of gain and damping: dry friction holds it against any voltage.
     """
-    parts = [part for segment in segments for part in _moving(segment)]
-    moved, whole = (sum(s.time.size for s in some) for some in (parts, segments))
-    return tuple(parts) if parts and moved < STANDING * whole else tuple(segments)
+    moving = [part for segment in segments for part in _moving(segment)]
+    moved, whole = (sum(s.time.size for s in some) for some in (moving, segments))
+    return tuple(moving) if moving and moved < STANDING * whole else tuple(segments)
 
 
 def _moving(segment: Segment) -> list[Segment]:
     _, velocity = smooth(segment.time, segment.position, min(21, segment.time.size))
-    moves = np.abs(velocity) > SLOW * np.max(np.abs(velocity))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], moves, [False]])))
+    return parts(segment, np.abs(velocity) > SLOW * np.max(np.abs(velocity)))
+
+
+def parts(segment: Segment, is_part: NDArray[np.bool_]) -> list[Segment]:
+    """Return the stretches of `segment`, none of them very short, all of whose samples `is_part`, shape (n,), takes."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_part, [False]])))
     return [
         replace(
             segment,

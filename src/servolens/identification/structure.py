@@ -200,8 +200,7 @@ def _explained(test: ScoreTest, basis: NDArray[np.float64]) -> float:
     noise = test.hypothesis.noise
     if noise.rate == 0.0:
         return float(along @ along)
-    count = test.left.size // TOGETHER
-    scores = (basis * test.left[:, None])[: count * TOGETHER].reshape(count, TOGETHER, -1).sum(axis=1)
+    scores = np.add.reduceat(basis * test.left[:, None], np.arange(0, test.left.size, TOGETHER), axis=0)
     return float(along @ np.linalg.lstsq(scores.T @ scores, along, rcond=1e-12)[0])
 
 

@@ -13,6 +13,7 @@ from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
 from servolens.identification.data_range import data_range
+from servolens.identification.model_error import model_error
 from servolens.identification.options import wanted
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
@@ -94,7 +95,8 @@ class Identification:
         chosen = self.velocity or self.constant
         if chosen is None:
             raise InputError("time-varying damping predicts no other step; identify 'constant' or 'velocity' as well")
-        return replace(chosen, evidence=Evidence(range=data_range(self.records)))
+        error = model_error(chosen.plant, self.records)
+        return replace(chosen, evidence=Evidence(range=data_range(self.records), model_error=error))
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.identification/1`` without the file's header."""

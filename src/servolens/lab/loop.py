@@ -10,9 +10,9 @@ import numpy as np
 from servolens.errors import NumericalError
 from servolens.lab.axis import Axis
 from servolens.lab.command import Chain, Shake
+from servolens.lab.digital import DigitalController
 from servolens.lab.laws import ARRAYS, FLOATS
 from servolens.lab.motion import advance_many, advance_one
-from servolens.lab.pd import DigitalPD
 from servolens.lab.truth import Truth
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _close(
     axis, chain, controller = (
         Axis(truth, m, bench.substep or SUBSTEP, bench.angle or ANGLE, oddity, shaken=each.shaking is not None),
         Chain(truth, m, h),
-        DigitalPD(bench.controller, h),
+        DigitalController(bench.controller, h, bench.voltage_limit, m),
     )
     reference = bench.reference.tolist()
     added = [0.0] * len(reference) if bench.feedforward is None else bench.feedforward.tolist()
@@ -128,7 +128,7 @@ def _close(
         seen = shown + noise
         if step:
             seen = m.floor(seen / step + 0.5) * step
-        asked = controller.ask(k, reference[k], seen, moving) + added[k]
+        asked = controller.ask(k, reference[k], seen, moving, added[k])
         for signal, value in zip(signals, (seen, asked, moving), strict=True):
             signal.append(value)
         felt = asked if oddity is None else oddity.turns(t, asked, place)

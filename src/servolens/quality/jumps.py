@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_law import controller_voltage, samples_a_period
+from servolens.control_arithmetic import samples_a_period
+from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
 

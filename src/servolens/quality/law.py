@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 import numpy as np
 
-from servolens.control_law import law_columns, samples_a_period
+from servolens.control_arithmetic import samples_a_period
+from servolens.control_law import law_columns, law_rest
 from servolens.quality.beginning import initial_motion
 from servolens.quality.limits import NEAR, plateaus
 from servolens.record import Controller
@@ -365,7 +366,7 @@ def _controller(record: Record) -> Controller:
 def _law(record: Record) -> _Law:
     assert record.voltage is not None  # noqa: S101 - find_alternative is given records with a voltage
     error, derivative = law_columns(record)
-    added = np.zeros(len(record)) if record.feedforward is None else record.feedforward
+    added = law_rest(record)
     return _Law(error, derivative, record.voltage - added, added)
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import samples_a_period
+from servolens.control_arithmetic import samples_a_period
 from servolens.errors import InputError
 
 if TYPE_CHECKING:

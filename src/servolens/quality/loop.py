@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_law import law_columns
+from servolens.control_law import law_columns, law_rest
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.law import (
@@ -96,10 +96,11 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
             aligned = _aligned(other.applied(aligned))
             clipped = at_limit(aligned, seen) if other.kind != "limit" else _reached(aligned, other)
         error, derivative = law_columns(aligned)
+        rest = law_rest(aligned)
     except InputError:
         return None
     assert aligned.voltage is not None  # noqa: S101 - as record.voltage
-    target = aligned.voltage if aligned.feedforward is None else aligned.voltage - aligned.feedforward
+    target = aligned.voltage - rest
     judged = _judged(aligned, clipped)
     if np.count_nonzero(judged) < 4:
         return None
@@ -187,10 +188,13 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
             return Finding(code="units_contradict", severity="error", message=message)
         case "added":
             constant, integral = other.value
-            what = f"a constant {constant:.3g} {unit}"
+            what, cure = f"a constant {constant:.3g} {unit}", "log what is added as feedforward"
             if integral:
                 what = f"an integral action with ki = {integral:.3g} {unit}/({record.length_unit} s)"
-            message = f"the log fits with {what} added to the control law ({left}); log what is added as feedforward."
+                cure = "state ki, and the anti_windup of the loop if it has one"
+                if record.voltage is not None and abs(constant) > HOLDS * rms(record.voltage):
+                    cure += f"; the integral begins at {constant:.3g} {unit} (integral_before)"
+            message = f"the log fits with {what} added to the control law ({left}); {cure}."
             return Finding(code="added_to_law", severity="warning", message=message)
     stated = record.controller or Controller(kp=1.0)
     fits = ", ".join(f"{name} = {_shown(value)}" for name, value in other.value)

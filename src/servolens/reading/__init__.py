@@ -1,4 +1,7 @@
-"""Reading records: CSV and MAT v5 files, DataFrames, time responses.
+"""Reading records from logs of many forms, DataFrames and time responses.
+
+A reader for each format makes tables of a file (:mod:`~servolens.reading.formats`); one interpreter finds columns,
+units and gains in them, with the evidence (:mod:`~servolens.reading.interpret`); the assembly converts them to SI.
 
 A file is refused with one sentence, never with a traceback, and at most 40 characters of it are quoted.
 """
@@ -9,11 +12,12 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from servolens.reading.assembly import assemble
-from servolens.reading.csv_text import read_text
-from servolens.reading.files import located, name_format, printable, read_bytes
-from servolens.reading.mat import read_mat
+from servolens.reading.files import located, printable
+from servolens.reading.formats import read_tables
+from servolens.reading.guess import Guess
+from servolens.reading.interpret import interpret
 from servolens.reading.memory import record_from_dataframe, record_from_timeresponse
+from servolens.reading.reading import Reading, made
 from servolens.reading.settings import KEYS
 
 if TYPE_CHECKING:
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["KEYS", "read_record", "record_from_dataframe", "record_from_timeresponse"]
+__all__ = ["KEYS", "Guess", "Reading", "read_log", "read_record", "record_from_dataframe", "record_from_timeresponse"]
 
 
 def read_record(
@@ -32,7 +36,7 @@ def read_record(
     units: Mapping[str, str] | None = None,
     label: str | None = None,
 ) -> Record:
-    """Read one measured run from a CSV or MAT v5 file.
+    """Read one measured run from a log.
 
     Parameters
     ----------
@@ -42,7 +46,8 @@ def read_record(
         ``kp``, ``kd``, ``encoder_resolution`` … (:data:`KEYS`): numbers in SI, or texts with a unit such as
         ``"0.06 V/mm"``; they win over the file's own comment lines.
     columns : mapping, optional
-        Signal to column (variable) name, e.g. ``{"position": "qm"}``.
+        Signal to the name or the number of its column (variable, channel), e.g. ``{"position": "qm"}``; what is not
+        named is guessed.
     units : mapping, optional
         Signal to unit, e.g. ``{"time": "ms"}``; wins over the headings.
     label : str, optional
@@ -58,17 +63,36 @@ def read_record(
     InputError
         With one sentence: what arrived and where, what is admissible, what to do.
     """
+    return read_log(path, settings=settings, columns=columns, units=units, label=label).record
+
+
+def read_log(
+    path: str | os.PathLike[str],
+    *,
+    settings: Mapping[str, object] | None = None,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    label: str | None = None,
+) -> Reading:
+    """Read one measured run and tell how.
+
+    Parameters
+    ----------
+    path, settings, columns, units, label
+        As in :func:`read_record`.
+
+    Returns
+    -------
+    Reading
+        The record, and the guess of each column, unit and gain with its evidence.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_record` does.
+    """
     file = Path(path)
     with located(label or os.fspath(path)):
-        content = read_bytes(file)
-        read = read_mat if name_format(content, file.suffix) == "mat" else read_text
-        table = read(content, columns)
-        return assemble(
-            table.signals,
-            table.units,
-            comments=table.comments,
-            settings=settings,
-            units=units,
-            name=printable(file.stem)[:80] or "record",
-            source=printable(os.fspath(path)),
-        )
+        found = interpret(read_tables(file), columns=columns, units=units, settings=settings)
+        name = printable(file.name.removesuffix(".gz").rpartition(".")[0] or file.name)[:80] or "record"
+        return made(found, settings=settings, units=units, name=name, source=printable(os.fspath(path)))

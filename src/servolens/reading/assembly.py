@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.reading.counts import Scales
 from servolens.reading.files import quote
-from servolens.reading.headings import check_mapping
+from servolens.reading.roles import check_mapping
 from servolens.reading.settings import Settings, parse_settings
+from servolens.reading.stated import stated_reference
 from servolens.record import Controller, Record
 from servolens.units import Unit, parse_unit
 
@@ -41,13 +43,22 @@ KINDS = {
     "counts_per_unit": "1/{length}",
     "inertia": "kg m^2",
     "mass": "kg",
+    "supply_voltage": "V",
+    "sample_time": "s",
+    "ki": "{command}/({length} s)",
+    "integral_before": "{command}",
+    "tracking_time": "s",
+    "current_limit": "{command}",
 }
 """What each quantity is measured in; those that settle the units of the record stand first."""
+CASCADE = {"kp": "1/s", "kv": "{command} s/{length}", "kiv": "{command}/{length}"}
+"""The same of a cascade's gains."""
+ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
+"""Settings that only one of the two laws has."""
 LENGTHS = ("m", "rad")
-COMMANDS = ("V", "A", "N", "N m", "%")
+COMMANDS = ("V", "A", "N", "N m", "%", "pwm")
 LARGEST = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
-COUNTED = ("position", "reference", "velocity")
 
 
 def assemble(
@@ -83,17 +94,20 @@ def assemble(
     parsed = parse_settings(comments or {}, settings)
     stated = _column_units(signals, {**header_units, **check_mapping(units, "units")})
     stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
-    per_count = _take_counts(stated, signals, parsed)
-    length, command = _settle(stated)
-    values = _scaled(signals, stated, per_count)
+    scales = Scales.of(parsed, stated, signals)
+    stated = {key: (text, scales.converted(unit)) for key, (text, unit) in stated.items()}
+    length, command = _settle(stated, _kinds(parsed))
+    values = _scaled(signals, stated)
     numbers = {key: amount.value * _factor(key, stated) for key, amount in parsed.amounts.items()}
+    if "reference" in parsed.texts:
+        values["reference"] = stated_reference(parsed.texts["reference"], values, stated, scales, length)
     _check_size({**values, **numbers})
     controller, remarks = _controller(numbers, parsed)
     title = parsed.name or name
     made = {
         "controller": controller,
-        "encoder_resolution": numbers.get("encoder_resolution", per_count),
-        "voltage_limit": numbers.get("voltage_limit"),
+        "encoder_resolution": numbers.get("encoder_resolution", scales.per_count),
+        "voltage_limit": _limit(numbers, command),
         "voltage_before": numbers.get("voltage_before"),
         "inertia": numbers.get("inertia", numbers.get("mass")),
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
@@ -114,41 +128,27 @@ def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> St
     return stated
 
 
-def _take_counts(stated: Stated, signals: Iterable[str], settings: Settings) -> float | None:
-    """Return metres (radians) per encoder count, None without counts, and leave the counted columns out of `stated`."""
-    amount = settings.amounts.get("counts_per_unit")
-    counted = [signal for signal in COUNTED if signal in stated and "count" in dict(stated[signal][1].dimension)]
-    if amount is None:
-        if counted:
-            raise InputError(f"column {counted[0]} is in encoder counts; give counts_per_unit, counts per m or rad")
-        return None
-    if "position" in stated and "position" not in counted:
-        raise InputError(
-            f"position is in {quote(stated['position'][0])} and counts_per_unit is given too; give only one of the two"
-        )
-    scale = amount.value
-    if amount.unit is not None:
-        bases = dict(amount.unit.dimension)
-        bases.pop("count", None)
-        unit = Unit(amount.unit.factor, tuple(bases.items()))
-        stated["counts_per_unit"] = (amount.text, unit)
-        scale *= unit.factor
-    per_count = 1 / scale
-    for signal in ("position", "reference"):
-        if signal in counted or (signal in signals and signal not in stated):
-            stated[signal] = ("counts", Unit(per_count, (("count", 1.0),)))
-    return per_count
+def _kinds(settings: Settings) -> dict[str, str]:
+    """Return what each quantity is measured in, with the gains of the stated controller."""
+    return {**KINDS, **CASCADE} if settings.words.get("controller") == "cascade" else KINDS
 
 
-def _settle(stated: Stated) -> tuple[Literal["m", "rad"], str]:
+def _limit(numbers: Mapping[str, float], command: str) -> float | None:
+    """Return the limit of the command, by either of its names."""
+    if "current_limit" in numbers and command != "A":
+        raise InputError(f"current_limit is given and the command is in {command}; give voltage or gains in A")
+    return numbers.get("voltage_limit", numbers.get("current_limit"))
+
+
+def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad"], str]:
     """Return the units of length and command that agree with everything that is stated."""
     left = list(product(LENGTHS, COMMANDS))
     seen: list[str] = []
-    for key, kind in KINDS.items():
-        if key not in stated or (key in COUNTED and "count" in dict(stated[key][1].dimension)):
+    for key, kind in kinds.items():
+        if key not in stated:
             continue
         text, unit = stated[key]
-        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == unit.dimension]
+        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == _in_length(unit, pair[0])]
         if not fits:
             raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
         agreed = [pair for pair in left if pair in fits]
@@ -166,9 +166,18 @@ def _dimension(kind: str, pair: tuple[str, str]) -> tuple[tuple[str, float], ...
     return () if unit is None else unit.dimension
 
 
+def _in_length(unit: Unit, length: str) -> tuple[tuple[str, float], ...]:
+    """Return a unit's dimension with the encoder counts, of which no unit is stated, as that length."""
+    bases = dict(unit.dimension)
+    power = bases.pop("count", 0.0)
+    if power:
+        bases[length] = bases.get(length, 0.0) + power
+    return tuple(sorted((base, size) for base, size in bases.items() if size))
+
+
 def _admissible(kind: str) -> str:
     examples = [kind.format(length=length, command="V") for length in LENGTHS]
-    command = ", or A, N, N m, % in place of V" if "{command}" in kind else ""
+    command = ", or A, N, N m, %, pwm in place of V" if "{command}" in kind else ""
     return f"give it in {' or '.join(dict.fromkeys(examples))}{command}"
 
 
@@ -176,12 +185,10 @@ def _factor(key: str, stated: Stated) -> float:
     return stated[key][1].factor if key in stated else 1.0
 
 
-def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated, per_count: float | None) -> Signals:
+def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated) -> Signals:
     values: Signals = {}
     for signal, value in signals.items():
         factor = _factor(signal, stated)
-        if signal == "velocity" and signal in stated and "count" in dict(stated[signal][1].dimension):
-            factor *= per_count or 1.0
         if signal == "time" and factor in (1e-3, 1e-6):
             values[signal] = value / round(1 / factor)  # 3 ms is 0.003 s to the last digit
         else:
@@ -197,23 +204,28 @@ def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
 
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
-    loop = [key for key in ("kd", "control_period", *settings.numbers, *settings.words) if _given(key, settings)]
+    own = ("kd", "ki", "kv", "kiv", "control_period", "tracking_time", "integral_before")
+    loop = [key for key in (*own, *settings.numbers, *settings.words) if _given(key, settings)]
     if "kp" not in numbers:
-        if "kd" in numbers:
-            raise InputError("kd is given without kp; give both")
-        what = [key for key in loop if key != "controller"]
+        gains = [key for key in ("kd", "ki", "kv", "kiv") if numbers.get(key)]
+        if gains or "kd" in numbers:
+            raise InputError(f"{(gains or ['kd'])[0]} is given without kp; give both")
+        what = [key for key in loop if key not in ("controller", "ki")]
         message = f"kp is not given, so {', '.join(what)} says nothing."
         return None, [Finding(code="settings_without_gains", severity="note", message=message)] if what else []
-    window = int(settings.numbers.get("derivative_window", 1))
-    return Controller(
-        kp=numbers["kp"],
-        kd=numbers.get("kd", 0.0),
-        derivative_filter=settings.numbers.get("derivative_filter", 1.0),
-        derivative_window=window,
-        derivative_on=cast("Literal['measurement', 'error']", settings.words.get("derivative_on", "measurement")),
-        derivative=cast("Literal['position', 'velocity']", settings.words.get("derivative", "position")),
-        control_period=numbers.get("control_period"),
-    ), []
+    cascade = settings.words.get("controller") == "cascade"
+    for key in ONLY_PID if cascade else ONLY_CASCADE:
+        if _given(key, settings):
+            law, others = ("cascade", "kp, kv, kiv") if cascade else ("pd", "kp, kd, ki")
+            raise InputError(f"{key} is given and controller = {law} has none; its gains are {others}")
+    if cascade and "kv" not in numbers:
+        raise InputError("controller = cascade needs kv, the gain of its speed loop; give it")
+    wanted = (*(CASCADE if cascade else ("kp", "kd", "ki")), "control_period", "tracking_time", "integral_before")
+    fields: dict[str, Any] = {key: numbers[key] for key in wanted if key in numbers}
+    fields |= {**settings.numbers, **{key: word for key, word in settings.words.items() if key != "controller"}}
+    if "derivative_window" in fields:
+        fields["derivative_window"] = int(fields["derivative_window"])
+    return (Controller.cascade if cascade else Controller)(**fields), []
 
 
 def _given(key: str, settings: Settings) -> bool:

@@ -1,4 +1,4 @@
-"""MATLAB's MAT v5 files: the vectors that are asked for, and nothing else of them.
+"""MATLAB's MAT v5 files: their vectors and matrices.
 
 The format is MathWorks' *MAT-File Format*, "Level 5 MAT-Files". It is read here and not by ``scipy.io.loadmat``, which
 a damaged file can crash together with the interpreter; every offset is checked, and compressed parts are inflated only
@@ -17,12 +17,11 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading import files
-from servolens.reading.csv_text import Table
 from servolens.reading.files import quote
-from servolens.reading.headings import select
+from servolens.reading.table import Column, Fault, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -33,32 +32,51 @@ _STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8
 _KINDS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse matrix", 16: "function", 17: "object"}
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
+MOST_COLUMNS = 1000
 _HEADER = 128
 _BEGINNING = 4096
 """Bytes of a variable that are inflated to learn its name, its kind and its shape."""
 _DAMAGED = "is a damaged MAT file; save it again with -v7"
 
 
-def read_mat(content: bytes, columns: Mapping[str, str] | None) -> Table:
-    """Read the vectors of a MAT v5 file that are signals.
+def read_mat(content: bytes) -> Table:
+    """Read the vectors and the columns of the matrices of a MAT v5 file.
+
+    What is neither is kept by its name, with the reason why it is no signal; a file of nothing else has no columns of
+    numbers (:func:`~servolens.reading.nested.read_mat_deep` reads those).
 
     Raises
     ------
     InputError
-        If a signal is missing or no real vector, or if the file is damaged.
+        If the file is damaged or holds more numbers than are read.
     """
     try:
-        variables = list(_variables(content))
-        _check_flat(variables)
-        chosen = select([variable.name for variable in variables], columns)
-        needed = {signal: variables[index] for signal, (index, _) in chosen.items()}
-        for variable in needed.values():
-            _check_vector(variable)
-        _check_size(needed)
-        signals = {signal: _values(variable) for signal, variable in needed.items()}
+        variables = [variable for variable in _variables(content) if variable.name]
+        _check_size([variable for variable in variables if _reason(variable) is None])
+        columns = tuple(column for variable in variables for column in _columns(variable))
     except (struct.error, zlib.error, IndexError) as error:
         raise InputError(_DAMAGED) from error
-    return Table(signals, {signal: heading.unit for signal, (_, heading) in chosen.items()}, {})
+    numeric = [variable for variable in variables if _reason(variable) is None]
+    is_bare = len(numeric) == 1 and len(columns) > 1 and not _is_vector(numeric[0])
+    return Table(columns, has_names=not is_bare)
+
+
+def _columns(variable: _Variable) -> Iterator[Column]:
+    reason = _reason(variable)
+    if reason is not None:
+        yield Column(variable.name, np.empty(0), fault=Fault("", reason))
+        return
+    values = _values(variable)
+    if _is_vector(variable):
+        yield Column(variable.name, values)
+        return
+    matrix = values.reshape(variable.shape, order="F")
+    for j in range(matrix.shape[1]):
+        yield Column(f"{variable.name}(:,{j + 1})", matrix[:, j].copy())
+
+
+def _is_vector(variable: _Variable) -> bool:
+    return math.prod(variable.shape) == max(variable.shape)
 
 
 @final
@@ -127,30 +145,23 @@ def _element(buffer: memoryview, at: int, order: str) -> _Element:
     return _Element(word, buffer[at + 8 : at + 8 + size], size, at + 8 + -(-size // 8) * 8)
 
 
-def _check_flat(variables: list[_Variable]) -> None:
-    nested = [v for v in variables if v.kind not in _NUMERIC and v.name]
-    if nested and not any(v.kind in _NUMERIC and v.name for v in variables):
-        raise InputError(
-            f"holds only a {_kind(nested[0])} {quote(nested[0].name)};"
-            " save its fields as plain vectors (save with -struct in MATLAB)"
-        )
-
-
-def _check_vector(variable: _Variable) -> None:
+def _reason(variable: _Variable) -> str | None:
+    """Return why a variable is neither a real vector nor a table of such, None if it is."""
     name, shape = quote(variable.name), variable.shape
     if variable.kind not in _NUMERIC:
-        raise InputError(f"variable {name} is a {_kind(variable)}, not a vector of numbers; save it as a plain vector")
+        return f"variable {name} is a {_kind(variable)}, not a vector of numbers; save it as a plain vector"
     if variable.is_complex:
-        raise InputError(f"variable {name} is complex; a signal is real")
+        return f"variable {name} is complex; a signal is real"
     if min(shape, default=-1) < 0 or len(shape) > 32:
         raise InputError(_DAMAGED)
-    if math.prod(shape) != max(shape):
+    if math.prod(shape) != max(shape) and (len(shape) > 2 or shape[1] > MOST_COLUMNS):
         sizes = " × ".join(str(size) for size in shape)
-        raise InputError(f"variable {name} has shape {sizes}; a signal is a vector, one column of it")
+        return f"variable {name} has shape {sizes}; a signal is a vector, one column of it"
+    return None
 
 
-def _check_size(needed: Mapping[str, _Variable]) -> None:
-    if sum(8 * math.prod(variable.shape) for variable in needed.values()) > files.LARGEST:
+def _check_size(needed: Iterable[_Variable]) -> None:
+    if sum(8 * math.prod(variable.shape) for variable in needed) > files.LARGEST:
         raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
 
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servolens.errors import InputError
-from servolens.reading.assembly import assemble
 from servolens.reading.files import quote
-from servolens.reading.headings import select
+from servolens.reading.interpret import interpret
+from servolens.reading.reading import made
+from servolens.reading.table import Column, Fault, Table
 from servolens.record import SIGNALS
 
 if TYPE_CHECKING:
@@ -59,10 +60,9 @@ def record_from_dataframe(
     if str(index.name).partition(" [")[0] in ("time", "t") or np.asarray(index).dtype.kind in "mM":
         texts.append(str(index.name or "time"))
         values.append(index)
-    chosen = select(texts, columns)
-    signals = {signal: _numbers(signal, values[i]) for signal, (i, _) in chosen.items()}
-    stated = {signal: heading.unit for signal, (_, heading) in chosen.items()}
-    return assemble(signals, stated, settings=settings, units=units, source="DataFrame")
+    table = Table(tuple(_column(text, column) for text, column in zip(texts, values, strict=True)))
+    found = interpret([table], columns=columns, units=units, settings=settings)
+    return made(found, settings=settings, units=units, source="DataFrame").record
 
 
 def record_from_timeresponse(
@@ -98,24 +98,26 @@ def record_from_timeresponse(
     mapping = dict(columns or {})
     if not mapping:
         mapping = _guess(list(outputs), list(inputs), "kp" in (settings or {}))
-    table = {"time": time, **inputs, **outputs}
-    chosen = select(list(table), mapping)
-    signals = {signal: list(table.values())[i].copy() for signal, (i, _) in chosen.items()}
-    stated = {signal: heading.unit for signal, (_, heading) in chosen.items()}
+    signals = {"time": time, **inputs, **outputs}
+    table = Table(tuple(Column(label, values.copy()) for label, values in signals.items()))
+    found = interpret([table], columns=mapping, units=units, settings=settings)
     name = str(getattr(response, "sysname", None) or "response")
-    return assemble(signals, stated, settings=settings, units=units, name=name, source="TimeResponseData")
+    return made(found, settings=settings, units=units, name=name, source="TimeResponseData").record
 
 
-def _numbers(signal: str, column: Any) -> NDArray[np.float64]:
+def _column(name: str, column: Any) -> Column:
     array = np.asarray(column)
-    if array.dtype.kind in "mM" and signal == "time":
-        return np.asarray((array - array[:1]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+    if array.dtype.kind == "M":
+        return Column(name, np.asarray((array - array[:1]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64), "s")
+    if array.dtype.kind == "m":
+        return Column(name, np.asarray((array - array[:1]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64), "s")
     if array.dtype.kind == "c":
-        raise InputError(f"column {signal} is complex; a signal is real")
+        return Column(name, np.empty(0), fault=Fault("", f"column {quote(name)} is complex; a signal is real"))
     try:
-        return np.array(array, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"column {signal} holds something else than numbers") from error
+        return Column(name, np.array(array, dtype=np.float64))
+    except (TypeError, ValueError):
+        reason = f"column {quote(name)} holds something else than numbers"
+        return Column(name, np.empty(0), fault=Fault("", reason))
 
 
 def _labelled(response: Any, part: str, labels: str, samples: int) -> dict[str, NDArray[np.float64]]:

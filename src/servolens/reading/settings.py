@@ -19,17 +19,26 @@ __all__ = ["KEYS", "Amount", "Settings", "comment_settings", "parse_settings"]
 
 DIMENSIONED = (
     "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
-    "inertia", "mass",
+    "inertia", "mass", "supply_voltage", "sample_time", "kv", "kiv", "integral_before", "tracking_time",
+    "current_limit",
 )  # fmt: skip
-PURE = ("derivative_filter", "derivative_window")
+PURE = (
+    "derivative_filter", "derivative_window", "counts_per_rev", "pwm_full_scale", "setpoint_weight",
+    "feedforward_speed",
+)  # fmt: skip
+TEXTS = ("reference",)
 WORDS = {
-    "controller": ("pd",),
+    "controller": ("pd", "pid", "cascade"),
+    "anti_windup": ("none", "clamping", "back_calculation"),
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
 }
-KEYS = ("name", *DIMENSIONED, *PURE, *WORDS)
+KEYS = ("name", *DIMENSIONED, *PURE, *WORDS, *TEXTS)
 """Keys that are understood."""
-_POSITIVE = ("encoder_resolution", "voltage_limit", "control_period", "counts_per_unit", "inertia", "mass")
+_POSITIVE = (
+    "encoder_resolution", "voltage_limit", "current_limit", "control_period", "tracking_time", "counts_per_unit",
+    "inertia", "mass", "supply_voltage", "sample_time", "counts_per_rev", "pwm_full_scale",
+)  # fmt: skip
 _COMMENT = re.compile(r"#+\s*([A-Za-z_]\w*)\s*=\s*(.*?)\s*")
 
 
@@ -54,7 +63,7 @@ class Settings:
         The record's name, empty if not given.
     amounts : mapping
         Of the keys with a unit.
-    numbers, words : mapping
+    numbers, words, texts : mapping
         Of the keys without.
     remarks : tuple of Finding
         What was not understood.
@@ -64,6 +73,7 @@ class Settings:
     amounts: Mapping[str, Amount] = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
     remarks: tuple[Finding, ...] = ()
 
 
@@ -107,14 +117,16 @@ def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] |
     for key in DIMENSIONED:
         if key in merged:
             amounts[key] = _amount(key, merged[key], remarks)
-    _check_integral(amounts.pop("ki", None))
     if "inertia" in amounts and "mass" in amounts:
         raise InputError("inertia and mass are given both; keep the one that the axis moves")
+    if "voltage_limit" in amounts and "current_limit" in amounts:
+        raise InputError("voltage_limit and current_limit are given both; keep the one that limits the command")
     return Settings(
         name=_name(merged.get("name", "")),
         amounts=amounts,
         numbers={key: _pure(key, merged[key], remarks) for key in PURE if key in merged},
         words={key: _word(key, merged[key], allowed) for key, allowed in WORDS.items() if key in merged},
+        texts={key: str(merged[key]) for key in TEXTS if key in merged},
         remarks=tuple(remarks),
     )
 
@@ -139,6 +151,8 @@ def _amount(key: str, value: object, remarks: list[Finding]) -> Amount:
 
 def _pure(key: str, value: object, remarks: list[Finding]) -> float:
     number, text = _number(key, value)
+    if key in _POSITIVE and number <= 0:
+        raise InputError(f"{key} must be positive, got {number:g}")
     if text and parse_unit(text) is not None:
         raise InputError(f"{key} has no unit, got {quote(text)}")
     if text:
@@ -172,11 +186,6 @@ def _finite(key: str, value: float) -> float:
 def _no_unit(key: str, text: str) -> Finding:
     message = f"{key}: {quote(text)} is no unit; the number was taken as SI."
     return Finding(code="unit_not_understood", severity="note", message=message)
-
-
-def _check_integral(ki: Amount | None) -> None:
-    if ki is not None and ki.value != 0:
-        raise InputError(f"ki = {ki.value:g}: integral action is not supported yet; only P and PD records are read")
 
 
 def _word(key: str, value: object, allowed: tuple[str, ...]) -> str:

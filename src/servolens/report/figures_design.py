@@ -11,6 +11,7 @@ from servolens.design import settling_time, step_response
 from servolens.errors import NumericalError
 from servolens.report.content import Drawing
 from servolens.report.curves import curve
+from servolens.report.map_picture import map_figure
 from servolens.report.plots_design import Mark, plot_settling_times, plot_step_responses
 from servolens.report.style import new_figure, styled
 from servolens.report.svg import svg
@@ -21,11 +22,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design import Comparison, Design, PDSpec, Response
+    from servolens.design import Comparison, Design, GainMap, PDSpec, Response
     from servolens.plant import Plant
     from servolens.report.curves import Curve, Role
 
-__all__ = ["Column", "columns", "settling_figure", "steps_figure"]
+__all__ = ["Column", "columns", "gains_figure", "settling_figure", "steps_figure"]
 
 NAMES: tuple[tuple[str, Role], ...] = (("linear", "constant"), ("nonlinear", "velocity"), ("diagnosed", "diagnosed"))
 MOST_IN_A_ROW = 2
@@ -135,8 +136,21 @@ def steps_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     return Drawing(svg=svg(figure, key), caption=caption)
 
 
+@styled
+def gains_figure(key: str, found: GainMap, design: Design, plant: Plant, caption: str) -> Drawing:
+    """Draw settling time, overshoot and noise over both gains, with the gain that a design recommends."""
+    chosen = design.recommended
+    figure = map_figure(
+        found,
+        recommended=None if chosen is None else (chosen.kp, chosen.kd),
+        length_unit=plant.length_unit,
+        command_unit=plant.command_unit,
+    )
+    return Drawing(svg=svg(figure, key), caption=caption)
+
+
 def _settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
-    swing = 2.0 * np.pi / np.sqrt(max(abs(plant.gain) * spec.kp, 1e-12))
+    swing = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
     watched = max(4.0 * spec.settling_time, 2.0 * swing)
     times = np.array([_settles(plant, spec, float(kd), watched) for kd in gains])
     jumps = np.flatnonzero(np.abs(np.diff(times)) > JUMP * swing) + 1

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.design import gain_map, map_axes
 from servolens.report.content import Findings, Lights, Section
 from servolens.report.curves import curve
 from servolens.report.diagnosis_story import WRONG, diagnosis_section
@@ -19,7 +20,7 @@ from servolens.report.figures import (
     plant_formula,
     record_figure,
 )
-from servolens.report.figures_design import columns, settling_figure, steps_figure
+from servolens.report.figures_design import columns, gains_figure, settling_figure, steps_figure
 from servolens.report.page import write_page
 from servolens.report.wording import shown
 from servolens.summaries import (
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
 __all__ = ["write_measured"]
 
 MOST_STEPS = 3
+MAPPED = 50
+"""Gains of each kind in the page's map."""
 MOST_DRAWN = 12
 """Records in a figure; the tables have all."""
 
@@ -262,6 +265,19 @@ def _design(study: Study) -> Section:
             models,
             "Settling time against Kd on each model, with the gains that meet the spec shaded in its colour. Cross: a"
             f" gain that breaks the spec on the {models[-1].name} model. Simulated, no measured data.",
+        )
+    )
+    best = models[-1].plant
+    found = gain_map(best, study.design.spec, *map_axes(best, study.design.spec, count=MAPPED))
+    blocks.append(
+        gains_figure(
+            "map",
+            found,
+            study.design,
+            best,
+            f"Both gains on the {models[-1].name} model: how soon the step settles, how far it overshoots, and what the"
+            " controller makes of measurement noise (volts for one unit of white noise). White: it does not settle in"
+            " twice the time asked for. Simulated, no measured data.",
         )
     )
     if any(model.design.kd is not None for model in models):

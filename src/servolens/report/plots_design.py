@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Literal, final
 
-from servolens.report.style import GREY, INK, LOOKS, axes_of, styled
+import numpy as np
+
+from servolens.report.style import COLOURS, GREY, INK, LOOKS, axes_of, styled
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
     from servolens.design import GainMap
     from servolens.report.curves import Curve, Role
@@ -164,16 +167,71 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
     return ax
 
 
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shade:
+    """How one quantity of a map is shown.
+
+    Parameters
+    ----------
+    label : str
+        Beside the scale, with the unit in braces.
+    levels : callable
+        From the map, where the colour changes.
+    shown : callable
+        From the map, what is drawn.
+    """
+
+    label: str
+    levels: Callable[[GainMap], NDArray[np.float64]]
+    shown: Callable[[GainMap], NDArray[np.float64]]
+
+
+SHADES = {
+    "settling_time": Shade(
+        label="Settling time [s]",
+        levels=lambda found: found.spec.settling_time * np.array([0.0, 0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0]),
+        shown=lambda found: found.settling_time,
+    ),
+    "overshoot": Shade(
+        label="Overshoot [%]",
+        levels=lambda _found: np.array([0.0, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0]),
+        shown=lambda found: 100.0 * np.where(np.isfinite(found.overshoot), found.overshoot, np.nan),
+    ),
+    "noise": Shade(
+        label="Noise gain [{command}/{length}]",
+        levels=lambda found: _round_levels(found.noise),
+        shown=lambda found: found.noise,
+    ),
+}
+LEVELS = 5
+"""Of noise, at most."""
+
+
 @styled
 def plot_gain_map(
-    found: GainMap, *, length_unit: str = "m", command_unit: str = "V", title: str = "", ax: Axes | None = None
+    found: GainMap,
+    quantity: Literal["settling_time", "overshoot", "noise"] = "settling_time",
+    *,
+    recommended: tuple[float, float] | None = None,
+    length_unit: str = "m",
+    command_unit: str = "V",
+    title: str = "",
+    ax: Axes | None = None,
 ) -> Axes:
-    """Draw settling time over Kp and Kd, the feasible region outlined, the feasible pair of least noise marked.
+    """Draw one quantity over Kp and Kd, the feasible region outlined, the feasible pair of least noise marked.
+
+    White is where there is no such number: the step does not settle in the time that the map shows, or the loop is
+    unstable.
 
     Parameters
     ----------
     found : GainMap
         What to draw; at least two gains of each kind.
+    quantity : {"settling_time", "overshoot", "noise"}
+        Shaded.
+    recommended : (float, float), optional
+        The pair (kp, kd) to use.
     length_unit, command_unit : str
         Of the plant.
     title : str
@@ -182,18 +240,28 @@ def plot_gain_map(
         Where; a new figure when None.
     """
     ax = axes_of(ax, 3.8)
-    limit = found.spec.settling_time
-    levels = [limit * share for share in (0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 2.0)]
-    filled = ax.contourf(found.kp, found.kd, found.settling_time.T, levels, cmap="Greys", extend="min")
+    shade = SHADES[quantity]
+    levels = shade.levels(found)
+    filled = ax.contourf(found.kp, found.kd, shade.shown(found).T, levels, cmap="Blues", extend="max", alpha=0.85)
     if ax.figure is not None:
-        ax.figure.colorbar(filled, ax=ax, label="Settling time [s]")
+        label = shade.label.format(command=command_unit, length=length_unit)
+        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format="%g", aspect=30)
     if found.feasible.any() and not found.feasible.all():
-        ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=INK)
-    pair = found.least_noise
-    if pair is not None:
-        ax.plot(*pair, marker="o", linestyle="none", color=INK, label="least noise")
-        ax.legend()
+        ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=COLOURS["vermilion"])
+    marks = (("least noise", found.least_noise, "o"), ("recommended", recommended, "*"))
+    for name, pair, marker in marks:
+        if pair is not None:
+            size = {"o": 6, "*": 11}[marker]
+            ax.plot(*pair, marker, markersize=size, color=INK, markeredgecolor="white", label=name, zorder=5)
+    ax.set(xlim=(found.kp[0], found.kp[-1]), ylim=(found.kd[0], found.kd[-1]), title=title)
     ax.set_xlabel(f"Kp [{command_unit}/{length_unit}]")
     ax.set_ylabel(f"Kd [{command_unit} s/{length_unit}]")
-    ax.set_title(title)
+    ax.grid(visible=False)
     return ax
+
+
+def _round_levels(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return round numbers over the range of `values`."""
+    from matplotlib.ticker import MaxNLocator
+
+    return np.asarray(MaxNLocator(LEVELS).tick_values(0.0, float(values.max())), dtype=np.float64)

@@ -22,11 +22,13 @@ from servolens import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-SOURCES = ("elementary", "kalman", "stepping", "kernel")
+SOURCES = ("elementary", "kalman", "digital", "stepping", "kernel")
 __all__ = ["ENTRY", "GAINS", "cache_folder", "kept", "rule"]
 
 ENTRY, GAINS = "servolens_run", "servolens_gains"
 """Names of the functions in :func:`rule` that run a simulation, and that give an observer its gains."""
+CALLED = "beyond_pd"
+"""The function that is called where it is used, for it is rarely used."""
 
 
 @lru_cache(maxsize=1)
@@ -93,7 +95,8 @@ def _compiled() -> str:
             if function.name != f"servolens_{name}":
                 function.linkage = "internal"
             if not is_entry:
-                function.add_function_attribute("alwaysinline")
+                called = function.name == f"servolens_{CALLED}"
+                function.add_function_attribute("noinline" if called else "alwaysinline")
         for variable in part.global_variables:
             if not variable.is_declaration:
                 variable.linkage = "internal"

@@ -8,18 +8,19 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_law import samples_a_period
 from servolens.dynamics import ideal_pd
 from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.settings import NO_LAW, OPEN_LOOP, known, law_settings, loop_settings
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
+    from servolens.controller import Controller
     from servolens.plant import Plant
-    from servolens.record import Controller, Record
+    from servolens.record import Record
 
 __all__ = [
     "Simulation",
@@ -35,9 +36,7 @@ __all__ = [
 PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
 fast lag splits each sample; most pieces, where there is no such limit."""
-OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
-"""What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
-NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0), np.zeros(3)
+NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
 
 
@@ -117,6 +116,7 @@ def simulate(
         start=start,
         before=record.voltage_before,
         resolution=record.encoder_resolution or 0.0,
+        limit=record.voltage_limit,
         substeps=substeps,
     )
     if index is None:
@@ -134,9 +134,10 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     start: tuple[float, float] = (0.0, 0.0),
     before: float | None = None,
     resolution: float = 0.0,
+    limit: float | None = None,
     substeps: int | None = None,
 ) -> Simulation:
-    """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative.
+    """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative and integral.
 
     Parameters
     ----------
@@ -150,25 +151,29 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         Voltage applied before the first sample [V]; None is the first one.
     resolution : float
         Encoder step [m or rad]; 0 is none.
+    limit : float, optional
+        Of the command, as the controller knows it against windup [V], perhaps infinite; None is that of the plant's
+        saturation.
     substeps : int, optional
         Steps a sample.
 
     Raises
     ------
     InputError
-        If the samples do not fit together.
+        If the samples do not fit together, or the controller needs a limit and there is none.
     NumericalError
         If the loop is unstable.
     """
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
-    settings = [*_loop_settings(controller, period), resolution, ANY_NUMBER, *_known(before), *NO_OBSERVER]
+    law = law_settings(plant, controller, period, limit)
+    settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *NO_OBSERVER, *law]
     count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, _floats(reference), settings, start, count)
 
 
-def simulate_trial(
+def simulate_trial(  # noqa: PLR0913 - as simulate_loop
     plant: Plant,
     controller: Controller,
     time: NDArray[np.float64],
@@ -177,13 +182,14 @@ def simulate_trial(
     feedforward: NDArray[np.float64] | None,
     start: tuple[float, float],
     before: float | None = None,
+    limit: float | None = None,
     substeps: int,
 ) -> Simulation:
     """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
 
     Parameters
     ----------
-    plant, controller, time, reference, feedforward, start, before, substeps
+    plant, controller, time, reference, feedforward, start, before, limit, substeps
         As of :func:`simulate_loop`.
 
     Raises
@@ -195,29 +201,10 @@ def simulate_trial(
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
-    settings = [*_loop_settings(controller, _sample_time(time)), 0.0, granted, *_known(before), *NO_OBSERVER]
+    period = _sample_time(time)
+    law = law_settings(plant, controller, period, limit)
+    settings = [1.0, *loop_settings(controller, period), 0.0, granted, *known(before), *NO_OBSERVER, *law]
     return _run(plant, time, held, reference, settings, start, substeps)
-
-
-def _loop_settings(controller: Controller, period: float) -> list[float]:
-    """Return what the rule is told of the loop."""
-    ratio = samples_a_period(controller, period)
-    return [
-        1.0,
-        controller.kp,
-        controller.kd,
-        controller.derivative_filter,
-        controller.derivative_window,
-        controller.derivative_on == "error",
-        controller.derivative == "velocity",
-        ratio,
-        ratio * period,
-    ]
-
-
-def _known(before: float | None) -> tuple[float, float]:
-    """Return what the rule is told of the time before the first sample."""
-    return (0.0, 0.0) if before is None else (1.0, before)
 
 
 def simulate_voltage(
@@ -244,7 +231,7 @@ def simulate_voltage(
         grid,
         held,
         held,
-        [*OPEN_LOOP, ANY_NUMBER, *_known(before), *NO_OBSERVER],
+        [*OPEN_LOOP, ANY_NUMBER, *known(before), *NO_OBSERVER, *NO_LAW],
         start,
         substeps or substeps_for(plant, step),
     )
@@ -290,7 +277,8 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
     if gains is not None and gains.shape != (time.size, 3):
         raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
-    settings = [*OPEN_LOOP, granted, *_known(before), float(gains is not None), coarse, remembered, *_moved(plant)]
+    observer = (float(gains is not None), coarse, remembered)
+    settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant)]
     return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
 
 
@@ -336,7 +324,14 @@ def simulate_continuous(
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
     result = _run(
-        plant, grid, held, held, [*OPEN_LOOP, ANY_NUMBER, *_known(None), *NO_OBSERVER], start, count, gains=(kp, kd)
+        plant,
+        grid,
+        held,
+        held,
+        [*OPEN_LOOP, ANY_NUMBER, *known(None), *NO_OBSERVER, *NO_LAW],
+        start,
+        count,
+        gains=(kp, kd),
     )
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(

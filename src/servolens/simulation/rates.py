@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import ceil, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,8 +32,10 @@ PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
     """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
     rate = _fastest_rate(plant.structure)(plant.values) + extra
-    fine, coarse = np.ceil(step * rate / STEP_TIMES_RATE), np.ceil(step * rate / STIFF_STEP_TIMES_RATE)
-    return int(np.clip(max(min(fine, FINE_SUBSTEPS), coarse), 1, MOST_SUBSTEPS))
+    if not isfinite(step * rate):
+        return MOST_SUBSTEPS
+    fine, coarse = ceil(step * rate / STEP_TIMES_RATE), ceil(step * rate / STIFF_STEP_TIMES_RATE)
+    return min(max(min(fine, FINE_SUBSTEPS), coarse, 1), MOST_SUBSTEPS)
 
 
 @lru_cache(maxsize=256)

@@ -32,6 +32,23 @@ from numba import cfunc, config, float64, int64, njit, types
 from numba.extending import intrinsic
 
 from servolens.simulation import elementary
+from servolens.simulation.digital import (
+    BEYOND_PD,
+    CLOSED,
+    COARSE,
+    CORRECTS,
+    INTEGRAL_BEFORE,
+    IS_KNOWN_BEFORE,
+    IS_PD,
+    MOST_PIECES_GRANTED,
+    MOVED,
+    RATIO,
+    RESOLUTION,
+    SHAKING_LEFT,
+    applied_before,
+    asked,
+    law_beyond_pd,
+)
 from servolens.simulation.elementary import OPTIONS, exponential
 from servolens.simulation.kalman import kalman
 
@@ -300,19 +317,9 @@ def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any
 
 
 @njit(**OPTIONS)
-def asked(k: int, seen: float, speed: float, reference: Any, measured: Any, loop: Any, derivative: Any) -> float:
-    """Return what the digital PD asks for at sample `k`, and carry its filtered derivative along."""
-    window, ratio, period = int(loop[4]), int(loop[7]), loop[8]
-    if loop[6] != 0.0:
-        raw = speed
-    else:
-        past = max(k - window * ratio, 0)
-        raw = (seen - measured[past]) / (window * period)
-        if loop[5] != 0.0:
-            raw -= (reference[k] - reference[past]) / (window * period)
-    derivative[0] += loop[3] * (raw - derivative[0])
-    voltage: float = loop[1] * (reference[k] - seen) - loop[2] * derivative[0]
-    return voltage
+def rounded(position: float, resolution: float) -> float:
+    """Return the position as an encoder shows it; a resolution of 0 is exact."""
+    return math.floor(position / resolution + 0.5) * resolution if resolution > 0.0 else position
 
 
 @njit(**OPTIONS)
@@ -321,10 +328,10 @@ def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation:
     x[Y] += gains[3 * k] * innovation
     if x[V] != 0.0:
         x[V] += gains[3 * k + 1] * innovation
-    x[SHAKING] = loop[15] * x[SHAKING] + gains[3 * k + 2] * innovation
+    x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
     for i in range(ns + nz):
-        if loop[16 + i] > 0.0:
-            x[STATES + i] += gains[3 * k + int(loop[16 + i]) - 1] * innovation
+        if loop[MOVED + i] > 0.0:
+            x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
 
 
 @njit(**OPTIONS)
@@ -394,47 +401,46 @@ def run(
 ) -> int:
     """Fill `results`, n positions, velocities and voltages in turn, and `measured`; return how many were done.
 
-    `loop` is (closed, kp, kd, filter, window, on error, own velocity, samples a period, period [s], resolution, most
-    pieces, whether it is known what was applied before, what was, whether to correct, the speed that a step
-    may be wrong by, the share of the shaking that is left a sample later, then for each state whether an observer moves
-    it with the position (1), the velocity (2) or not (0)). An observer has the measured position as `reference`, gives
-    its prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
+    `loop` holds the settings that :mod:`servolens.simulation.digital` names: of the controller, of the time before, of
+    an observer, the speed that a step may be wrong by, then for each state whether an observer moves it with the
+    position (1), the velocity (2) or not (0). An observer has the measured position as `reference`, gives its
+    prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
     shaking. Minus one is returned where more pieces than granted would be needed; zero grants any number. Without a
     closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input reaches the
     actuator `delay` seconds late; before the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
-    p, x, states, output, derivative = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(1)
+    p, x, states, output = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3)
     room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
-    closed, ratio, resolution, granted = loop[0] != 0.0, int(loop[7]), loop[9], loop[10]
-    before = loop[12] if loop[11] != 0.0 else held[0] + (loop[1] * (reference[0] - start[0]) if closed else 0.0)
+    closed, is_pd, ratio = loop[CLOSED] != 0.0, loop[IS_PD] != 0.0, int(loop[RATIO])
+    resolution, granted = loop[RESOLUTION], loop[MOST_PIECES_GRANTED]
+    before = applied_before(held[0], reference[0], start[0], loop)
     set_out(x, p, states, time[0], before, start)
-    derivative[0], voltage, wait, pieces, arrived = 0.0, 0.0, 0, 0, -1
+    derivative, integral = numbers(1), numbers(1)  # apart, for the second is seen by a function that is called
+    derivative[0], integral[0], voltage, wait, pieces, arrived = 0.0, loop[INTEGRAL_BEFORE], 0.0, 0, 0, -1
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
-        seen = output[0]
-        if resolution > 0.0:
-            seen = math.floor(seen / resolution + 0.5) * resolution
+        seen = rounded(output[0], resolution)
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
-            voltage = asked(k, seen, output[1], reference, measured, loop, derivative)
+            voltage = asked(k, seen, output[1], reference, measured, held, loop, derivative, integral, is_pd)
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
-        if loop[13] != 0.0:
+        if loop[CORRECTS] != 0.0:
             correct(x, loop, gains, k, ns, nz, reference[k] - seen)
-        if k == 0 and loop[11] == 0.0:
+        if k == 0 and loop[IS_KNOWN_BEFORE] == 0.0:
             before = results[2 * n]
             x[U] = before
         if not abs(x[Y]) < FARTHEST:
             return k
         if k + 1 == n:
             break
-        more, arrived = carry(x, p, room, time, results, n, k, arrived, delay, before, substeps, loop[14])
+        more, arrived = carry(x, p, room, time, results, n, k, arrived, delay, before, substeps, loop[COARSE])
         pieces += more
         if pieces > granted > 0.0:
             return -1
@@ -447,7 +453,7 @@ def compiled_rule() -> dict[str, Any]:
 
     llvm.initialize_native_target()
     place = ctypes.cast(ctypes.CDLL("ucrtbase" if os.name == "nt" else None).exp, ctypes.c_void_p).value
-    for name in (*NUMBERS, *FUNCTIONS):
+    for name in (*NUMBERS, *FUNCTIONS, "beyond_pd"):
         llvm.add_symbol(f"servolens_{name}", place)  # numba wants an address
     vectorises, config.LOOP_VECTORIZE = config.LOOP_VECTORIZE, 0  # loops over the states end up as straight code
     try:
@@ -455,6 +461,7 @@ def compiled_rule() -> dict[str, Any]:
         return {
             "run": cfunc(int64(int64, int64, float64, *[_NUMBERS] * 9), **OPTIONS)(run),
             "gains": cfunc(int64(int64, *[_NUMBERS] * 5), **OPTIONS)(kalman),
+            "beyond_pd": cfunc(BEYOND_PD, **OPTIONS)(law_beyond_pd),
             "exp": real(elementary.exponential.py_func),
             "sin": real(elementary.sine.py_func),
             "cos": real(elementary.cosine.py_func),

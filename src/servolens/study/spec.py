@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = ["completed_spec", "suggested_spec"]
 
+SAMPLING = ("sample_time", "derivative_filter")
 GAINS = 41
 SLACK = 1.25
 """The settling time asked for is the shortest that any gain reaches, times this, rounded up to two digits."""
 
 
 def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpec:
-    """Return the spec with the `given` fields; kp, sample time, filter and step that are missing are the records'.
+    """Return the spec with the `given` fields; of the loop and the step, what is missing is the records'.
 
     The loop is that with the largest kp, the step the largest.
 
@@ -51,7 +52,15 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     record = _fastest(records)
     if record is None and "kp" not in given:
         raise InputError("the records state no kp; give the proportional gain to design for")
-    return PDSpec(**{**({} if record is None else _loop_of(record)), **_step_of(records), **given})
+    known = {} if record is None else _loop_of(record)
+    plain: dict[str, Any] = {name: value for name, value in known.items() if name in SAMPLING}
+    if "controller" in given and given["controller"] != known.get("controller", "pd"):
+        if "kp" not in given:
+            raise InputError(f"the records were made in another loop than a {given['controller']}; give its kp")
+        known = plain
+    elif given.get("control") == "continuous" and "controller" not in known:
+        known = {"kp": known["kp"], **plain} if known else {}
+    return PDSpec(**{**known, **_step_of(records), **given})
 
 
 def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
@@ -64,12 +73,14 @@ def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     if record is None or plant.gain <= 0:
         return None
     fields = {**_loop_of(record), **_step_of([record])}
-    step, kp, sample_time = fields.get("reference", 0.0), fields["kp"], fields["sample_time"]
+    step, sample_time = fields.get("reference", 0.0), fields["sample_time"]
     band = max(0.01, _round_up(3.0 * (record.encoder_resolution or 0.0) / step)) if step > 0 else 1.0
     if band >= 1:
         return None
-    first = max(12.0 / math.sqrt(plant.gain * kp), 4 * sample_time)
-    spec = _possible(**fields, band=band, settling_time=first)
+    spec = _possible(**fields, band=band, settling_time=4 * sample_time)
+    if spec is None:
+        return None
+    spec = _possible(**{**spec.to_json(), "settling_time": max(12.0 / spec.rate(plant.gain), 4 * sample_time)})
     shortest = None if spec is None else _shortest(plant, spec)
     if spec is None or shortest is None:
         return None
@@ -82,13 +93,21 @@ def _fastest(records: Sequence[Record]) -> Record | None:
     return records[-max(loops)[1]] if loops else None
 
 
-def _loop_of(record: Record) -> dict[str, float]:
+def _loop_of(record: Record) -> dict[str, Any]:
+    """Return the fields of the law of a record, but for the gain that is sought."""
     assert record.controller is not None  # noqa: S101 - chosen so
-    return {
-        "kp": record.controller.kp,
-        "sample_time": float(f"{record.controller.control_period or record.sample_time:.6g}"),
-        "derivative_filter": record.controller.derivative_filter,
+    loop = record.controller
+    fields: dict[str, Any] = {
+        "kp": loop.kp,
+        "sample_time": float(f"{loop.control_period or record.sample_time:.6g}"),
+        "derivative_filter": loop.derivative_filter,
     }
+    if loop.integral_rate > 0 and loop.kd > 0:
+        speed = {"kp": float(f"{loop.kp / loop.kd:.9g}"), "kiv": float(f"{loop.integral_rate * loop.kd:.9g}")}
+        return {**fields, **speed, "controller": "cascade", "anti_windup": loop.anti_windup}
+    if loop.ki > 0:
+        fields |= {"ki": loop.ki, "setpoint_weight": loop.setpoint_weight, "anti_windup": loop.anti_windup}
+    return fields
 
 
 def _step_of(records: Sequence[Record]) -> dict[str, float]:
@@ -107,7 +126,7 @@ def _possible(**fields: Any) -> PDSpec | None:
 
 def _shortest(plant: Plant, spec: PDSpec) -> float | None:
     """Return the shortest settling time of any gain [s]."""
-    natural = math.sqrt(plant.gain * spec.kp)
+    natural = spec.rate(plant.gain)
     last = max(6.0 * natural - plant.damping, natural) / plant.gain
     found = (evaluate(plant, spec, float(kd)).settling_time for kd in np.linspace(0.0, last, GAINS))
     return min((time for time in found if time), default=None)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from servolens import design as designing
 from servolens.errors import InputError
-from servolens.model import Model
+from servolens.model import Model, read_model
 from servolens.plant import Plant
-from servolens.record import Record
+from servolens.study.sources import are_records, listed, records_from
 from servolens.study.workflow import study_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from servolens.design import Design, PDSpec
     from servolens.identification import Prior
+    from servolens.record import Record
+
+    Source: TypeAlias = "Plant | Model | Modelled | Record | str | os.PathLike[str] | Any"
+    """DataFrames and time responses are known by what they hold: neither library is imported."""
 
 __all__ = ["tune"]
 
@@ -30,28 +35,28 @@ class Modelled(Protocol):
         """The model that was found."""
 
 
-Source = Plant | Model | Modelled | Record
-
-
 def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
-    source: Source | Sequence[Source],
+    source: Source | Iterable[Source],
     spec: PDSpec,
     *,
-    heldout: Record | Sequence[Record] = (),
+    heldout: Source | Iterable[Source] = (),
     priors: Mapping[str, Prior] | None = None,
     effort: str = "normal",
     force: bool = False,
     with_program: bool = False,
     certify: bool = False,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    **settings: float | str,
 ) -> Design:
     """Return the least Kd that meets `spec`, every interval of gains that does, and the gain to use.
 
     Parameters
     ----------
-    source : Plant, Model, fit, identification, diagnosis, Record, or a sequence
-        What to design on. Several plants or models must all meet the spec. From records the whole chain is gone first:
-        check, identify, diagnose (:func:`servolens.study_records`).
+    source : Plant, Model, fit, identification, diagnosis, Record, path, DataFrame, or a sequence
+        What to design on. Several plants or models must all meet the spec; a path that ends in ``.json`` is a model's.
+        From records the whole chain is gone first: check, identify, diagnose (:func:`servolens.study_records`). They
+        may be given as files, folders or campaigns (:func:`servolens.read_records`), as pandas DataFrames or as time
+        responses of python-control.
     spec : PDSpec
         What to reach.
     heldout, priors, effort
@@ -62,6 +67,9 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         For plants and models, as in :func:`servolens.design.tune`.
     progress : callable
         Is told (what, done, total).
+    **settings : float or str
+        Of records that are still to be read, as in :func:`servolens.read_record`: ``kp`` and ``kd`` that made them,
+        ``encoder_resolution`` and so on. The gain to design for stands in `spec`.
 
     Returns
     -------
@@ -72,7 +80,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     Raises
     ------
     InputError
-        If `source` is none of these, a record is unfit, or models have different units.
+        If `source` is none of these or cannot be read, a record is unfit, or models have different units.
 
     Examples
     --------
@@ -81,19 +89,22 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     >>> round(design.kd, 1), design.recommended.kd > design.kd
     (6.3, True)
     """
-    given = tuple(source) if isinstance(source, Sequence) and not isinstance(source, str) else (source,)
-    records = [one for one in given if isinstance(one, Record)]
-    if not records:
+    given = listed(source)
+    if not any(are_records(one) for one in given):
+        if settings:
+            raise InputError(f"{', '.join(settings)} cannot be given for plants and models; they are for records")
         models = [_known(one) for one in given]
         plants = [model.plant for model in models]
         found = designing.tune(plants, spec, with_program=with_program, certify=certify, progress=progress)
         may_withhold = not (force or all(isinstance(one, Plant) for one in given))
         return _judged(models, designing.recommend(models, found), may_withhold=may_withhold)
-    if len(records) < len(given):
+    if not all(are_records(one) for one in given):
         raise InputError("records and models cannot be mixed; give tune the ones or the others")
     if with_program or certify:
         raise InputError("with_program and certify are for plants and models; give tune the model of a diagnosis")
-    done = study_records(records, spec, heldout=heldout, priors=priors, effort=effort, force=force, progress=progress)
+    runs = records_from(given, settings)
+    tests = records_from(listed(heldout), settings)
+    done = study_records(runs, spec, heldout=tests, priors=priors, effort=effort, force=force, progress=progress)
     if done.design is None:
         why = done.lights["data"].sentence if done.model is None else done.why_none
         raise InputError(f"no gain can be designed: {why}")
@@ -104,6 +115,8 @@ def _known(source: object) -> Model:
     """Return a source as a model."""
     if isinstance(source, Plant):
         return Model(plant=source)
+    if isinstance(source, str | os.PathLike):
+        return read_model(Path(source))
     model = source if isinstance(source, Model) else getattr(source, "model", None)
     if isinstance(model, Model):
         return model

@@ -4,8 +4,9 @@ from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary
 from servolens.summaries.diagnosis import diagnosis_summary, experiment_summary
 from servolens.summaries.experiment import demo_summary, hidden_summary
-from servolens.summaries.gains import design_summary
+from servolens.summaries.gains import design_summary, gains_summary, map_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
+from servolens.summaries.reading import reading_summary
 from servolens.summaries.tuning import compared_summary, gain_sentences, tuning_summaries
 
 __all__ = [
@@ -17,9 +18,12 @@ __all__ = [
     "diagnosis_summary",
     "experiment_summary",
     "gain_sentences",
+    "gains_summary",
     "hidden_summary",
     "identification_summary",
+    "map_summary",
     "model_table",
     "prediction_summary",
+    "reading_summary",
     "tuning_summaries",
 ]

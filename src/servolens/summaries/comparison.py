@@ -53,7 +53,7 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
     on = comparison.on_best
     intervals = [", ".join("–".join(inside(*interval)) for interval in d.intervals) or "–" for d in designs]
     rows = (
-        (f"Least kd [{kd_unit}]", *(least_gain(d) for d in designs)),
+        (f"Least {designs[0].spec.free} [{kd_unit}]", *(least_gain(d) for d in designs)),
         ("All gains on its own model", *intervals),
         ("Settles on its own model [s]", *("–" if r is None else number(r.settling_time) for r in own)),
         (f"Settles on the {best} plant [s]", *("–" if r is None else number(r.settling_time) for r in on)),
@@ -70,7 +70,7 @@ def _verdict(kind: str, design: Design, response: Response | None, best: str, kd
         return f"{kind.capitalize()} model: its gain is withheld. {sentence(design.reason)}"
     if design.kd is None or response is None:
         return f"{kind.capitalize()} model: {sentence(design.reason)}"
-    start = f"With the least {kind} gain, kd = {least_gain(design)} {kd_unit},"
+    start = f"With the least {kind} gain, {design.spec.free} = {least_gain(design)} {kd_unit},"
     asked = f"{number(design.spec.settling_time)} s"
     if not response.stable:
         return f"{start} the loop is unstable on the {best} plant."

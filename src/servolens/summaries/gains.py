@@ -11,10 +11,27 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from servolens.design.found import Design, Light
+    from servolens.design.gain_plane import GainMap
+    from servolens.design.limit_cycle import Hunting
+    from servolens.design.several_gains import GainsFound
     from servolens.design.spec import PDSpec
 
-__all__ = ["asked_sentence", "design_summary", "least_gain", "light_sentences", "recommended_sentences", "sentence"]
+__all__ = [
+    "asked_sentence",
+    "design_summary",
+    "least_gain",
+    "light_sentences",
+    "map_summary",
+    "recommended_sentences",
+    "sentence",
+]
 
+AIMS = {
+    "noise": "the least noise of the command",
+    "kd": "the least kd",
+    "settling_time": "the least settling time",
+    "margin": "the largest margin",
+}
 FRAGILE = 0.05
 """A margin below this share of the gain is worth a sentence."""
 
@@ -51,9 +68,11 @@ def design_summary(
     sentences = [
         *(["Forced: this gain would be withheld."] if forced else []),
         *recommended_sentences(design, kd_unit),
-        f"kd = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
+        f"{spec.free} = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
+        *hunting_sentences(design, length_unit),
+        *_tracking(design, length_unit),
         *trusted,
         asked_sentence(spec, length_unit, command_unit),
         *_program(design),
@@ -63,6 +82,74 @@ def design_summary(
         sentences=tuple(sentences),
         tables=(_intervals(design, kd_unit), _responses(design, command_unit)),
     )
+
+
+def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
+    """Tell the best of several gains, and what the loop does with them.
+
+    Parameters
+    ----------
+    found : GainsFound
+        What was found.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    aim = AIMS[found.wishes.objective]
+    if found.kd is None or found.margins is None:
+        return Summary(title="Several gains", sentences=(sentence(found.reason),))
+    spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
+    time = max(response.settling_time or 0.0 for response in found.verified)
+    delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
+    told = [
+        f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
+        f" {number(spec.derivative_filter, 3)}: {aim} of all gains that meet what was asked.",
+        f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
+        f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
+    ]
+    if found.voltage_noise is not None:
+        told.append(f"Measurement noise moves the command by {number(found.voltage_noise, 3)} {command_unit} r.m.s.")
+    told.append("They stand at the edge of what is feasible; the gain recommended below keeps away from it.")
+    return Summary(title="Several gains", sentences=tuple(told))
+
+
+def map_summary(
+    found: GainMap,
+    *,
+    recommended: tuple[float, float] | None,
+    light: Light,
+    length_unit: str = "m",
+    command_unit: str = "V",
+) -> Summary:
+    """Tell what a map over both gains shows.
+
+    Parameters
+    ----------
+    found : GainMap
+        The map.
+    recommended : (float, float) or None
+        The pair (kp, kd) to use for the kp of the spec.
+    light : Light
+        How far that can be trusted.
+    length_unit, command_unit : str
+        Of the plant.
+    """
+    pair, share = found.least_noise, float(found.feasible.mean())
+    size = f"{found.kp.size} × {found.kd.size} pairs, kp {number(found.kp[0])} to {number(found.kp[-1])}"
+    sentences = [
+        f"Simulated {size} {command_unit}/{length_unit} and kd {number(found.kd[0])} to {number(found.kd[-1])}"
+        f" {command_unit} s/{length_unit}; {percent(100 * share)} of them meet the spec."
+    ]
+    if pair is not None:
+        least = float(found.noise[found.feasible].min())
+        sentences.append(
+            f"Of these, kp = {number(pair[0])} and kd = {number(pair[1])} make the least noise, {number(least, 3)}"
+            f" {command_unit}/{length_unit}: a pair at the edge, with no margin."
+        )
+    if recommended is not None:
+        sentences.append(f"For kp = {number(recommended[0])}, the recommended kd is {number(recommended[1])}.")
+    sentences += light_sentences({"Gain": light})
+    sentences.append(asked_sentence(found.spec, length_unit, command_unit))
+    return Summary(title="Map", sentences=tuple(sentences))
 
 
 def light_sentences(lights: Mapping[str, Light]) -> list[str]:
@@ -76,7 +163,7 @@ def recommended_sentences(design: Design, kd_unit: str) -> list[str]:
     if chosen is None:
         return []
     return [
-        f"kd = {number(chosen.kd)} {kd_unit} is recommended: it {sentence(chosen.why, capital=False)}",
+        f"{design.spec.free} = {number(chosen.kd)} {kd_unit} is recommended: it {sentence(chosen.why, capital=False)}",
         sentence(chosen.risk),
     ]
 
@@ -92,22 +179,76 @@ def _aim(spec: PDSpec) -> str:
 
 def asked_sentence(spec: PDSpec, length_unit: str, command_unit: str) -> str:
     """Return what was asked for."""
+    kp_unit = "1/s" if spec.controller == "cascade" else f"{command_unit}/{length_unit}"
     parts = [
-        f"a step of {number(spec.reference)} {length_unit} with kp = {number(spec.kp)} {command_unit}/{length_unit}"
+        f"a step of {number(spec.reference)} {length_unit} with kp = {number(spec.kp)} {kp_unit}"
         f" stays within ±{percent(100 * spec.band)} from {number(spec.settling_time)} s on"
     ]
     if spec.overshoot is not None:
         parts.append(f"overshoots by at most {percent(100 * spec.overshoot)}")
     if spec.voltage_limit is not None:
         parts.append(f"asks for at most {number(spec.voltage_limit)} {command_unit}")
-    loop = (
-        "an ideal continuous PD"
-        if spec.control == "continuous"
-        else f"a digital PD sampled every {number(1e3 * spec.sample_time)} ms"
+    if not spec.hunting:
+        parts.append("comes to rest from all starts that are tried")
+    return f"Asked: {', '.join(parts)}; {_loop(spec, length_unit, command_unit)}."
+
+
+def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
+    """Return the loop in words."""
+    if spec.control == "continuous":
+        return "an ideal continuous PD"
+    law, added = "PD", []
+    if spec.controller == "cascade":
+        law = "cascade of P position and PI speed" if spec.kiv else "cascade of P position and P speed"
+        added += [f"kiv = {number(spec.kiv)} {command_unit}/{length_unit}"] if spec.kiv else []
+    elif spec.ki:
+        law = "PID"
+        added.append(f"ki = {number(spec.ki)} {command_unit}/({length_unit} s)")
+    if spec.setpoint_weight != 1:
+        added.append(f"a set-point weight of {number(spec.setpoint_weight)}")
+    if spec.derivative_filter < 1:
+        added.append(f"a derivative filter of {number(spec.derivative_filter)}")
+    if spec.anti_windup != "none":
+        added.append(f"{spec.anti_windup.replace('_', ' ')} against windup")
+    tail = f" with {', '.join(added)}" if added else ""
+    return f"a digital {law} sampled every {number(1e3 * spec.sample_time)} ms{tail}"
+
+
+def hunting_sentences(design: Design, length_unit: str) -> list[str]:
+    """Tell of gains with which the axis does not come to rest from all starts."""
+    chosen, name = design.recommended, design.spec.free
+    gains = {"least": least_gain(design), "recommended": "–" if chosen is None else number(chosen.kd)}
+    found = {gains[which]: (which, one) for which, one in design.hunting.items() if one is not None}
+    told = [
+        f"Hunting: with {name} = {gain}, {'the least' if which == 'least' else 'recommended'},"
+        f" {_swings(one, abs(design.spec.reference), length_unit)}."
+        for gain, (which, one) in found.items()
+    ]
+    return [*told, "Option --no-hunting seeks a gain with which it comes to rest."] if told else []
+
+
+def _tracking(design: Design, length_unit: str) -> list[str]:
+    """Tell what feedforward is worth."""
+    found = design.tracking
+    if found is None:
+        return []
+    without, with_it, worst = (number(x, 2) for x in (found.without, found.with_it, found.worst))
+    return [
+        f"On a smooth move of {number(found.size)} {length_unit} in {number(found.duration)} s it lags by {without}"
+        f" {length_unit} (r.m.s.); with feedforward of speed, acceleration and friction from this model by {with_it}"
+        f" {length_unit}, in plants as above by up to {worst} {length_unit}."
+    ]
+
+
+def _swings(found: Hunting, step: float, length_unit: str) -> str:
+    starts = f"{percent(100 * found.share)} of the starts tried"
+    if found.period is None:
+        return f"the axis runs away from {starts}, such as {number(found.start, 3)} {length_unit} off the reference"
+    size, share = number(found.amplitude, 3), percent(100 * found.amplitude / step)
+    return (
+        f"the axis keeps swinging by ±{size} {length_unit} ({share} of the step) every {number(found.period, 3)} s,"
+        f" from {starts}"
     )
-    if spec.control == "sampled" and spec.derivative_filter < 1:
-        loop += f" with a derivative filter of {number(spec.derivative_filter)}"
-    return f"Asked: {', '.join(parts)}; {loop}."
 
 
 def _elsewhere(design: Design) -> str:
@@ -151,7 +292,7 @@ def _intervals(design: Design, kd_unit: str) -> Table:
     rows = [(str(i), *inside(*interval)) for i, interval in enumerate(design.intervals, start=1)]
     return Table(
         title="Gains that meet the spec",
-        columns=("Interval", f"kd from [{kd_unit}]", f"kd to [{kd_unit}]"),
+        columns=("Interval", f"{design.spec.free} from [{kd_unit}]", f"{design.spec.free} to [{kd_unit}]"),
         rows=tuple(rows),
         note=_searched(design),
     )
@@ -159,7 +300,8 @@ def _intervals(design: Design, kd_unit: str) -> Table:
 
 def _searched(design: Design) -> str:
     certificate = design.certificate
-    end = " (beyond, this plant would be too slow)" if certificate.end_from_plant else ""
+    why = "the speed loop would be unstable" if design.spec.controller == "cascade" else "this plant would be too slow"
+    end = f" (beyond, {why})" if certificate.end_from_plant else ""
     trusted = {
         "enclosure": "proven by enclosures",
         "sensitivity": "by the measured sensitivity to the gain",
@@ -183,7 +325,7 @@ def _responses(design: Design, command_unit: str) -> Table:
         for i, r in enumerate(design.verified, start=1)
     ]
     return Table(
-        title=f"Simulated with kd = {least_gain(design)}",
+        title=f"Simulated with {design.spec.free} = {least_gain(design)}",
         columns=("Model", "Settles [s]", "Overshoot [%]", f"Peak [{command_unit}]", "Meets"),
         rows=tuple(rows),
     )

@@ -71,11 +71,12 @@ def gain_sentences(study: Study) -> tuple[str, ...]:
         return (sentence(design.reason),)
     unit = f"{record.command_unit} s/{record.length_unit}"
     forced = ("Forced: these gains would be withheld.",) if study.forced else ()
-    least = f"Least: kd = {least_gain(design)} {unit}"
+    least = f"Least: {design.spec.free} = {least_gain(design)} {unit}"
     chosen = design.recommended
     if chosen is None:
         return (*forced, f"{least}.")
-    kp = f"{number(chosen.kp)} {record.command_unit}/{record.length_unit}"
-    gains = f"Recommended: kp = {kp}, kd = {number(chosen.kd)} {unit}"
+    kp_unit = "1/s" if design.spec.controller == "cascade" else f"{record.command_unit}/{record.length_unit}"
+    kp = f"{number(chosen.kp)} {kp_unit}"
+    gains = f"Recommended: kp = {kp}, {design.spec.free} = {number(chosen.kd)} {unit}"
     why = "" if study.lights["gain"].light == "green" else f"; with it the axis {chosen.why}"
     return (*forced, f"{gains}{why}.", f"{least}. {sentence(chosen.risk)}")

@@ -9,7 +9,7 @@ import numpy as np
 from servolens.design.found import Light
 from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import as_models
-from servolens.design.settle import evaluate
+from servolens.design.settle import closed_loop_gain, evaluate
 from servolens.effects import Saturation
 from servolens.model_evidence import MATERIAL
 
@@ -131,8 +131,17 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
                 f" the band of {100 * design.spec.band:.2g} %: when the axis settles is not certain."
             ),
         )
+    swing = design.hunting.get("least" if chosen is None else "recommended")
+    if swing is not None:
+        return Light(
+            light="amber",
+            sentence=(
+                f"The axis does not come to rest from all starts: it keeps swinging by ±{swing.amplitude:.3g}"
+                f" {models[0].plant.length_unit}."
+            ),
+        )
     if chosen is None:
-        return Light(light="green", sentence=f"kd = {kd:.4g} meets the spec on the model.")
+        return Light(light="green", sentence=f"{design.spec.free} = {kd:.4g} meets the spec on the model.")
     if chosen.interval[0] < NINE_OF_TEN:
         return Light(light="amber", sentence=f"It meets the spec in hardly nine of ten plants: {chosen.why}.")
     return Light(light="green", sentence=_sentence(chosen.why))
@@ -142,7 +151,12 @@ def _beyond(model: Model, design: Design, kd: float) -> Light:
     """Judge how far the answer lies beyond what the records of a model showed."""
     if model.evidence is None:
         return Light(light="green", sentence="")
-    shown, unit = model.evidence.range, model.plant.length_unit
+    return _worst([_beyond_range(model, model.evidence, design, kd), _beyond_error(model, model.evidence, design, kd)])
+
+
+def _beyond_range(model: Model, evidence: Evidence, design: Design, kd: float) -> Light:
+    """Judge voltage, speed and amplitude of the step by the largest of the records."""
+    shown, unit = evidence.range, model.plant.length_unit
     response = evaluate(model.plant, design.spec, kd)
     asked = {
         "voltage": (_applied(model.plant, response), shown.voltage, model.plant.command_unit),
@@ -160,6 +174,32 @@ def _beyond(model: Model, design: Design, kd: float) -> Light:
         sentence=(
             f"An extrapolation: the {name} reaches {wanted:.3g} {unit}, that of the records {known:.3g}"
             f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a larger {name}."
+        ),
+    )
+
+
+def _beyond_error(model: Model, evidence: Evidence, design: Design, kd: float) -> Light:
+    """Judge what the loop makes of the model's error at each frequency by what the loops of the records made of it.
+
+    Either the records bear it out, whose loops were stable; or the small-gain theorem does, with a reserve of `FAR`.
+    """
+    error, spec = evidence.model_error, design.spec
+    if error is None:
+        return Light(light="green", sentence="")
+    size, loop = np.array(error.size), np.array(error.loop)
+    asked = closed_loop_gain(model.plant, spec, kd, np.array(error.frequency)) * size
+    ratios = asked / np.maximum(loop * size, 1.0 / FAR)
+    worst = int(np.argmax(ratios))
+    if ratios[worst] <= BEYOND:
+        return Light(light="green", sentence="")
+    far, share = ratios[worst] > FAR, float(f"{100 * size[worst]:.2g}")
+    known = "" if evidence.range.kd is None else f" (largest so far: {evidence.range.kd:.3g})"
+    return Light(
+        light="red" if far else "amber",
+        sentence=(
+            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {share:g} %,"
+            f" and kd = {kd:.3g} makes {ratios[worst]:.3g} times as much of that as the records prove to be stable"
+            f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a kd nearer to it{known}."
         ),
     )
 

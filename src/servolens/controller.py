@@ -1,0 +1,230 @@
+"""The digital controller of a loop: one frozen law, of which P, PD, PID and the cascade of drives are cases."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, final
+
+import numpy as np
+
+from servolens.errors import InputError
+
+__all__ = ["AntiWindup", "Controller"]
+
+AntiWindup = Literal["none", "clamping", "back_calculation"]
+WORDS = {
+    "derivative_on": ("measurement", "error"),
+    "derivative": ("position", "velocity"),
+    "anti_windup": ("none", "clamping", "back_calculation"),
+}
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controller:
+    """A digital loop with zero-order hold: P, PD or PID, with two degrees of freedom, or a cascade.
+
+    With e = r − y, and ṙ the backward difference of the reference, at every tick, h apart::
+
+        s[k] = kp (setpoint_weight·r[k] − y[k]) + velocity_feedforward·ṙ[k] − kd d[k]
+        I[k] = I[k−1] + h (ki e[k] + integral_rate·s[k])
+        V[k] = s[k] + I[k]
+
+    with ``d[k] = d[k−1] + derivative_filter ((y[k] − y[k−w])/(w h) − d[k−1])``. PID has the integral `ki`, the cascade
+    of drives (:meth:`cascade`) is a PD with its own output integrated as well. Before the first sample the axis and the
+    reference were where they are first seen, and d was 0.
+
+    Parameters
+    ----------
+    kp : float
+        Proportional gain [V/m or V/rad], finite.
+    kd : float
+        Derivative gain [V s/m or V s/rad], finite.
+    ki : float
+        Integral gain [V/(m s) or V/(rad s)], finite.
+    setpoint_weight : float
+        Share of the reference that the proportional part sees, finite; 1 is all of it, 0 is I-PD.
+    velocity_feedforward : float
+        Voltage for the reference's velocity [V s/m or V s/rad], finite.
+    integral_rate : float
+        How fast the law's own output s is integrated [1/s], not negative: kiv/kv of a cascade.
+    anti_windup : {"none", "clamping", "back_calculation"}
+        What the integral does while V is beyond the command's limit. Clamping: it does not grow further beyond.
+        Back-calculation: h (sat V − V)/tracking_time is added to it, from the next tick on.
+    tracking_time : float or None
+        Of back-calculation [s], positive; None is √(kd/ki), kp/ki where kd = 0, 1/integral_rate where ki = 0.
+    integral_before : float
+        I before the first sample [V], finite.
+    derivative_filter : float
+        Share of the new difference in the derivative, in (0, 1]; 1 is no filter.
+    derivative_window : int
+        Ticks ``w`` that the raw difference spans, at least 1.
+    derivative_on : {"measurement", "error"}
+        What is differentiated; the measurement is velocity feedback.
+    derivative : {"position", "velocity"}
+        ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
+    control_period : float or None
+        Period of the loop [s] where it is slower than the log; None means every sample.
+
+    Raises
+    ------
+    InputError
+        If a value is outside its range.
+
+    References
+    ----------
+    .. [1] K. J. Åström and T. Hägglund, *Advanced PID Control*, ISA 2006, sections 3.4 (set-point weighting) and 3.5
+       (windup; the default tracking time is that of √(Ti Td)).
+    """
+
+    kp: float
+    kd: float = 0.0
+    ki: float = 0.0
+    setpoint_weight: float = 1.0
+    velocity_feedforward: float = 0.0
+    integral_rate: float = 0.0
+    anti_windup: AntiWindup = "none"
+    tracking_time: float | None = None
+    integral_before: float = 0.0
+    derivative_filter: float = 1.0
+    derivative_window: int = 1
+    derivative_on: Literal["measurement", "error"] = "measurement"
+    derivative: Literal["position", "velocity"] = "position"
+    control_period: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if name not in WORDS:
+                _check_number(name, getattr(self, name), optional=name in ("tracking_time", "control_period"))
+        for name, allowed in WORDS.items():
+            value = getattr(self, name)
+            if value not in allowed:
+                raise InputError(f"{name} must be {' or '.join(map(repr, allowed))}, got {value!r}")
+        _require(
+            0 < self.derivative_filter <= 1, f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}"
+        )
+        _require(
+            self.derivative_window >= 1 and self.derivative_window == int(self.derivative_window),
+            f"derivative_window must be a whole number of samples, at least 1, got {self.derivative_window!r}",
+        )
+        _require(self.integral_rate >= 0, f"integral_rate must not be negative, got {self.integral_rate!r}")
+        for name in ("tracking_time", "control_period"):
+            value = getattr(self, name)
+            _require(value is None or value > 0, f"{name} must be positive, got {value!r}")
+        if self.anti_windup == "back_calculation" and self.integrates:
+            _require(
+                self.tracking > 0,
+                "the default tracking time needs kd and ki, or kp and ki, of one sign; give tracking_time",
+            )
+
+    @classmethod
+    def cascade(  # noqa: PLR0913 - as the contract of a record names them, all by keyword
+        cls,
+        *,
+        kp: float,
+        kv: float,
+        kiv: float = 0.0,
+        feedforward_speed: float = 0.0,
+        anti_windup: AntiWindup = "none",
+        tracking_time: float | None = None,
+        integral_before: float = 0.0,
+        derivative_filter: float = 1.0,
+        derivative_window: int = 1,
+        derivative: Literal["position", "velocity"] = "position",
+        control_period: float | None = None,
+    ) -> Controller:
+        """Return the cascade of drives: P of the position, PI of the speed.
+
+        ``w = kp (r − y) + feedforward_speed·ṙ`` and ``V = kv (w − d) + kiv Σ h (w − d)``: that is the PD law with kv·kp
+        and kv, its output integrated at the rate kiv/kv.
+
+        Parameters
+        ----------
+        kp : float
+            Of the position loop [1/s], finite.
+        kv : float
+            Of the speed loop [V s/m or V s/rad], not 0.
+        kiv : float
+            Its integral gain [V/m or V/rad], of the sign of `kv`.
+        feedforward_speed : float
+            Share of the reference's velocity that the speed loop is given, finite.
+        anti_windup, tracking_time, integral_before, derivative_filter, derivative_window, derivative, control_period
+            As of the class; the default tracking time is kv/kiv.
+
+        Raises
+        ------
+        InputError
+            If a value is outside its range.
+
+        Examples
+        --------
+        >>> drive = Controller.cascade(kp=20.0, kv=5.0, kiv=50.0)
+        >>> drive.kp, drive.kd, drive.integral_rate
+        (100.0, 5.0, 10.0)
+        """
+        for name, value in (("kp", kp), ("kv", kv), ("kiv", kiv), ("feedforward_speed", feedforward_speed)):
+            _check_number(name, value)
+        _require(kv != 0, "kv must not be 0: the speed loop of a cascade needs it")
+        _require(kiv * kv >= 0, f"kiv must have the sign of kv, got {kiv!r}")
+        return cls(
+            kp=kv * kp,
+            kd=kv,
+            velocity_feedforward=kv * feedforward_speed,
+            integral_rate=kiv / kv,
+            anti_windup=anti_windup,
+            tracking_time=tracking_time,
+            integral_before=integral_before,
+            derivative_filter=derivative_filter,
+            derivative_window=derivative_window,
+            derivative=derivative,
+            control_period=control_period,
+        )
+
+    @property
+    def integrates(self) -> bool:
+        """Whether the law has an integral."""
+        return self.ki != 0 or self.integral_rate != 0 or self.integral_before != 0
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether the integral depends on the command's limit."""
+        return self.integrates and self.anti_windup != "none"
+
+    @property
+    def is_pd(self) -> bool:
+        """Whether it is nothing but ``V = kp e − kd d``."""
+        return not self.integrates and self.setpoint_weight == 1 and self.velocity_feedforward == 0
+
+    @property
+    def tracking(self) -> float:
+        """The tracking time of back-calculation, its default where none is given [s]; infinite without an integral."""
+        if self.tracking_time is not None:
+            return self.tracking_time
+        if self.ki != 0:
+            square = self.kd / self.ki
+            return math.copysign(math.sqrt(abs(square)), square) if self.kd != 0 else self.kp / self.ki
+        return 1.0 / self.integral_rate if self.integral_rate > 0 else math.inf
+
+    def scaled(self, factor: float) -> Controller:
+        """Return the loop whose whole command is multiplied by `factor`, as by an amplifier's gain."""
+        return replace(
+            self,
+            **{
+                name: factor * getattr(self, name)
+                for name in ("kp", "kd", "ki", "velocity_feedforward", "integral_before")
+            },
+        )
+
+
+def _check_number(name: str, value: object, *, optional: bool = False) -> None:
+    if optional and value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(f"{name} must be a number, got {value!r}")
+    _require(bool(np.isfinite(value)), f"{name} must be finite, got {value!r}")
+
+
+def _require(holds: bool, message: str) -> None:
+    if not holds:
+        raise InputError(message)

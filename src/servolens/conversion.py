@@ -1,0 +1,109 @@
+"""A campaign file that states how logs are read, so that nothing is guessed again."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from typing import TYPE_CHECKING
+
+from servolens.errors import InputError
+from servolens.reading import KEYS
+from servolens.reading.reading import units_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from servolens.campaign import Log
+
+__all__ = ["write_campaign"]
+
+
+def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
+    """Write a campaign of logs with the settings, columns and units that they were read with.
+
+    Parameters
+    ----------
+    logs : sequence of Log
+        From :func:`~servolens.campaign.read_logs`.
+    path : Path
+        The TOML file. Logs that do not lie below its folder are copied into it.
+
+    Returns
+    -------
+    tuple of Path
+        The copies.
+
+    Raises
+    ------
+    InputError
+        If a ROS 2 bag, which is a folder, lies elsewhere.
+    OSError
+        If a file cannot be written.
+    """
+    folder = path.resolve().parent
+    taken: set[Path] = {path.resolve()}
+    entries, copies = [], []
+    for log in logs:
+        source = log.path.resolve()
+        target = source if source.is_relative_to(folder) else _free(folder / source.name, taken, source)
+        taken.add(target)
+        if target != source:
+            if source.is_dir():
+                raise InputError(f"{log.path}: is a bag outside the campaign's folder; copy its folder there first")
+            copies.append((source, target))
+        entries.append(_entry(log, target.relative_to(folder)))
+    for source, target in copies:
+        shutil.copyfile(source, target)
+    path.write_text(
+        "# Written by servolens convert: change what was guessed wrong.\n\n" + "\n".join(entries), encoding="utf-8"
+    )
+    return tuple(target for _, target in copies)
+
+
+def _free(target: Path, taken: set[Path], source: Path) -> Path:
+    """Return the target, or it with a number where another file has its name; an equal copy is taken again."""
+    number, chosen = 1, target
+    while chosen in taken or (chosen.exists() and not _equal(chosen, source)):
+        number += 1
+        chosen = target.with_name(f"{target.stem}-{number}{target.suffix}")
+    return chosen
+
+
+def _equal(first: Path, second: Path) -> bool:
+    return (
+        first.is_file() and first.stat().st_size == second.stat().st_size and first.read_bytes() == second.read_bytes()
+    )
+
+
+def _entry(log: Log, file: Path) -> str:
+    reading = log.reading
+    lines = ["[[records]]", f"file = {_text(file.as_posix())}"]
+    if reading.record.name != file.name.removesuffix(".gz").rpartition(".")[0]:
+        lines.append(f"name = {_text(reading.record.name)}")
+    for key in KEYS:
+        value = reading.settings.get(key)
+        if key != "name" and value is not None:
+            lines.append(f"{key} = {_text(value) if isinstance(value, str | os.PathLike) else repr(value)}")
+    lines.append(f"columns = {_table(reading.columns)}")
+    lines.append(f"units = {_table(_units(log))}")
+    return "\n".join(lines) + "\n"
+
+
+def _units(log: Log) -> dict[str, str]:
+    """Return the units of all columns; those of counted columns follow from their scale."""
+    reading = log.reading
+    si = units_of(reading.record)
+    if any(key in reading.settings for key in ("counts_per_unit", "counts_per_rev")):
+        si = {"time": si["time"], "voltage": si["voltage"]}
+    return {signal: text for signal in reading.columns if (text := reading.units.get(signal) or si.get(signal))}
+
+
+def _table(entries: Mapping[str, str]) -> str:
+    return "{" + ", ".join(f"{key} = {_text(value)}" for key, value in entries.items()) + "}"
+
+
+def _text(value: object) -> str:
+    """Return a TOML string: JSON's escapes are TOML's, but for one character."""
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")

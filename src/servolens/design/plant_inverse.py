@@ -1,0 +1,229 @@
+"""Feedforward from the plant: the voltage with which it would follow a reference by itself, and what that is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.control_arithmetic import Seen, answer
+from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
+from servolens.errors import InputError, NumericalError
+from servolens.simulation import simulate_loop
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from servolens.controller import Controller
+    from servolens.design.scenarios import Scenario
+    from servolens.design.spec import PDSpec
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+
+__all__ = ["Tracking", "feedforward", "smooth_move", "tracking"]
+
+HALVINGS = 60
+"""Of the interval that holds a voltage: its width is then below rounding."""
+AFTER = 0.5
+"""Durations of a move for which the axis is watched after it."""
+
+
+def feedforward(
+    plant: Plant,
+    time: ArrayLike,
+    reference: ArrayLike,
+    *,
+    controller: Controller | None = None,
+    velocity: bool = True,
+    acceleration: bool = True,
+    friction: bool = True,
+) -> NDArray[np.float64]:
+    """Return the voltage with which `plant` would follow `reference`, so that the controller has nothing left to do.
+
+    The equation of motion is solved for the voltage, at the middle of each sample, for which that is held. Left out is
+    what cannot be inverted so: an elastic or loose transmission counts as rigid, a lag as none. A delay is made up for
+    by looking ahead, a dead zone is jumped over, and where the plant has a voltage limit the answer keeps it.
+
+    Parameters
+    ----------
+    plant : Plant
+        The axis.
+    time, reference : array_like, shape (n,)
+        At least 4 samples, increasing [s]; a trajectory [m or rad]. A reference that jumps asks for a pulse.
+    controller : Controller, optional
+        The loop that it is added to. One that differentiates the measurement brakes an axis that follows: kd ṙ makes up
+        for that, and the set-point weight is made up for likewise. (A cascade has its own feedforward of the speed.)
+    velocity, acceleration, friction : bool
+        Whether forces that depend on the velocity, the acceleration, and dry friction are made up for. Those of the
+        position always are.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [V or the plant's command unit], for the column ``feedforward``.
+
+    Raises
+    ------
+    InputError
+        If the samples do not fit together.
+
+    References
+    ----------
+    .. [1] B. Siciliano et al., *Robotics: Modelling, Planning and Control*, Springer 2009, section 8.5.1.
+
+    Examples
+    --------
+    >>> from servolens import CoulombFriction, Plant
+    >>> axis = Plant(gain=2.0, damping=6.0, effects=(CoulombFriction(level=0.4),))
+    >>> feedforward(axis, [0.0, 0.1, 0.2, 0.3, 0.4], [0.0, 0.1, 0.2, 0.3, 0.4]).round(3).tolist()[1:3]  # 1 m/s
+    [3.2, 3.2]
+    """
+    t, r = np.asarray(time, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    if t.ndim != 1 or t.size < 4 or r.shape != t.shape or not np.all(np.diff(t) > 0):
+        raise InputError("a feedforward needs time that increases and a reference of its size, at least 4 samples")
+    if plant.delay > 0:
+        r = np.interp(t + plant.delay, t, r)
+    place, speed, push = _motion(t, r)
+    way = np.sign(speed) if friction else np.zeros(t.size)
+    rigid = replace(plant, effects=tuple(effect for effect in plant.effects if _inverts(effect)))
+    wanted = [place, speed if velocity else 0.0 * speed, way, push if acceleration else 0.0 * push, t]
+    found = _solved(rigid, np.stack(wanted))
+    limit = plant.effect(Saturation.name)
+    if isinstance(limit, Saturation):
+        found = np.clip(found, -limit.limit, limit.limit)
+    return found if controller is None else found - _braking(controller, t, np.asarray(reference, dtype=np.float64))
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tracking:
+    """What feedforward is worth on a smooth move, simulated.
+
+    Attributes
+    ----------
+    size, duration : float
+        Of the move [m or rad, s].
+    without, with_it : float
+        Error of tracking, r.m.s. over the move and half as long after it [m or rad].
+    worst : float
+        With it, the worst of the plants that may be the axis [m or rad].
+    """
+
+    size: float
+    duration: float
+    without: float
+    with_it: float
+    worst: float
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def tracking(plant: Plant, spec: PDSpec, gain: float, scenarios: Sequence[Scenario] = ()) -> Tracking | None:
+    """Return how a loop tracks a smooth move of the step's size in the settling time, without and with feedforward.
+
+    The feedforward stems from `plant`, in the `scenarios` too; a cascade is given the whole speed of the reference.
+    None where a loop is unstable, or ideal and continuous.
+    """
+    if spec.control == "continuous":
+        return None
+    time, reference = smooth_move(spec.reference, spec.settling_time, spec.sample_time)
+    loop = spec.loop(gain)
+    helped = replace(loop, velocity_feedforward=loop.kd) if loop.integral_rate > 0 else loop
+    added = feedforward(plant, time, reference, controller=helped)
+
+    def error(axis: Plant, used: Controller, voltage: NDArray[np.float64]) -> float:
+        limit = None if axis.effect(Saturation.name) is not None else np.inf
+        run = simulate_loop(axis, used, time, reference, feedforward=voltage, before=0.0, limit=limit)
+        return float(np.sqrt(np.mean((run.position - reference) ** 2)))
+
+    try:
+        own, without = error(plant, helped, added), error(plant, loop, 0.0 * added)
+        others = [error(s.plant, helped.scaled(s.realised), s.realised * added) for s in scenarios]
+    except NumericalError:
+        return None
+    return Tracking(
+        size=spec.reference, duration=spec.settling_time, without=without, with_it=own, worst=max([own, *others])
+    )
+
+
+def smooth_move(size: float, duration: float, sample_time: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return time and reference of a move with the least jerk, and a rest after it (Flash and Hogan 1985)."""
+    time = np.asarray(sample_time * np.arange(round((1.0 + AFTER) * duration / sample_time) + 1), dtype=np.float64)
+    s = np.clip(time / duration, 0.0, 1.0)
+    return time, size * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def _braking(controller: Controller, t: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what a controller without its integral asks for where the axis follows the reference exactly."""
+    alone = replace(controller, ki=0.0, integral_rate=0.0, integral_before=0.0)
+    seen = Seen(time=t, reference=r, position=r, sample_time=float(np.median(np.diff(t))), velocity=_motion(t, r)[1])
+    found = answer(alone, seen)
+    return found.ahead - controller.kd * found.derivative
+
+
+def _motion(t: NDArray[np.float64], r: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return position, velocity and acceleration of a reference in the middle between samples; at last those before."""
+    slopes = np.diff(r) / np.diff(t)
+    middles = 0.5 * (t[1:] + t[:-1])
+    bends = np.gradient(slopes, middles)
+    return tuple(np.append(x, x[-1]) for x in (0.5 * (r[1:] + r[:-1]), slopes, bends))
+
+
+def _inverts(effect: Effect) -> bool:
+    """Whether an effect has a part in what is solved for the voltage."""
+    if isinstance(effect, Saturation | TimeShift) or effect.absent:
+        return False
+    if isinstance(effect, Actuator):
+        return not effect.states
+    return isinstance(effect, Force | DryFriction | Drive)
+
+
+def _solved(plant: Plant, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the voltage for each column of [position, velocity, direction, acceleration, time], by halving."""
+    lacking = _lacking(plant.structure)
+    count = wanted.shape[1]
+    values = np.repeat(np.array(plant.values)[:, None], count, axis=1)
+
+    def left(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.sign(plant.gain) * np.asarray(lacking(u[None, :], wanted, values)).ravel())
+
+    reach = np.ones(count)
+    for _ in range(HALVINGS):
+        short = (left(reach) < 0.0) | (left(-reach) > 0.0)
+        if not short.any():
+            break
+        reach[short] *= 2.0
+    low, high = -reach, reach
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        enough = left(middle) > 0.0
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    return 0.5 * (low + high)
+
+
+@lru_cache(maxsize=64)
+def _lacking(structure: tuple[type[Effect], ...]) -> Any:
+    """Return a CasADi function: how much more acceleration a voltage gives than is wanted.
+
+    What the effects remember has settled at the velocity, a bristle at its full deflection; an integral is empty.
+    """
+    import casadi as ca
+
+    from servolens.dynamics import dynamics
+
+    d = dynamics(structure)
+    settled = []
+    for i, relaxes in enumerate(d.relaxing):
+        begun, slope = ca.substitute(d.rates[i], d.states[i], 0.0), -ca.gradient(d.rates[i], d.states[i])
+        settled.append(ca.if_else(slope > 0, begun / slope, 0.0) if relaxes else ca.SX(0))
+    wanted = ca.SX.sym("wanted")
+    more = d.push - d.level * d.direction - wanted
+    more = ca.substitute(more, d.states, ca.vertcat(*settled)) if settled else more
+    columns = ca.vertcat(d.position, d.velocity, d.direction, wanted, d.time)
+    return ca.Function("lacking", [d.command, columns, d.parameters], [more])

@@ -1,0 +1,67 @@
+"""What is asked of several gains beside a spec."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, final
+
+import numpy as np
+
+from servolens.errors import InputError
+
+__all__ = ["GainWishes"]
+
+FREE = ("kp", "kd", "derivative_filter")
+OBJECTIVES = ("kd", "noise", "settling_time", "margin")
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainWishes:
+    """Which gains are free, what is to be best, and what else they must keep to.
+
+    Parameters
+    ----------
+    free : tuple of str
+        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``; kd among them.
+    objective : {"noise", "kd", "settling_time", "margin"}
+        What is to be least: the noise of the command, kd, the settling time, or the peak of sensitivity, whose inverse
+        is the margin.
+    peak_sensitivity, peak_complementary : float, optional
+        Largest Ms and Mt of the linearised loop, above 1 and positive.
+    delay_margin : float, optional
+        By how much the command must be able to come later [s], positive.
+    voltage_noise : float, optional
+        Largest r.m.s. of the command for the measurement noise [V], positive.
+    position_noise : float, optional
+        R.m.s. of that noise, white [m or rad], positive; by default that of the records, which model files remember.
+
+    Raises
+    ------
+    InputError
+        If a value is outside its range.
+    """
+
+    free: tuple[str, ...] = ("kp", "kd")
+    objective: Literal["kd", "noise", "settling_time", "margin"] = "noise"
+    peak_sensitivity: float | None = None
+    peak_complementary: float | None = None
+    delay_margin: float | None = None
+    voltage_noise: float | None = None
+    position_noise: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "free", tuple(self.free))
+        unknown = [name for name in self.free if name not in FREE]
+        if unknown or "kd" not in self.free:
+            raise InputError(f"free gains are kd and perhaps kp and derivative_filter, got {', '.join(self.free)[:80]}")
+        if self.objective not in OBJECTIVES:
+            raise InputError(f"objective must be one of {', '.join(OBJECTIVES)}, got {str(self.objective)[:40]!r}")
+        for name in ("peak_sensitivity", "peak_complementary", "delay_margin", "voltage_noise", "position_noise"):
+            value, least = getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0
+            if value is not None and not (np.isfinite(value) and value > least):
+                raise InputError(f"{name} must be finite and larger than {least:g}, got {value!r}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {**{f.name: getattr(self, f.name) for f in fields(self)}, "free": list(self.free)}

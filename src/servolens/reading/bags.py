@@ -1,0 +1,121 @@
+"""ROS bags (ROS 1, ROS 2 in SQLite or MCAP), by rosbags: a table for each topic, its messages' numbers as columns."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from servolens.errors import InputError
+from servolens.reading import files
+from servolens.reading.table import Column, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["read"]
+
+LONGEST_ARRAY = 64
+"""Elements of an array of a message that become columns; joints of a robot are fewer."""
+DEEPEST = 6
+
+
+def read(path: Path) -> list[Table]:
+    """Return the topics of a bag whose messages hold numbers.
+
+    The time is the messages' own stamp where they have one, else that of their recording. Arrays are named by the
+    ``name`` (or ``joint_names``) of their message.
+
+    Raises
+    ------
+    InputError
+        If the bag is damaged, points outside its folder, or holds no numbers.
+    """
+    _check_inside(path)
+    rows: dict[str, list[tuple[int, dict[str, float]]]] = {}
+    left = files.LARGEST // 8
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for connection, recorded, raw in reader.messages():
+                row = dict(_numbers(reader.deserialize(raw, connection.msgtype), "", 0))
+                stamp = _stamp(row)
+                left -= len(row) + 1
+                if left < 0:
+                    raise InputError(
+                        f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read"
+                    )
+                rows.setdefault(connection.topic, []).append((recorded if stamp is None else stamp, row))
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError("is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR") from error
+    start = min((instant for group in rows.values() for instant, _ in group), default=0)
+    tables = [table for topic, group in rows.items() if (table := _table(topic, group, start)) is not None]
+    if not tables:
+        raise InputError("is a bag without messages that hold numbers")
+    return tables
+
+
+def _check_inside(path: Path) -> None:
+    """Refuse the folder of a bag that names or links files elsewhere."""
+    if not path.is_dir():
+        return
+    root = path.resolve()
+    text = (path / "metadata.yaml").read_text(encoding="utf-8", errors="replace")
+    for line in text.splitlines():
+        name = line.strip().removeprefix("-").strip().removeprefix("path:").strip().strip("'\"")
+        if name.endswith((".db3", ".mcap", ".zstd")) and not (path / name).resolve().is_relative_to(root):
+            raise InputError("is a bag that names a file outside its folder")
+    if any(not item.resolve().is_relative_to(root) for item in path.iterdir()):
+        raise InputError("is a bag that links to a file outside its folder")
+
+
+def _numbers(message: Any, path: str, depth: int) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of a message with their paths."""
+    if isinstance(message, bool | np.bool_ | int | float | np.number):
+        yield path, float(message)
+        return
+    if isinstance(message, np.ndarray | list | tuple):
+        for k, item in enumerate(message[:LONGEST_ARRAY]):
+            if not isinstance(item, str):
+                yield from _numbers(item, f"{path}[{k}]", depth + 1)
+        return
+    fields = getattr(message, "__dataclass_fields__", None)
+    if fields is None or depth > DEEPEST:
+        return
+    names: list[str] = next(
+        (getattr(message, key) for key in ("name", "joint_names") if isinstance(getattr(message, key, None), list)), []
+    )
+    for field in fields:
+        if field.startswith("__"):
+            continue
+        for key, value in _numbers(getattr(message, field), f"{path}.{field}" if path else field, depth + 1):
+            yield _titled(key, names), value
+
+
+def _titled(key: str, names: list[str]) -> str:
+    """Return ``position.elbow`` for ``position[2]`` where the message names its third joint so."""
+    head, bracket, index = key.rpartition("[")
+    if bracket and index[:-1].isdecimal() and int(index[:-1]) < len(names):
+        return f"{head}.{names[int(index[:-1])]}"
+    return key
+
+
+def _stamp(row: dict[str, float]) -> int | None:
+    """Take a message's own stamp [ns] out of its numbers; None without one or where it was not set."""
+    seconds, rest = row.pop("header.stamp.sec", None), row.pop("header.stamp.nanosec", 0.0)
+    return None if not seconds else int(seconds) * 10**9 + int(rest)
+
+
+def _table(topic: str, rows: list[tuple[int, dict[str, float]]], start: int) -> Table | None:
+    keys = [key for key in rows[0][1] if all(key in row for _, row in rows)]
+    if not keys or len(rows) < 2:
+        return None
+    rows = sorted(rows, key=lambda item: item[0])
+    columns = [Column("time", np.array([(instant - start) * 1e-9 for instant, _ in rows]), "s")]
+    prefix = topic.strip("/").replace("/", ".")
+    columns += [Column(f"{prefix}.{key}", np.array([row[key] for _, row in rows])) for key in keys]
+    return Table(tuple(columns), topic.strip("/"))

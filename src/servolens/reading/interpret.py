@@ -1,0 +1,308 @@
+"""From the tables of a file to the signals of a record: columns, units, one clock, and the evidence for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.reading.files import quote
+from servolens.reading.guess import Guess
+from servolens.reading.roles import Choice, check_mapping, choose
+from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
+from servolens.reading.table import Column, Table
+from servolens.reading.words import allows
+from servolens.units import parse_unit, split_number
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Values = NDArray[np.float64]
+
+__all__ = ["Interpretation", "interpret"]
+
+EPOCH = 1e6
+"""Times beyond this [s] count from an epoch (11 days after switching on): they are taken from the first sample."""
+APART = ("in brackets", "behind its name", "stated beside its name")
+"""Where a unit is one, whatever the signal; letters at the end of a name may be something else."""
+SMOOTH = ("position", "velocity")
+GAINS = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
+_INTERVALS = {
+    **dict.fromkeys(("delta_x", "sample_time", "sample time", "sampletime", "sampling time", "dt", "abtastzeit"), "s"),
+    "sampletime[ms]": "ms",
+}
+"""What preambles call the sample time, and its unit where none stands there."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Interpretation:
+    """The signals of a file as logged, on one clock, and how they were found.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray, shape (n,)
+        In the units of `units`.
+    units : mapping
+        Of the signals; None is SI.
+    comments : mapping
+        Settings that the file states.
+    guesses : tuple of Guess
+        One for each signal and for each setting that was not stated as such.
+    columns : mapping
+        Signal to the address of its column.
+    found_gains : bool
+        Whether gains among the comments were found beside the columns rather than stated as settings.
+    """
+
+    signals: Mapping[str, Values]
+    units: Mapping[str, str | None]
+    comments: Mapping[str, str]
+    guesses: tuple[Guess, ...]
+    columns: Mapping[str, str]
+    found_gains: bool = False
+
+
+def interpret(
+    tables: Sequence[Table],
+    *,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    settings: Mapping[str, object] | None = None,
+) -> Interpretation:
+    """Find the signals of a record in the tables of a file.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        Of the file.
+    columns, units : mapping, optional
+        From the caller: signal to column name or number, signal to unit; they win.
+    settings : mapping, optional
+        From the caller; a gain's unit tells metres from radians.
+
+    Raises
+    ------
+    InputError
+        With one sentence: what is missing, or both readings where two are plausible.
+    """
+    tables = [_with_clock(table, settings) for table in tables if table.columns]
+    if not tables:
+        raise InputError("holds no columns of numbers")
+    chosen = choose(tables, columns)
+    comments = {key: value for table in tables for key, value in table.comments.items()}
+    gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
+    stated = check_mapping(units, "units")
+    found = _units(chosen, stated, {**comments, **gains, **(settings or {})})
+    chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
+    for signal, choice in chosen.items():
+        _check_numbers(signal, choice)
+    if not {"reference", "voltage"} & set(chosen) and (settings or {}).get("reference") is None:
+        _check_stated(tables)
+    texts = {signal: text for signal, (text, _) in found.items()}
+    signals, texts = _on_one_clock(chosen, tables, texts)
+    guesses = [
+        Guess(
+            quantity=signal,
+            source=choice.address,
+            value=found[signal][0] or "",
+            evidence="; ".join(part for part in (choice.evidence, found[signal][1]) if part),
+            is_stated=_is_stated(choice, signal in stated, found[signal]),
+        )
+        for signal, choice in chosen.items()
+    ]
+    guesses += [
+        Guess(quantity=key, source=key, value=value, evidence="a column that holds one value")
+        for key, value in gains.items()
+    ]
+    return Interpretation(
+        signals=signals,
+        units=texts,
+        comments={**gains, **comments},
+        guesses=tuple(guesses),
+        columns={signal: choice.address for signal, choice in chosen.items()},
+        found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
+    )
+
+
+def _check_stated(tables: Sequence[Table]) -> None:
+    """Refuse a log without reference and command, unless a comment states the reference."""
+    if any("reference" in table.comments for table in tables):
+        return
+    names = quote(", ".join(column.name for table in tables for column in table.columns))
+    raise InputError(
+        f"neither reference nor voltage is given, and none of the columns {names} is named so; name one, e.g. --column"
+        " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5"
+    )
+
+
+def _with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
+    """Add the time to a table that states its sample time instead of logging it."""
+    text = (settings or {}).get("sample_time", table.comments.get("sample_time"))
+    label = "s"
+    if text is None:
+        known = [(key, label) for key, label in _INTERVALS.items() if key in table.properties]
+        if not known or any("time" in c.name.lower() for c in table.columns):
+            return table
+        text, label = table.properties[known[0][0]].replace(",", "."), known[0][1]
+    try:
+        value, unit = split_number(str(text))
+    except InputError:
+        return table
+    parsed = parse_unit(unit or label)
+    if parsed is None or dict(parsed.dimension) != {"s": 1.0} or not value > 0 or not table.columns:
+        return table
+    count = table.columns[0].values.size
+    time = Column("time", value * parsed.factor * np.arange(count, dtype=np.float64), "s")
+    kept = tuple(column for column in table.columns if column.name.strip().lower() not in ("time", "t", "x_value"))
+    return Table((time, *kept), table.name, table.comments, table.properties, table.has_names)
+
+
+def _constant_gains(tables: Sequence[Table], at: int, stated: Mapping[str, object]) -> dict[str, str]:
+    """Return the gains that a file holds as columns of one value, or states in its preamble."""
+    table = tables[at]
+    found: dict[str, str] = {}
+    for key, names in GAINS.items():
+        if stated.get(key) is not None:
+            continue
+        texts = [table.properties[name] for name in names if name in table.properties]
+        for column in table.columns:
+            values = column.values
+            if column.name.strip().lower() in names and values.size and np.all(values == values[0]):
+                texts.append(f"{float(values[0])!r} {column.unit or ''}".strip())
+        if len(set(texts)) == 1 and _is_amount(texts[0]):
+            found[key] = texts[0]
+    return found if "kp" in found or stated.get("kp") is not None else {}
+
+
+def _is_amount(text: str) -> bool:
+    try:
+        split_number(text)
+    except InputError:
+        return False
+    return True
+
+
+def _units(
+    chosen: Mapping[str, Choice], stated: Mapping[str, str], settings: Mapping[str, object]
+) -> dict[str, tuple[str | None, str]]:
+    """Return each signal's unit and where it is from; a velocity that cannot be used is left out."""
+    found: dict[str, tuple[str | None, str]] = {}
+    for signal, choice in chosen.items():
+        if signal in stated:
+            found[signal] = stated[signal], "unit given by you"
+        elif choice.unit is not None and (choice.meaning.where in APART or allows(signal, choice.unit)):
+            found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
+    for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
+        if signal in chosen and signal not in found:
+            unit = _unstated(signal, chosen, found, settings)
+            if unit is not None:
+                found[signal] = unit
+    return found
+
+
+def _unstated(
+    signal: str,
+    chosen: Mapping[str, Choice],
+    found: Mapping[str, tuple[str | None, str]],
+    settings: Mapping[str, object],
+) -> tuple[str | None, str] | None:
+    """Return the unit of a column that states none, and why; None for one that cannot be used."""
+    choice = chosen[signal]
+    if signal == "time":
+        return time_unit(choice)
+    if signal in ("position", "reference"):
+        return _length(choice, found.get("reference" if signal == "position" else "position"), settings)
+    if signal == "voltage" and not choice.is_stated:
+        return command_unit(choice)
+    if signal == "velocity" and not choice.is_stated:
+        return velocity_unit(choice, chosen, {key: text for key, (text, _) in found.items()})
+    return None, ""
+
+
+def _length(
+    choice: Choice, other: tuple[str | None, str] | None, settings: Mapping[str, object]
+) -> tuple[str | None, str]:
+    """Return the unit of a position or a reference that states none."""
+    if choice.is_stated or settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
+        return None, ""
+    if _states_length(settings):
+        return None, "SI, as the gains are stated"
+    return length_unit(choice, other[0] if other else None)
+
+
+def _states_length(settings: Mapping[str, object]) -> bool:
+    """Tell whether a gain states metres or radians."""
+    for key in ("kp", "kd", "encoder_resolution"):
+        try:
+            _, text = split_number(str(settings.get(key, "")))
+        except InputError:
+            continue
+        unit = parse_unit(text) if text else None
+        if unit and {"m", "rad"} & set(dict(unit.dimension)):
+            return True
+    return False
+
+
+def _check_numbers(signal: str, choice: Choice) -> None:
+    if choice.column.fault is not None:
+        raise InputError(choice.column.fault.sentence(signal))
+
+
+def _is_stated(choice: Choice, by_caller: bool, found: tuple[str | None, str]) -> bool:
+    return choice.is_stated and (by_caller or found[0] is None or choice.unit is not None)
+
+
+def _on_one_clock(
+    chosen: Mapping[str, Choice], tables: Sequence[Table], units: Mapping[str, str | None]
+) -> tuple[dict[str, Values], dict[str, str | None]]:
+    """Return the signals at the position's instants: what another clock has logged is held, a velocity interpolated."""
+    time = chosen["time"].column.values
+    home = chosen["position"].table
+    if chosen["time"].table != home:
+        own = _own_clock(tables, home)
+        if own is None and chosen["position"].column.values.size != time.size:
+            raise InputError(
+                f"position and time stand in different tables ({quote(tables[home].name)} and"
+                f" {quote(tables[chosen['time'].table].name)}) of different lengths; name columns of one table"
+            )
+    first = float(time[0]) if time.size and np.isfinite(time[0]) else 0.0
+    start = first if abs(first) * _factor(units.get("time")) > EPOCH else 0.0
+    signals: dict[str, Values] = {}
+    for signal, choice in chosen.items():
+        values = choice.column.values
+        other = None if choice.table == home or signal == "time" else _own_clock(tables, choice.table)
+        if other is not None and not (other.size == time.size and np.array_equal(other, time)):
+            values = _moved(values, other, time, smooth=signal in SMOOTH, name=choice.address)
+        signals[signal] = values
+    if start:
+        signals["time"] = time - start
+    return signals, dict(units)
+
+
+def _factor(text: str | None) -> float:
+    unit = parse_unit(text) if text else None
+    return unit.factor if unit else 1.0
+
+
+def _own_clock(tables: Sequence[Table], index: int) -> Values | None:
+    """Return the time of a table."""
+    try:
+        return choose([tables[index]], None)["time"].column.values
+    except (InputError, KeyError):
+        pass
+    named = [c for c in tables[index].columns if c.name.split("[")[0].strip().lower() in ("time", "t", "timestamp")]
+    return named[0].values if named else None
+
+
+def _moved(values: Values, own: Values, time: Values, *, smooth: bool, name: str) -> Values:
+    """Return a signal of another clock at the instants of `time`."""
+    if own.size != values.size or own.size == 0 or not np.isfinite(own).all() or np.any(np.diff(own) < 0):
+        raise InputError(f"column {quote(name)} has a clock of its own that does not increase; export it on one clock")
+    if smooth:
+        return np.interp(time, own, values)
+    return values[np.clip(np.searchsorted(own, time, side="right") - 1, 0, None)]

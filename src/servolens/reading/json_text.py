@@ -1,0 +1,71 @@
+"""JSON: arrays by name, records, rows below named columns, one document a line, and streams as Klipper writes them."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from servolens.errors import InputError
+from servolens.reading.nested import tables_of
+
+if TYPE_CHECKING:
+    from servolens.reading.table import Table
+
+__all__ = ["read_json"]
+
+LARGEST = 128 * 2**20
+"""Longest text that is parsed [bytes]: its values take about ten times as much memory."""
+
+
+def read_json(content: bytes) -> tuple[Table, ...]:
+    """Read the arrays of a JSON document, of one document a line, or of documents that a control character separates.
+
+    Raises
+    ------
+    InputError
+        If the text is no JSON, is too long, or holds no arrays of numbers.
+    """
+    if len(content) > LARGEST:
+        raise InputError(f"is JSON of more than {LARGEST / 2**20:.0f} MiB, the longest that is read; export it as CSV")
+    try:
+        tree = _documents(content.decode("utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not UTF-8 text (byte {error.start})") from error
+    except json.JSONDecodeError as error:
+        raise InputError(f"is not valid JSON (line {error.lineno}, column {error.colno})") from error
+    except (RecursionError, ValueError) as error:
+        raise InputError("is not valid JSON: nested too deep, or a number too long") from error
+    try:
+        tables = tables_of(tree)
+    except RecursionError as error:
+        raise InputError("is JSON that is nested too deep") from error
+    if not tables:
+        raise InputError("is JSON without arrays of numbers")
+    return tables
+
+
+def _documents(text: str) -> Any:
+    if "\x03" in text:
+        return _stream([json.loads(part) for part in text.split("\x03") if part.strip()])
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        lines = [line for line in text.splitlines() if line.strip()]
+        if len(lines) < 2:
+            raise
+        return [json.loads(line) for line in lines]
+
+
+def _stream(messages: list[Any]) -> dict[str, Any]:
+    """Return the rows of each query of a stream below the header that its subscription was answered with."""
+    found: dict[str, Any] = {}
+    for message in messages:
+        if not isinstance(message, dict):
+            continue
+        result, query, params = message.get("result"), message.get("q"), message.get("params")
+        if isinstance(result, dict) and isinstance(result.get("header"), list):
+            found[str(message.get("id"))] = {"header": result["header"], "data": []}
+        elif isinstance(params, dict) and isinstance(params.get("data"), list):
+            rows = found.setdefault(str(query), {"data": []})
+            rows["data"] += params["data"]
+    return found

@@ -1,0 +1,183 @@
+"""Where the numbers of a table of cells stand: its preamble, its row of names, its row of units, its first row."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
+
+from servolens.reading.cells import is_stamp, number
+from servolens.units import parse_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+__all__ = ["Layout", "find_layout", "properties_of"]
+
+MOST_TYPED = 20
+"""Rows at the end of the head that tell which columns hold numbers."""
+_PROPERTY = re.compile(r"\W*([A-Za-z][\w .\-\[\]()]*?)\s*[=:]\s*(.*?)\s*")
+_BRACKETED = re.compile(r"[\[(<{]\s*(.*?)\s*[\])>}]")
+_SCOPE = ("data-type", "sampletime[ms]", "symbolcomment", "symbolname")
+"""Labels of the header rows of a TwinCAT Scope export, of which each channel may have a column of labels."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """How rows of cells are to be read.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of the columns; their numbers where no row names them.
+    units : tuple of (str or None)
+        From a row of units.
+    first : int
+        Index of the first row of numbers.
+    typed : frozenset of int
+        Columns that hold numbers or time stamps.
+    properties : mapping
+        ``key: value`` pairs above the numbers.
+    has_names : bool
+        Whether the file names its columns.
+    other_width : int
+        Cells of the row above the numbers, where that has texts and another number of cells than the rows; else 0.
+    has_clocks : bool
+        Whether columns named "time" belong to those behind them.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    first: int
+    typed: frozenset[int]
+    properties: Mapping[str, str] = field(default_factory=dict)
+    has_names: bool = True
+    other_width: int = 0
+    has_clocks: bool = False
+
+
+def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | None:
+    """Return the layout of a table by its first rows, or None if they hold no rows of numbers.
+
+    The columns that hold numbers are learnt from the last rows; from there the rows are followed upwards until one is
+    no row of numbers: that is the row of units or of names.
+
+    Parameters
+    ----------
+    rows : sequence of sequence of str
+        Cells, blank rows left out.
+    decimal : {".", ","}
+        Of the numbers.
+    """
+    kinds = [[_is_value(cell, decimal) for cell in row] for row in rows]
+    last = next((i for i in range(len(rows) - 1, -1, -1) if sum(kinds[i]) >= 2), None)
+    if last is None:
+        return None
+    tail = kinds[max(last + 1 - MOST_TYPED, 0) : last + 1]
+    tail = [row for row in tail if sum(row) > 1]
+    width = Counter(len(row) for row in tail).most_common(1)[0][0]
+    tail = [row for row in tail if len(row) == width]
+    typed = [j for j in range(width) if 2 * sum(row[j] for row in tail) > len(tail)]
+    if len(typed) < 2:
+        return None
+    first = _first(rows, kinds, typed, last)
+    return _named(rows, first, width, frozenset(typed))
+
+
+def _is_value(cell: str, decimal: str) -> bool:
+    return number(cell, decimal) is not None or is_stamp(cell)
+
+
+def _first(rows: Sequence[Sequence[str]], kinds: Sequence[Sequence[bool]], typed: Sequence[int], last: int) -> int:
+    """Return the index of the first row of numbers; a row with a wrong cell between rows of numbers is one of them."""
+
+    def holds(i: int) -> bool:
+        row = kinds[i]
+        found = sum(row[j] for j in typed if j < len(row))
+        starts = typed[0] < len(row) and (row[typed[0]] or not rows[i][typed[0]].strip())
+        return starts and 2 * found > len(typed)
+
+    first = last
+    while first > 0:
+        if holds(first - 1):
+            first -= 1
+        elif first > 1 and holds(first - 2):
+            first -= 2
+        else:
+            break
+    return first
+
+
+def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozenset[int]) -> Layout:
+    above = [[cell.strip().strip('"').strip() for cell in row] for row in rows[:first]]
+    scope = _scope(above, width)
+    if scope is not None:
+        names, units = scope
+        return Layout(names, units, first, typed, has_clocks=names[0] == "time")
+    units = (None,) * width
+    used = 0
+    if above and _is_units(above[-1], width) and len(above) > 1 and _is_names(above[-2], width):
+        units = tuple(_unit(cell) for cell in _padded(above[-1], width))
+        used = 1
+    if len(above) > used and _is_names(above[-1 - used], width):
+        names = tuple(_padded(above[-1 - used], width))
+        return Layout(names, units, first, typed, properties_of(above[: -1 - used]))
+    numbered = tuple(str(j + 1) for j in range(width))
+    last = above[-1] if above else []
+    is_text = sum(bool(cell) for cell in last) > 1 and all(number(cell) is None for cell in last if cell)
+    return Layout(numbered, units, first, typed, properties_of(above), False, len(last) if is_text else 0)
+
+
+def _is_names(row: Sequence[str], width: int) -> bool:
+    """Tell whether a row can name the columns: about as many cells, and texts rather than numbers."""
+    given = [cell for cell in row if cell]
+    return len(row) <= width + 1 and 2 * len(row) > width and any(number(cell) is None for cell in given)
+
+
+def _is_units(row: Sequence[str], width: int) -> bool:
+    given = [unit for cell in row if cell and (unit := _unit(cell))]
+    plain = all(cell in ("-", "", "[]", "[-]", "()", "(-)") or parse_unit(_unit(cell) or "") for cell in row)
+    return len(row) <= width + 1 and plain and bool(given)
+
+
+def _unit(cell: str) -> str | None:
+    bracketed = _BRACKETED.fullmatch(cell)
+    text = bracketed[1] if bracketed else cell
+    return None if text in ("", "-") else text
+
+
+def _padded(row: Sequence[str], width: int) -> list[str]:
+    return [*row[:width], *[""] * (width - len(row))]
+
+
+def properties_of(rows: Iterable[Sequence[str]]) -> dict[str, str]:
+    """Return the ``key: value`` lines and the ``key, value`` rows of a preamble, keys in small letters."""
+    found: dict[str, str] = {}
+    for row in rows:
+        cells = [cell for cell in row if cell]
+        match = _PROPERTY.fullmatch(cells[0]) if cells else None
+        if match and match[2]:
+            found[match[1].strip().lower()] = match[2]
+        elif len(cells) >= 2:
+            found[cells[0].rstrip(":=").strip().lower()] = cells[1]
+    return found
+
+
+def _scope(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...], tuple[str | None, ...]] | None:
+    """Return names and units of a TwinCAT Scope export, whose header rows begin with what they tell.
+
+    With a time line for each channel the labels are repeated: ``Name, a, Name, b`` above ``time, a, time, b``. Times
+    are milliseconds from the first sample, or FILETIME (100 ns) where the export says so.
+    """
+    labelled = {row[0].lower(): row for row in above if row and row[0]}
+    if "name" not in labelled or not any(label in labelled for label in _SCOPE):
+        return None
+    names = _padded(labelled.get("symbolname", labelled["name"]), width)
+    units: list[str | None] = [_unit(cell) for cell in _padded(labelled.get("unit", []), width)]
+    label = names[0]
+    for j, name in enumerate(names):
+        if name == label:
+            names[j], units[j] = "time", "ms"
+    return tuple(names), tuple(units)

@@ -1,0 +1,375 @@
+"""Which column of a file is which signal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.reading.files import quote
+from servolens.reading.words import Meaning, meaning, unit_behind
+from servolens.record import SIGNALS
+from servolens.units import parse_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from servolens.reading.table import Column, Table
+
+__all__ = ["Choice", "check_mapping", "choose", "offer"]
+
+ALIASES = {"time": ("t",)}
+ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
+KINDS = ("", "voltage", "duty", "output", "force", "torque", "current")
+"""Commands in the order in which they are taken: the one nearest to the amplifier's voltage first."""
+SAG = 0.1
+"""Relative range below which a voltage beside other commands is a supply's: those are regulated to a few per cent."""
+SAME = 1e-6
+"""Relative difference up to which two columns are one quantity in two units: logs print six digits and more."""
+DERIVATIVE = 0.98
+"""Correlation with the position's derivative from which on a column is the velocity, below half of it is not."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """A column that was taken for a signal.
+
+    Parameters
+    ----------
+    column : Column
+        The column.
+    table : int
+        Index of its table.
+    address : str
+        By which ``--column`` finds it again.
+    meaning : Meaning
+        What its heading says.
+    evidence : str
+        Why it was taken.
+    is_stated : bool
+        Whether the caller or the format's own name says it.
+    """
+
+    column: Column
+    table: int
+    address: str
+    meaning: Meaning
+    evidence: str = ""
+    is_stated: bool = False
+
+    @property
+    def unit(self) -> str | None:
+        """Unit that the file states."""
+        return self.meaning.unit
+
+    def because(self, evidence: str, *, is_stated: bool = False) -> Choice:
+        """Return the choice with its evidence."""
+        return Choice(self.column, self.table, self.address, self.meaning, evidence, is_stated)
+
+
+def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[str, Choice]:
+    """Return the column of each signal that a file holds.
+
+    What the caller maps comes first, then the format's own names, then what words and symbols mean; a name that may
+    mean two things is decided by what else is there and by the numbers.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        Of the file.
+    columns : mapping, optional
+        Signal to a column's name or number.
+
+    Raises
+    ------
+    InputError
+        If time or position is missing, a mapped column is missing, a needed name stands twice, or two columns may be
+        the same signal: then with both readings.
+    """
+    mapping = check_mapping(columns, "columns")
+    found = _candidates(tables)
+    chosen: dict[str, Choice] = {}
+    for signal in SIGNALS:
+        choice = _mapped(mapping[signal], signal, found) if signal in mapping else _named(signal, found)
+        if choice is not None:
+            chosen[signal] = choice
+    if not any(table.has_names for table in tables) and not {"time", "position"} <= set(chosen):
+        raise InputError(_nameless(tables))
+    for symbols in (False, True):
+        for signal in ORDER:
+            if signal not in chosen and (choice := _pick(signal, found, chosen, symbols)):
+                chosen[signal] = choice
+    _decide(found, chosen)
+    if "time" not in chosen and "position" in chosen and (clock := _clock(found, chosen["position"])):
+        chosen["time"] = clock
+    _check_supply(chosen, found, mapping)
+    _check_found(chosen, found)
+    return {signal: chosen[signal] for signal in SIGNALS if signal in chosen}
+
+
+def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str]:
+    """Return a mapping from signals to texts, or refuse it.
+
+    Raises
+    ------
+    InputError
+        If a key is no signal or a value no text.
+    """
+    checked = dict(mapping or {})
+    for signal, text in checked.items():
+        if signal not in SIGNALS:
+            raise InputError(f"{what}: no signal is named {quote(signal)}; known are {', '.join(SIGNALS)}")
+        if not isinstance(text, str):
+            raise InputError(f"{what}: {signal} must be a text, got {quote(text)}")
+    return checked
+
+
+def offer(found: Iterable[Choice]) -> str:
+    """Return which columns there are, as part of a sentence."""
+    names = ", ".join(choice.address for choice in found if choice.address)
+    return f"the columns are {quote(names)}" if names else "the table has no named columns"
+
+
+def _candidates(tables: Sequence[Table]) -> list[Choice]:
+    """Return every column with what its heading says, and the shortest address that is its own."""
+    plain = [(i, column, unit_behind(column.name)[0]) for i, table in enumerate(tables) for column in table.columns]
+    several = len(tables) > 1
+    names = [name for _, _, name in plain]
+    counted = {name: names.count(name) for name in set(names)} if several else {}
+    return [
+        Choice(
+            column,
+            i,
+            f"{tables[i].name}/{name}" if several and counted[name] > 1 else name,
+            meaning(column.name, column.unit),
+        )
+        for i, column, name in plain
+    ]
+
+
+def _mapped(name: str, signal: str, found: Sequence[Choice]) -> Choice:
+    hits = [c for c in found if name in (c.address, unit_behind(c.column.name)[0], c.column.name.strip())]
+    if not hits and name.isdecimal() and 1 <= int(name) <= len(found):
+        hits = [found[int(name) - 1]]
+    if not hits:
+        raise InputError(f"no column named {quote(name)} for {signal}; {offer(found)}")
+    return _single(hits, name).because("named by you", is_stated=True)
+
+
+def _named(signal: str, found: Sequence[Choice]) -> Choice | None:
+    """Look for the exact name, then for it in other letters, then for an alias."""
+    for wanted in (signal, *ALIASES.get(signal, ())):
+        named = [(unit_behind(c.column.name)[0], c) for c in found]
+        exact = [c for name, c in named if name == wanted]
+        hits = exact or [c for name, c in named if name.lower() == wanted]
+        if len({c.table for c in hits}) > 1:
+            return None  # each table has one
+        if hits:
+            choice = _single(hits, wanted)
+            is_stated = choice.meaning.where in ("", "in brackets", "stated beside its name")
+            return choice.because("its name", is_stated=is_stated)
+    return None
+
+
+def _single(hits: Sequence[Choice], name: str) -> Choice:
+    if len(hits) > 1:
+        raise InputError(f"{len(hits)} columns are named {quote(name)}; names must differ")
+    return hits[0]
+
+
+def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], symbols: bool) -> Choice | None:
+    """Return the one column that means a signal, None without any; several are narrowed down or asked about.
+
+    Words go before symbols, but for positions: an axis is easily mistaken for what it carries.
+    """
+    taken = {id(choice.column) for choice in chosen.values()}
+    left = [
+        c
+        for c in found
+        if c.meaning.roles == (signal,)
+        and (c.meaning.symbol is symbols or signal == "position")
+        and id(c.column) not in taken
+    ]
+    passed = ""
+    if signal == "voltage" and left:
+        left, passed = _commands(left)
+    if "position" in chosen:
+        left = _near(left, chosen["position"])
+    elif signal == "position":
+        left = _moving(_paired(left, found))
+    if not left:
+        return None
+    if len(left) > 1:
+        left = _alike(left)
+    if len(left) > 1:
+        raise InputError(_question(signal, left))
+    choice = left[0]
+    what = "the symbol" if choice.meaning.symbol else "the words" if " " in choice.meaning.words else "the word"
+    return choice.because(f"{what} {quote(choice.meaning.words)}{passed}")
+
+
+def _commands(left: Sequence[Choice]) -> tuple[list[Choice], str]:
+    """Keep the commands of the kind that comes first, of these those that were asked for rather than measured."""
+    moving = [c for c in left if not _is_supply(c)] or list(left)
+    first = min(KINDS.index(c.meaning.kind) for c in moving)
+    kept = [c for c in moving if KINDS.index(c.meaning.kind) == first]
+    grade = min(c.meaning.grade for c in kept)
+    kept = [c for c in kept if c.meaning.grade == grade]
+    others = [quote(c.address) for c in left if c not in kept and len(c.column.values)]
+    return kept, f"; preferred to {', '.join(others[:3])}" if others and len(kept) == 1 else ""
+
+
+def _is_supply(choice: Choice) -> bool:
+    """Tell whether a voltage hardly varies and never changes its sign, as a supply's."""
+    values = choice.column.values
+    if choice.meaning.kind != "voltage" or not values.size or not np.isfinite(values).all():
+        return False
+    return bool(np.ptp(values) < SAG * abs(float(np.mean(values))))
+
+
+def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping: Mapping[str, str]) -> None:
+    """Ask about a voltage that hardly varies while another command does: it may be the supply's."""
+    choice = chosen.get("voltage")
+    if choice is None or "voltage" in mapping or not _is_supply(choice):
+        return
+    others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
+    if others:
+        raise InputError(
+            f"column {quote(choice.address)} hardly varies, as the voltage of a supply, and {quote(others[0].address)}"
+            f" may be the command; say --column voltage={_typed(choice.address)} or --column"
+            f" voltage={_typed(others[0].address)}"
+        )
+
+
+def _varies(choice: Choice) -> bool:
+    values = choice.column.values
+    return bool(values.size and np.isfinite(values).all() and np.ptp(values) > SAG * abs(float(np.mean(values))))
+
+
+def _near(left: Sequence[Choice], position: Choice) -> list[Choice]:
+    """Keep the columns of the position's table and of its axis, by the words that name it, where there are such."""
+    same = [c for c in left if c.table == position.table] or list(left)
+    shared = [len(c.meaning.rest & position.meaning.rest) for c in same]
+    return [c for c, n in zip(same, shared, strict=True) if n == max(shared)]
+
+
+def _paired(left: Sequence[Choice], found: Sequence[Choice]) -> list[Choice]:
+    """Of several positions keep the one whose axis a single reference names."""
+    references = [c for c in found if c.meaning.roles == ("reference",)]
+    if len(left) < 2 or len(references) != 1 or not references[0].meaning.rest:
+        return list(left)
+    return [c for c in left if c.meaning.rest & references[0].meaning.rest] or list(left)
+
+
+def _moving(left: Sequence[Choice]) -> list[Choice]:
+    """Leave out axes that stand still, unless all do."""
+    return [c for c in left if c.column.values.size and np.ptp(c.column.values) != 0] or list(left)
+
+
+def _alike(left: Sequence[Choice]) -> list[Choice]:
+    """Of columns that are one quantity, in several units or twice, keep the first with a unit."""
+    best = next((c for c in left if c.unit), left[0])
+    return [best] if all(_same(best, c) for c in left if c is not best) else list(left)
+
+
+def _same(one: Choice, other: Choice) -> bool:
+    """Tell whether two columns hold the same quantity; without a unit, any scale may be meant beside a stated one."""
+    a, b = one.column.values, other.column.values
+    if a.size != b.size or a.size < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return False
+    spread = float(np.ptp(a))
+    if spread == 0 or np.ptp(b) == 0:
+        return bool(np.array_equal(a, b))
+    mine, others = parse_unit(one.unit or ""), parse_unit(other.unit or "")
+    scale = spread / float(np.ptp(b))
+    if mine is not None and others is not None:
+        scale = others.factor / mine.factor
+    elif mine is None and others is None:
+        scale = 1.0
+    return bool(np.max(np.abs((a - a[0]) - scale * (b - b[0]))) < SAME * spread)
+
+
+def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
+    """Give columns whose names mean two things the one that is left, or the one that the numbers show."""
+    for choice in found:
+        roles = choice.meaning.roles
+        if len(roles) < 2 or any(choice.column is c.column for c in chosen.values()):
+            continue
+        if "position" in chosen and choice.table != chosen["position"].table:
+            continue
+        open_roles = [role for role in roles if role not in chosen]
+        why = f"the name {quote(choice.address)} and nothing else that could be it"
+        if "velocity" in roles and "position" in chosen and "time" in chosen:
+            r = _correlation(choice, chosen["position"], chosen["time"])
+            if r >= DERIVATIVE:
+                open_roles, why = ["velocity"], f"follows the derivative of the position (r = {r:.3f})"
+            elif r < DERIVATIVE / 2:
+                open_roles = [role for role in open_roles if role != "velocity"]
+                why = f"the name {quote(choice.address)}, and it is not the derivative of the position (r = {r:.2f})"
+        open_roles = [role for role in open_roles if role not in chosen]
+        if len(open_roles) > 1:
+            readings = " or ".join(f"--column {role}={_typed(choice.address)}" for role in open_roles)
+            raise InputError(f"column {quote(choice.address)} may be {' or '.join(open_roles)}; say {readings}")
+        if open_roles:
+            chosen[open_roles[0]] = choice.because(why)
+
+
+def _correlation(choice: Choice, position: Choice, time: Choice) -> float:
+    v, y, t = choice.column.values, position.column.values, time.column.values
+    if not v.size == y.size == t.size or v.size < 3 or not all(np.isfinite(x).all() for x in (v, y, t)):
+        return 1.0 if choice.table != position.table else 0.7
+    width = max(v.size // 200, 1)
+    steps = t[2 * width :] - t[: -2 * width]
+    if np.any(steps <= 0):
+        return 0.7
+    slope, middle = (y[2 * width :] - y[: -2 * width]) / steps, v[width:-width]
+    if np.ptp(slope) == 0 or np.ptp(middle) == 0:
+        return 0.7  # nothing moves: undecided
+    return abs(float(np.corrcoef(slope, middle)[0, 1]))
+
+
+def _clock(found: Sequence[Choice], position: Choice) -> Choice | None:
+    """Return the first column of the position's table that increases all along, if no name says which is the time."""
+    for choice in found:
+        values = choice.column.values
+        if choice.table != position.table or choice.column is position.column or choice.meaning.roles:
+            continue
+        if choice.unit is not None and values.size > 2 and np.isfinite(values).all() and np.all(np.diff(values) > 0):
+            return choice.because("increases all along, and its unit is one of time")
+    return None
+
+
+def _question(signal: str, left: Sequence[Choice]) -> str:
+    names = [c.address for c in left[:4]]
+    others = len(left) - len(names)
+    more = f" and {others} other{'s' if others > 1 else ''}" if others else ""
+    readings = " or ".join(f"--column {signal}={_typed(name)}" for name in names[:2])
+    shown = ", ".join(quote(name) for name in names)
+    return f"the {signal} may be one of {shown}{more}; say which, e.g. {readings}"
+
+
+def _typed(name: str) -> str:
+    """Return a column's name as it is to be typed after an option."""
+    shown = quote(name)
+    return shown if " " in name or len(name) > 40 else shown[1:-1]
+
+
+def _nameless(tables: Sequence[Table]) -> str:
+    columns = tables[0].columns
+    begins = ", ".join(f"{column.values[0]:.4g}" for column in columns[:6] if column.values.size)
+    return (
+        f"has no row that names its {len(columns)} columns, which begin with {begins}; name them in their order, e.g."
+        " --columns time,position,voltage (- for one that is not needed)"
+    )
+
+
+def _check_found(chosen: Mapping[str, Choice], found: Sequence[Choice]) -> None:
+    missing = [signal for signal in ("time", "position") if signal not in chosen]
+    if missing:
+        raise InputError(
+            f"no column named {' and none named '.join(missing)}; {offer(found)}"
+            f" (map names of your own, e.g. --column {missing[0]}=NAME)"
+        )

@@ -1,0 +1,142 @@
+"""The unit of a column that states none, by what is plausible for a servo axis; two plausible units are a question."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.reading.files import quote
+from servolens.units import parse_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from servolens.reading.roles import Choice
+
+    Values = NDArray[np.float64]
+
+__all__ = ["command_unit", "length_unit", "time_unit", "velocity_unit"]
+
+SLOWEST = 0.5
+"""Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
+SAMPLE_TIMES = (25e-6, 0.1)
+"""Sample times that servo drives and hobby loops have [s]: 40 kHz current loops to 10 Hz loggers."""
+FEWEST = 20
+"""Samples below which a rate and a travel say nothing."""
+LONGEST_AXIS = 10.0
+"""Travel beyond which metres are doubtful [m]: gantries are shorter."""
+MOST_TURNS = 4 * np.pi
+"""Travel beyond which radians are doubtful where the name says angle [rad]: two turns, and 12.6 degrees."""
+FULL_SCALES = (100, 127, 255, 511, 512, 1000, 1023, 2047, 2048, 4095, 8191, 10000, 32767, 65535)
+"""Largest counts of PWM registers."""
+NEAR = 0.05
+"""Relative difference up to which the velocity agrees with the position's derivative."""
+
+
+def time_unit(choice: Choice) -> tuple[str | None, str]:
+    """Return the unit of a time column that states none, and why; None where seconds are.
+
+    Raises
+    ------
+    InputError
+        If two units are plausible.
+    """
+    values = choice.column.values
+    if values.size < FEWEST or not np.isfinite(values).all():
+        return None, "seconds are assumed"
+    interval = float(np.median(np.diff(values)))
+    if not interval >= SLOWEST:
+        return None, "seconds are assumed"
+    low, high = SAMPLE_TIMES
+    fits = [unit for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= interval * factor <= high]
+    if len(fits) > 1:
+        readings = " or ".join(f"--unit time={unit}" for unit in fits)
+        raise InputError(
+            f"column {quote(choice.address)} has steps of {interval:g}, which are plausible in {' and in '.join(fits)};"
+            f" say {readings}"
+        )
+    if not fits:
+        return None, "seconds are assumed"
+    rate = 1 / (interval * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[fits[0]])
+    return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
+
+
+def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
+    """Return the unit of a position that states none, and why; None where SI is.
+
+    Parameters
+    ----------
+    choice : Choice
+        The column.
+    settled : str or None
+        Of the reference or of the gains, where they state one.
+
+    Raises
+    ------
+    InputError
+        If metres or radians are not plausible: then other units are.
+    """
+    is_angle = choice.meaning.kind == "angle"
+    si = "rad" if is_angle else "m"
+    if settled:
+        return settled, "the unit of what belongs to it"
+    values = choice.column.values
+    if values.size < FEWEST or not np.isfinite(values).all():
+        return (si if is_angle else None), f"{si} is assumed"
+    travel = float(np.ptp(values))
+    if travel <= (MOST_TURNS if is_angle else LONGEST_AXIS):
+        return (si if is_angle else None), f"{si} is assumed (it travels {travel:.3g})"
+    units = ["deg", "rad"] if is_angle else ["mm", "deg", "rad"]
+    if np.array_equal(values, np.round(values)):
+        units.append("counts")
+    readings = " or ".join(f"--unit {{}}={unit}" for unit in units)
+    raise InputError(
+        f"column {quote(choice.address)} travels {travel:.4g} and states no unit: {', '.join(units[:-1])} and"
+        f" {units[-1]} are plausible; say {readings.replace('{}', 'position')}"
+    )
+
+
+def velocity_unit(
+    choice: Choice, chosen: Mapping[str, Choice], units: Mapping[str, str | None]
+) -> tuple[str | None, str] | None:
+    """Return the unit of a velocity that states none, and why; None where it cannot be used.
+
+    The derivative of the position tells: it is the velocity in the position's unit or in SI.
+    """
+    position, time = chosen["position"], chosen["time"]
+    v, y, t = choice.column.values, position.column.values, time.column.values
+    per_length, per_time = parse_unit(units.get("position") or "m"), parse_unit(units.get("time") or "s")
+    if not v.size == y.size == t.size or v.size < FEWEST or per_length is None or per_time is None:
+        return None
+    span = (t[2:] - t[:-2]) * per_time.factor
+    slope = (y[2:] - y[:-2]) / np.where(span > 0, span, np.inf)
+    power = float(slope @ slope)
+    ratio = float(slope @ v[1:-1]) / power if power > 0 and np.isfinite(power) else 0.0
+    if abs(ratio - 1) < NEAR and units.get("position"):
+        return f"{units['position']}/s", f"{ratio:.3g} times the derivative of the position"
+    if abs(ratio - per_length.factor) < NEAR * per_length.factor:
+        return None, "SI, as the derivative of the position says"
+    return None
+
+
+def command_unit(choice: Choice) -> tuple[str | None, str]:
+    """Return the unit of a command that states none, and why; None where volts are assumed.
+
+    Raises
+    ------
+    InputError
+        If it may be counts of a PWM register as well.
+    """
+    values = choice.column.values
+    if values.size >= FEWEST and np.isfinite(values).all() and np.array_equal(values, np.round(values)):
+        largest = float(np.max(np.abs(values)))
+        if largest in FULL_SCALES:
+            raise InputError(
+                f"column {quote(choice.address)} holds whole numbers up to {largest:g} and states no unit: volts and"
+                " counts of a PWM are plausible; say --unit voltage=V or --unit voltage=pwm"
+            )
+    return None, "volts are assumed"

@@ -1,0 +1,76 @@
+"""What every format is turned into: named columns of numbers with the texts that stood beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["Column", "Fault", "Table"]
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Why a column cannot be used: its first cell that is no number and where that stands, or what the column is."""
+
+    where: str
+    what: str
+
+    def sentence(self, signal: str) -> str:
+        """Return the refusal of the column for a signal."""
+        return f"{self.where}, {signal}: {self.what}; fill or leave out such rows" if self.where else self.what
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """One column of a table.
+
+    Parameters
+    ----------
+    name : str
+        As the file calls it, a unit in brackets included.
+    values : ndarray, shape (n,)
+        As logged; nan where a cell is no number.
+    unit : str or None
+        Where the file states it beside the name, as a row of units does.
+    fault : Fault or None
+        Of the first cell that is no number.
+    """
+
+    name: str
+    values: NDArray[np.float64]
+    unit: str | None = None
+    fault: Fault | None = None
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Columns of one length, sampled together: a file, a sheet, a group of channels or a topic.
+
+    Parameters
+    ----------
+    columns : tuple of Column
+        In the order of the file.
+    name : str
+        Of the sheet, group or topic; empty where the file holds one table.
+    comments : mapping of str to str
+        ``# key = value`` lines: settings, of which unknown ones are told.
+    properties : mapping of str to str
+        Other texts beside the numbers, of which only known ones are taken.
+    has_names : bool
+        False where the file names no columns; they are called by their numbers.
+    """
+
+    columns: tuple[Column, ...]
+    name: str = ""
+    comments: Mapping[str, str] = field(default_factory=dict)
+    properties: Mapping[str, str] = field(default_factory=dict)
+    has_names: bool = True

@@ -1,0 +1,339 @@
+"""Tables in text: any separator, decimal points or commas, preambles, rows of units, time stamps."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.reading.cells import fault_of, is_stamp, number, numbers, stamps
+from servolens.reading.files import quote
+from servolens.reading.layout import Layout, find_layout, properties_of
+from servolens.reading.settings import comment_settings
+from servolens.reading.table import Column, Fault, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    Matrix = NDArray[np.float64]
+
+__all__ = ["read_text"]
+
+SEPARATORS = ("\t", ";", ",", "|", " ")
+MOST_COLUMNS = 1000
+HEAD = 400
+"""Lines that are looked at to find the layout; preambles of known programs have up to about 60."""
+CHUNK = 50_000
+"""Lines that are split at once, so that memory stays bounded."""
+LARGE = 4 * 2**20
+"""From this size on [bytes] importing pyarrow's reader pays, where it is installed."""
+LAST_WORDS = 5
+"""Lines at the end that may be no numbers, as ``EOF``."""
+_COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
+_SIGNS = (b"#", b"%", b"//")
+_END_OF_HEADER = "***End_of_Header***"
+_DECIMAL_COMMA = re.compile(rb"\d,\d")
+_DECIMAL_POINT = re.compile(rb"(?<![\d:.])-?\d*\.\d+(?![\d.:])")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How the lines of numbers are to be read: separator, decimal sign, layout, index of the first line."""
+
+    separator: str
+    decimal: str
+    layout: Layout
+    first: int
+
+
+def read_text(content: bytes) -> tuple[Table, ...]:
+    """Read a file of text: comment lines, perhaps a preamble, a row of names, perhaps one of units, numbers.
+
+    The numbers are parsed by NumPy's or pyarrow's C reader; only where those fail are the lines split one by one.
+    ``# key = value`` lines are honoured wherever they stand.
+
+    Raises
+    ------
+    InputError
+        With one sentence that names the line.
+    """
+    content = _unified(content)
+    plain, comments = _without_comments(content)
+    form = _form(plain, comments)
+    table = Table(
+        columns=_columns(plain, form),
+        comments=comment_settings(line for line in comments if line.startswith("#")),
+        properties=form.layout.properties,
+        has_names=form.layout.has_names,
+    )
+    return _by_clock(table) if form.layout.has_clocks else (table,)
+
+
+def _by_clock(table: Table) -> tuple[Table, ...]:
+    """Split a table whose columns have times of their own before them; columns of one clock stay together."""
+    groups: list[list[Column]] = []
+    for column in table.columns:
+        if column.name != "time":
+            groups[-1].append(column)
+            continue
+        same = next((group for group in groups if np.array_equal(group[0].values, column.values)), None)
+        groups = [group for group in groups if group is not same] + [same or [column]]
+    return tuple(replace(table, columns=tuple(group)) for group in groups)
+
+
+def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
+    """Blank the comment lines and return them; below the head they are only looked for where their signs stand."""
+    end = sum(len(line) + 1 for line in content.split(b"\n", HEAD)[:HEAD])
+    parts = [content[:end], content[end:]]
+    found: list[str] = []
+    for k, part in enumerate(parts):
+        if any(sign in part for sign in _SIGNS):
+            found += [line.strip().decode() for line in _COMMENT.findall(part)]
+            parts[k] = _COMMENT.sub(b"", part)
+    return b"".join(parts), found
+
+
+def _unified(content: bytes) -> bytes:
+    """Return UTF-8 with line feeds, whatever the encoding and the line ends were."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        content = _recoded(content, "utf-16")
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if not content.isascii():
+        try:
+            content.decode()
+        except UnicodeDecodeError:
+            content = _recoded(content, "cp1252")
+    if b"\r" in content:
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return content
+
+
+def _recoded(content: bytes, encoding: str) -> bytes:
+    try:
+        return content.decode(encoding).encode()
+    except UnicodeError as error:
+        raise InputError("is not text in UTF-8, UTF-16 or Latin-1; save it as UTF-8 CSV") from error
+
+
+def _form(content: bytes, comments: Sequence[str]) -> _Form:
+    """Find separator, decimal sign and layout from the first lines.
+
+    Of several separators the one that leaves the largest share of cells that are numbers, then the most of them.
+    """
+    lines = [(i, line) for i, line in enumerate(content.split(b"\n", HEAD)[:HEAD]) if line.strip()]
+    if not lines:
+        raise InputError("holds no header row and no numbers")
+    texts = [line.decode(errors="replace") for _, line in lines]
+    skipped = max((k + 1 for k, text in enumerate(texts) if text.startswith(_END_OF_HEADER)), default=0)
+    found: list[tuple[tuple[float, int], str, str, Layout]] = []
+    for separator in SEPARATORS:
+        decimal = _decimal(content, separator)
+        rows = [_fields(text, separator) for text in texts[skipped:]]
+        layout = find_layout(rows, decimal)
+        if layout is not None:
+            row = rows[layout.first]
+            good = sum(number(cell, decimal) is not None or is_stamp(cell) for cell in row)
+            found.append(((good / len(row), good), separator, decimal, layout))
+    if not found:
+        raise InputError(_nothing(texts))
+    _, separator, decimal, layout = max(found, key=lambda item: item[0])
+    if len(layout.names) > MOST_COLUMNS:
+        raise InputError(f"the table has {len(layout.names)} columns; at most {MOST_COLUMNS} are read")
+    if layout.other_width:
+        hint = "; where commas are decimal too, separate the columns by semicolons" if separator == "," else ""
+        raise InputError(
+            f"the rows have {len(layout.names)} values where the header row has {layout.other_width}{hint}"
+        )
+    above = properties_of(_fields(text, separator) for text in texts[:skipped])
+    layout = replace(layout, properties={**above, **layout.properties})
+    if not layout.has_names and comments:
+        layout = _names_in_comment(layout, comments[-1], separator)
+    return _Form(separator, decimal, layout, lines[skipped + layout.first][0])
+
+
+def _decimal(content: bytes, separator: str) -> str:
+    """Return the decimal sign: a comma where digits stand around commas and nowhere around points."""
+    if separator == "," or not _DECIMAL_COMMA.search(content):
+        return "."
+    return "." if _DECIMAL_POINT.search(content) else ","
+
+
+def _nothing(texts: Sequence[str]) -> str:
+    if any(len(_fields(text, separator)) > 1 for text in texts[-1:] for separator in SEPARATORS[:3]):
+        return "the header row is not followed by numbers"
+    return "is text without a table of numbers; a record has a row of names and rows of numbers below it"
+
+
+def _names_in_comment(layout: Layout, line: str, separator: str) -> Layout:
+    """Take the names from a comment line, as ``numpy.savetxt`` writes them."""
+    cells = [cell.strip() for cell in _fields(line.lstrip("#%/ \t"), separator)]
+    if len(cells) != len(layout.names) or "=" in line or any(number(cell) is not None for cell in cells):
+        return layout
+    return replace(layout, names=tuple(cells), has_names=True)
+
+
+def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
+    at = 0
+    for _ in range(form.first):
+        at = content.index(b"\n", at) + 1
+    body = _without_last_words(content[at:].rstrip(b" \t\n"), form)
+    matrix = _fast(body, form)
+    if matrix is None or not np.isfinite(matrix).all():
+        return _slow(body, form)
+    layout = form.layout
+    return tuple(
+        Column(name, matrix[:, j].copy(), layout.units[j]) for j, name in enumerate(layout.names) if j in layout.typed
+    )
+
+
+def _without_last_words(body: bytes, form: _Form) -> bytes:
+    """Leave out what a program has written below the numbers: lines of one cell that is no number."""
+    for _ in range(LAST_WORDS):
+        at = body.rfind(b"\n")
+        cells = _fields(body[at + 1 :].decode(errors="replace").strip(), form.separator)
+        given = [cell for cell in cells if cell.strip()]
+        if at < 0 or len(given) != 1 or number(given[0], form.decimal) is not None or is_stamp(given[0]):
+            break
+        body = body[:at].rstrip(b" \t\n")
+    return body
+
+
+def _fast(body: bytes, form: _Form) -> Matrix | None:
+    """Return all cells as numbers, shape (rows, columns), or None where some cell is none or rows differ in length."""
+    separator, width = form.separator.encode(), len(form.layout.names)
+    if len(form.layout.typed) < width or b'"' in body or b"_" in body or not body.isascii():
+        return None
+    if form.decimal == ",":
+        body = body.replace(b",", b".")
+    if body.count(separator + b"\n") == body.count(b"\n") > 0 and form.separator != " ":
+        return None  # a separator at every line's end: the last column is blank
+    if len(body) >= LARGE and form.separator != " ":
+        matrix = _arrow(body, form.separator, width)
+        if matrix is not None:
+            return matrix
+    if form.separator == " ":
+        return _spaced(body, width)
+    signs = np.frombuffer(body, dtype=np.uint8)
+    ends = signs[np.flatnonzero((signs == ord(separator)) | (signs == ord("\n")))] == ord("\n")
+    if (ends.size + 1) % width or not np.append(ends, True).reshape(-1, width)[:, -1].all():
+        return None
+    if int(ends.sum()) + 1 != (ends.size + 1) // width:
+        return None
+    return _parsed(body.replace(b"\n", separator), form.separator, width)
+
+
+def _spaced(body: bytes, width: int) -> Matrix | None:
+    lines = body.split(b"\n")
+    if any(len(line.split()) != width for line in lines):
+        return None
+    return _parsed(body, " ", width)
+
+
+def _parsed(body: bytes, separator: str, width: int) -> Matrix | None:
+    try:
+        values = np.fromstring(body, sep=separator)
+    except (ValueError, DeprecationWarning):
+        return None
+    return values.reshape(-1, width) if values.size and values.size % width == 0 else None
+
+
+def _arrow(body: bytes, separator: str, width: int) -> Matrix | None:
+    """Return what pyarrow's reader makes of the numbers, or None without it or where it finds something else."""
+    try:
+        import pyarrow as pa
+        from pyarrow import csv as reader
+    except ImportError:
+        return None
+    names = [str(j) for j in range(width)]
+    try:
+        table = reader.read_csv(
+            pa.BufferReader(body),
+            read_options=reader.ReadOptions(column_names=names),
+            parse_options=reader.ParseOptions(delimiter=separator, quote_char=False),
+            convert_options=reader.ConvertOptions(column_types=dict.fromkeys(names, pa.float64()), null_values=[]),
+        )
+    except pa.ArrowInvalid:
+        return None
+    return np.column_stack([column.to_numpy() for column in table.columns])
+
+
+def _slow(body: bytes, form: _Form) -> tuple[Column, ...]:
+    """Split the lines, and remember for each column the first cell that is no number."""
+    layout = form.layout
+    parts: list[list[NDArray[Any]]] = [[] for _ in layout.names]
+    faults: dict[int, Fault] = {}
+    stamped: set[int] = set()
+    for lines, rows in _rows(body, form):
+        for j, cells in enumerate(zip(*rows, strict=True)):
+            if not parts[j] and is_stamp(next((cell for cell in cells if cell.strip()), "")):
+                stamped.add(j)
+            values = stamps(cells) if j in stamped else numbers(cells, form.decimal)
+            parts[j].append(values)
+            odd = np.flatnonzero(~np.isfinite(values))
+            if odd.size and j not in faults:
+                k = int(odd[0])
+                what = (
+                    f"{quote(cells[k].strip())} is no time stamp" if j in stamped else fault_of(cells[k], form.decimal)
+                )
+                faults[j] = Fault(f"line {lines[k]}", what or "")
+    return tuple(
+        Column(name, _joined(parts[j]), "s" if j in stamped else layout.units[j], faults.get(j))
+        for j, name in enumerate(layout.names)
+    )
+
+
+def _joined(parts: Sequence[NDArray[Any]]) -> Matrix:
+    """Return a column in one piece; time stamps as seconds from the first one."""
+    values = np.concatenate(parts)
+    if values.dtype.kind != "M":
+        return values
+    first = values[np.argmin(np.isnat(values))]
+    return np.asarray((values - first) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+
+
+def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]]]:
+    """Yield chunks of rows with the numbers of their lines."""
+    width = len(form.layout.names)
+    at, line = 0, form.first
+    while at < len(body):
+        end = at
+        for _ in range(CHUNK):
+            end = body.find(b"\n", end) + 1
+            if end == 0:
+                end = len(body)
+                break
+        places: list[int] = []
+        rows: list[list[str]] = []
+        for text in body[at:end].decode(errors="replace").removesuffix("\n").split("\n"):
+            line += 1
+            if text.strip():
+                fields = _fields(text, form.separator)
+                rows.append(_whole(fields, width, line))
+                places.append(line)
+        yield places, rows
+        at = end
+
+
+def _whole(fields: list[str], width: int, line: int) -> list[str]:
+    """Return a row of `width` cells, or refuse the line."""
+    if len(fields) == width or (len(fields) == width + 1 and not fields[-1].strip()):
+        return fields[:width]
+    raise InputError(f"line {line} has {len(fields)} values where the header row has {width}")
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return re.sub(r"\s+(?=[\[(])", "", line.strip()).split()
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except (csv.Error, StopIteration):
+        return line.split(separator)

@@ -1,0 +1,367 @@
+"""The words that people use for an axis's signals, English and German, and what a heading made of them means."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, final
+
+from servolens.units import parse_unit
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+__all__ = ["Meaning", "allows", "meaning", "unit_behind"]
+
+_WORDS: Mapping[str, str] = {
+    "time": (
+        "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
+        "nanos datetime secs"
+    ),
+    "position": (
+        "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
+        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos"
+    ),
+    "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
+    "velocity": (
+        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
+        "xdot dot dq tacho"
+    ),
+    "voltage": "voltage volt volts spannung vir vm uout umot",
+    "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
+    "current": "strom amps ampere iq",
+    "torque": "torque tau moment momenten drehmoment drehmomenten effort",
+    "force": "force kraft thrust",
+    "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
+    "either": "command cmd commanded",
+    "input": "input eingang",
+    "reference": (
+        "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
+        "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
+        "leitwert set action"
+    ),
+    "actual": (
+        "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
+        "est sensor real mess messwert gemessen response regelgroesse observation state"
+    ),
+    "feedforward": "feedforward ff vorsteuerung",
+    "enabled": "enabled enable freigabe",
+    "other": (
+        "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
+        "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
+        "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
+        "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
+        "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
+        "ref_count crc checksum checks id_current integral integrator p_term i_term d_term anteil pressure "
+        "druck rssi line note comment kommentar bemerkung offset"
+    ),
+    "neutral": (
+        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb "
+        "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
+        "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
+        "tisch"
+    ),
+}
+_LETTERS: Mapping[str, tuple[str, ...]] = {
+    "r": ("reference",),
+    "w": ("reference", "velocity"),
+    "y": ("position",),
+    "x": ("position",),
+    "z": ("position",),
+    "theta": ("position",),
+    "phi": ("position",),
+    "psi": ("position",),
+    "alpha": ("position",),
+    "q": ("position",),
+    "v": ("velocity", "voltage"),
+    "i": ("voltage",),
+    "qm": ("position",),
+    "qg": ("reference",),
+    "yd": ("reference",),
+    "xd": ("reference",),
+    "qd": ("reference", "velocity"),
+}
+"""Symbols that stand alone; of two meanings the data or the other columns must decide."""
+_ANGLES = frozenset({"theta", "phi", "psi", "alpha"})
+_COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
+_IMPLIED = {
+    "millis": "ms",
+    "micros": "us",
+    "nanos": "ns",
+    "rpm": "rpm",
+    "pwm": "pwm",
+    "duty": "duty",
+    "dutycycle": "duty",
+}
+_ASSUMED = {"current": "A", "torque": "N m", "force": "N"}
+_UNITS = {
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s", "ms": "ms", "msec": "ms",
+    "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
+    "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
+    "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "counts": "counts",
+    "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
+    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
+    "ampere": "A",
+    "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
+    "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
+}  # fmt: skip
+"""Units at a heading's end, in small letters."""
+_CONVENTIONS = (
+    (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
+    (re.compile(r"(.*[._])?vel_estimate"), "rev/s", "which ODrive counts in"),
+    (re.compile(r"servo_(stats|control|command)[._]position"), "rev", "which moteus counts in"),
+    (re.compile(r"servo_(stats|control|command)[._]velocity"), "rev/s", "which moteus counts in"),
+    (
+        re.compile(r"(.*[._ ])?(present|goal)[_ ]position([._ ]\w+)?"),
+        "counts",
+        "which servos of that protocol count in",
+    ),
+)
+"""Names by which a program is known whose logs state no units, and the unit that its manual states."""
+_CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_ROLES = {"reference": "position", "feedforward": "voltage"}
+_UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
+_ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
+_BRACKETS = re.compile(r"(.*?)\s*([\[({<])\s*([^\[\]{}<>]*?)\s*[\])}>]\s*", re.DOTALL)
+_SLASH = re.compile(r"(.+?)(?:\s*/\s*|\s+in\s+|\s*,\s+)([^/,]+(?:/[A-Za-z]+)?)\s*", re.DOTALL)
+_INDEX = re.compile(r".*\S[\[(]\d+[\])]\s*")
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Meaning:
+    """What a heading says.
+
+    Parameters
+    ----------
+    roles : tuple of str
+        Signals that the column may be; none if it is none, several where the name leaves it open.
+    unit : str or None
+        That the heading states.
+    words : str
+        The word or symbol that says it.
+    where : str
+        Where the unit stands: "in brackets", "at the end of the name", "by its name"; empty without.
+    symbol : bool
+        Whether a single letter is all there is.
+    kind : str
+        Of a command: voltage, duty, current, torque, force or output; of a position: angle or position.
+    grade : int
+        Of a command: 0 what was asked for, 1 unsaid, 2 what was measured.
+    rest : frozenset of str
+        Words that are not understood, by which columns of one axis are told from those of another.
+    """
+
+    roles: tuple[str, ...] = ()
+    unit: str | None = None
+    words: str = ""
+    where: str = ""
+    symbol: bool = False
+    kind: str = ""
+    grade: int = 1
+    rest: frozenset[str] = frozenset()
+
+
+@cache
+def meaning(text: str, unit: str | None = None) -> Meaning:
+    """Return what the heading `text` says, with the `unit` that a row of units states.
+
+    Examples
+    --------
+    >>> meaning("Sollposition [mm]").roles, meaning("theta_deg").unit, meaning("pwm_volts").unit
+    (('reference',), 'deg', 'V')
+    """
+    name, bracketed, where = unit_behind(text)
+    unit = bracketed or unit
+    tokens = _tokens(name)
+    if unit is None:
+        kept, found = _suffix(tokens)
+        said = _judged(name, kept, found, "at the end of its name" if found else "")
+        if found and not said.roles:  # letters that are no unit of what the words say
+            return _judged(name, tokens, None, "")
+        return said
+    if not bracketed:
+        where = "stated beside its name"
+    return _judged(name, tokens, unit, where)
+
+
+def allows(signal: str, unit: str) -> bool:
+    """Tell whether a unit is one of a signal's.
+
+    Examples
+    --------
+    >>> allows("position", "mm"), allows("position", "s"), allows("voltage", "A")
+    (True, False, True)
+    """
+    parsed = parse_unit(unit)
+    return parsed is not None and _ROLES.get(signal, signal) in _allowed(dict(parsed.dimension))
+
+
+def unit_behind(text: str) -> tuple[str, str | None, str]:
+    """Split a heading into its name and the unit that stands apart from it, and say where.
+
+    Examples
+    --------
+    >>> unit_behind("Weg / mm"), unit_behind("y[0]")
+    (('Weg', 'mm', 'behind its name'), ('y[0]', None, ''))
+    """
+    text = text.strip().strip('"').strip()
+    match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
+    if match and match[1]:
+        known = _known(match[3])
+        if match[2] == "[" or known:
+            stated = None if match[3] in ("", "-") else match[3]
+            return match[1].strip(), known or stated, "in brackets"
+    match = _SLASH.fullmatch(text)
+    if match and (unit := _known(match[2])):
+        return match[1].strip(), unit, "behind its name"
+    return text, None, ""
+
+
+def _known(text: str) -> str | None:
+    text = text.strip()
+    if text in ("", "-"):
+        return None
+    return text if parse_unit(text) else _UNITS.get(text.lower())
+
+
+def _tokens(name: str) -> tuple[str, ...]:
+    """Split a name at signs, at capitals, and compounds at the words that are known."""
+    found: list[str] = []
+    for part in _ACRONYM.findall(name.replace("Δ", "delta ").replace("θ", "theta ").replace("φ", "phi ")):
+        whole = part.lower().translate(_UMLAUTS)
+        if whole in _CLASS or whole in _LETTERS or whole in _UNITS:
+            found.append(whole)
+            continue
+        for token in _TOKEN.findall(part):
+            plain = token.lower().translate(_UMLAUTS)
+            found += _compound(plain) or [plain]
+    return tuple(found)
+
+
+@cache
+def _compound(token: str) -> list[str] | None:
+    """Return the known words that a compound is made of, longest first, or None if it is made of others."""
+    if token in _CLASS:
+        return [token]
+    for end in range(len(token) - 2, 2, -1):
+        head = token[:end]
+        if head not in _CLASS:
+            continue
+        for rest in (token[end:], token[end + 1 :] if token[end] == "s" else ""):
+            tail = _compound(rest) if len(rest) > 1 else None
+            if tail:
+                return [head, *tail]
+    return None
+
+
+def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
+    """Return the tokens without the units at their end, and these."""
+    if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in _UNITS and tokens[-2] not in ("s", "ms", "us"):
+        kept = tokens[:-3] if tokens[-2] == "per" else tokens[:-2]
+        return kept, f"{_UNITS[tokens[-2]]}/s"
+    if len(tokens) > 3 and tokens[-2] == "per" and tokens[-1] in ("s", "sec", "second") and tokens[-3] in _UNITS:
+        return tokens[:-3], f"{_UNITS[tokens[-3]]}/s"
+    if len(tokens) > 1 and tokens[-1] in _UNITS:
+        rest = tokens[:-1] if tokens[-1] not in ("pwm", "duty", "rpm", "volt", "volts") else tokens
+        return rest, _UNITS[tokens[-1]]
+    return tokens, None
+
+
+def _convention(name: str) -> tuple[str, str] | None:
+    """Return the unit that a known program's manual states for a name, and whose it is."""
+    return next(((unit, whose) for form, unit, whose in _CONVENTIONS if form.fullmatch(name.lower())), None)
+
+
+def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
+    kinds = [_CLASS.get(token, "") for token in tokens]
+    rest = frozenset(token for token, kind in zip(tokens, kinds, strict=True) if kind in ("", "neutral"))
+    rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
+    implied = next((_IMPLIED[token] for token in tokens if token in _IMPLIED), None)
+    if unit is None and implied:
+        unit, where = implied, "by its name"
+    if len(tokens) == 1 and unit is None and allows("position", _UNITS.get(tokens[0], "s")):
+        return Meaning(("position",), _UNITS[tokens[0]], tokens[0], "by its name")
+    if len(tokens) == 1 and unit is None and tokens[0] in ("ms", "us", "ns", "sec", "s"):
+        return Meaning(("time",), _UNITS[tokens[0]], tokens[0], "by its name", symbol=True)
+    asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
+    symbols = [token for token in tokens if token in _LETTERS]
+    words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
+    roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
+    if unit is None:
+        unit, where = _convention(name) or (None, "")
+    if unit is None and kind in _ASSUMED:
+        unit, where = _ASSUMED[kind], "which a column of that name is in"
+    asked = asked or bool({"either", "input"} & set(kinds))
+    roles = _agreeing(roles, unit, kind, asked)
+    grade = 0 if asked else 2 if measured else 1
+    return Meaning(roles, unit, words, where, symbol, kind, grade, rest)
+
+
+def _roles(
+    tokens: Sequence[str], kinds: Sequence[str], symbols: Sequence[str], *, asked: bool, measured: bool
+) -> tuple[tuple[str, ...], str, bool]:
+    """Return the signals that words can mean, the kind of the quantity, and whether only a symbol says it."""
+    if "other" in kinds:
+        return (), "", False
+    if "feedforward" in kinds or "enabled" in kinds:
+        return ("feedforward" if "feedforward" in kinds else "enabled",), "", False
+    place = "angle" if "angle" in kinds else "position" if "position" in kinds else ""
+    if place and {"joint", "joints", "gelenk"} & set(tokens):
+        place = "angle"
+    asked = asked or bool({"either", "input"} & set(kinds))
+    if "velocity" in kinds or (place and "dot" in tokens):
+        return (() if asked else ("velocity",)), "", False
+    command = next((kind for kind in _COMMANDS if kind in kinds), "")
+    if place:
+        roles = ("reference",) if asked else ("position",)
+        return (() if command and command != "output" else roles), place, False
+    if command or "current" in tokens:
+        return ("voltage",), command or "current", False
+    return _bare(kinds, symbols, measured=measured)
+
+
+def _bare(kinds: Sequence[str], symbols: Sequence[str], *, measured: bool) -> tuple[tuple[str, ...], str, bool]:
+    """Return what a name without a quantity means: a time, a modifier such as "target", or a symbol."""
+    if "time" in kinds:
+        return ("time",), "", False
+    if "input" in kinds:
+        return ("position", "reference", "voltage"), "", False
+    if "either" in kinds:
+        return ("reference", "voltage"), "", False
+    kind = "angle" if _ANGLES & set(symbols) else ""
+    if "reference" in kinds:
+        return ("reference",), kind, False
+    if measured:
+        return ("position",), kind, False
+    if symbols:
+        return _LETTERS[symbols[0]], "current" if symbols[0] == "i" else kind, True
+    return (), "", False
+
+
+def _agreeing(roles: tuple[str, ...], unit: str | None, kind: str, asked: bool) -> tuple[str, ...]:
+    """Keep the roles that a unit allows; where no word says one, the unit does."""
+    parsed = parse_unit(unit) if unit else None
+    if parsed is None:
+        return roles
+    allowed = _allowed(dict(parsed.dimension))
+    if roles == ("reference",) and not kind and allowed == ("voltage",):
+        return ("voltage",)
+    if not roles and not kind:
+        return ("reference",) if asked and "position" in allowed else ()
+    return tuple(role for role in roles if role in allowed or (role == "reference" and "position" in allowed))
+
+
+def _allowed(dimension: Mapping[str, float]) -> tuple[str, ...]:
+    plain = dict(dimension)
+    if plain == {"s": 1}:
+        return ("time",)
+    if plain in ({"m": 1}, {"rad": 1}, {"count": 1}):
+        return ("position",)
+    if plain in ({"m": 1, "s": -1}, {"rad": 1, "s": -1}, {"count": 1, "s": -1}):
+        return ("velocity",)
+    if plain == {}:
+        return ("time", "position", "reference", "velocity", "voltage", "feedforward", "enabled")
+    return ("voltage", "feedforward")

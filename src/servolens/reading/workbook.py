@@ -1,0 +1,83 @@
+"""Excel and OpenDocument workbooks, by python-calamine: a table for each sheet that holds one."""
+
+from __future__ import annotations
+
+import datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+from python_calamine import CalamineError, CalamineWorkbook
+
+from servolens.errors import InputError
+from servolens.reading.cells import fault_of, is_stamp, numbers, stamps
+from servolens.reading.layout import find_layout
+from servolens.reading.table import Column, Fault, Table
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+__all__ = ["read"]
+
+MOST_SHEETS = 50
+HEAD = 400
+
+
+def read(path: Path) -> list[Table]:
+    """Return the sheets of a workbook that hold rows of numbers.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged or holds no such sheet.
+    """
+    try:
+        with CalamineWorkbook.from_path(path) as book:
+            names = book.sheet_names[:MOST_SHEETS]
+            tables = [
+                table for name in names if (table := _table(name, book.get_sheet_by_name(name).to_python())) is not None
+            ]
+    except (CalamineError, OSError, ValueError) as error:
+        raise (
+            error
+            if isinstance(error, InputError)
+            else InputError("is a damaged workbook, or another kind of ZIP file; save it again as .xlsx")
+        ) from error
+    if not tables:
+        raise InputError("is a workbook without a sheet of numbers")
+    return tables
+
+
+def _table(name: str, rows: Sequence[Sequence[object]]) -> Table | None:
+    cells = [[_text(cell) for cell in row] for row in rows]
+    lines = [(k + 1, row) for k, row in enumerate(cells) if any(row)]
+    layout = find_layout([row for _, row in lines[:HEAD]])
+    if layout is None:
+        return None
+    body = lines[layout.first :]
+    columns = [
+        _column(heading, [row[j] for _, row in body], [line for line, _ in body], layout.units[j])
+        for j, heading in enumerate(layout.names)
+        if heading or j in layout.typed
+    ]
+    return Table(tuple(columns), name, properties=layout.properties, has_names=layout.has_names)
+
+
+def _text(cell: object) -> str:
+    if isinstance(cell, datetime.datetime):
+        return cell.isoformat(sep=" ")
+    if isinstance(cell, datetime.timedelta):
+        return repr(cell.total_seconds())
+    return str(cell).strip()
+
+
+def _column(name: str, cells: Sequence[str], lines: Sequence[int], unit: str | None) -> Column:
+    if is_stamp(next((cell for cell in cells if cell), "")):
+        instants = stamps(cells)
+        values = np.asarray((instants - instants[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+        unit = "s"
+    else:
+        values = numbers(cells)
+    odd = np.flatnonzero(~np.isfinite(values))
+    fault = Fault(f"row {lines[int(odd[0])]}", fault_of(cells[int(odd[0])]) or "no time stamp") if odd.size else None
+    return Column(name, values, unit, fault)

@@ -1,0 +1,65 @@
+"""What the compiled rule is told of a controller, in the order of :mod:`servolens.simulation.digital`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.control_arithmetic import samples_a_period
+from servolens.effects import Saturation
+from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from servolens.controller import Controller
+    from servolens.plant import Plant
+
+__all__ = ["NO_LAW", "OPEN_LOOP", "known", "law_settings", "loop_settings"]
+
+OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
+"""What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
+NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0, 1.0]
+"""What it is told of the rest of a law where there is none."""
+
+
+def loop_settings(controller: Controller, period: float) -> list[float]:
+    """Return what the rule is told of proportional part, derivative and ticks; see :mod:`.digital`."""
+    ratio = samples_a_period(controller, period)
+    return [
+        controller.kp,
+        controller.kd,
+        controller.derivative_filter,
+        controller.derivative_window,
+        controller.derivative_on == "error",
+        controller.derivative == "velocity",
+        ratio,
+        ratio * period,
+    ]
+
+
+def law_settings(plant: Plant, controller: Controller, period: float, limit: float | None) -> list[float]:
+    """Return what the rule is told of the rest of the law."""
+    if controller.is_pd:
+        return NO_LAW
+    if limit is None:
+        saturation = plant.effect(Saturation.name)
+        limit = saturation.limit if isinstance(saturation, Saturation) else None
+    if controller.is_limited and limit is None:
+        raise InputError(f"anti_windup = {controller.anti_windup} needs the limit of the command; give it")
+    pulls = controller.is_limited and controller.anti_windup == "back_calculation"
+    return [
+        controller.ki,
+        controller.integral_rate,
+        controller.setpoint_weight,
+        controller.velocity_feedforward,
+        np.inf if limit is None else limit,
+        controller.anti_windup == "clamping",
+        samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
+        controller.integral_before,
+        0.0,
+    ]
+
+
+def known(before: float | None) -> tuple[float, float]:
+    """Return what the rule is told of the time before the first sample."""
+    return (0.0, 0.0) if before is None else (1.0, before)

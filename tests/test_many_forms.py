@@ -1,0 +1,527 @@
+"""Logs in the forms that programs and drives write: each is read as the laboratory made it, or asked about."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.campaign import read_records
+from servolens.errors import InputError
+from servolens.reading import files, isolated, read_log
+
+TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
+T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
+DEG = np.degrees(1.0)
+NS = 1_700_000_000_000_000_000
+
+
+def lines(*columns, separator=",", decimal=".", form="{:.9g}"):
+    rows = zip(*columns, strict=True)
+    text = "\n".join(separator.join(form.format(x).replace(".", decimal) for x in row) for row in rows)
+    return text + "\n"
+
+
+def text(content, encoding="utf-8"):
+    return lambda path: path.write_bytes(content.encode(encoding))
+
+
+def lvm():
+    head = (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\nDecimal_Separator\t,\n"
+        "Multi_Headings\tNo\nX_Columns\tOne\nTime_Pref\tRelative\nOperator\tm\nDate\t2024/05/01\nTime\t12:00:00,1\n"
+        "***End_of_Header***\t\n\t\nChannels\t3\t\t\t\t\n"
+        f"Samples\t{T.size}\t{T.size}\t{T.size}\t\nDate\t2024/05/01\t2024/05/01\t2024/05/01\t\n"
+        "Time\t12:00:00,1\t12:00:00,1\t12:00:00,1\t\nX_Dimension\tTime\tTime\tTime\t\nX0\t0\t0\t0\t\n"
+        "Delta_X\t0,001\t0,001\t0,001\t\n***End_of_Header***\t\t\t\t\n"
+        "X_Value\tPosition (mm)\tSetpoint (mm)\tVoltage (V)\tComment\n"
+    )
+    return head + lines(T, Y * 1e3, R * 1e3, U, separator="\t", decimal=",").replace("\n", "\t\n")
+
+
+def scope():
+    """TwinCAT Scope: a time column for each channel, labels repeated in the header, decimal commas."""
+    names = ("NC.ActPos", "NC.SetPos", "NC.DriveVoltage")
+
+    def row(label, values):
+        return "\t".join(f"{label}\t{value}" for value in values) + "\n"
+
+    head = (
+        "Name\tYT Scope Project\nFile\tC:\\run.tcscopex\nStarttime of export\t133238090039920000\t01.05.2024\n"
+        "Endtime of export\t133238090045920000\t01.05.2024\n\n"
+        + row("Name", names)
+        + row("SymbolComment", ("", "", ""))
+        + row("Data-Type", ("REAL64",) * 3)
+        + row("SampleTime[ms]", (1, 1, 1))
+        + row("VariableSize", (8, 8, 8))
+        + row("Offset", (0, 0, 0))
+        + row("ScaleFactor", (1, 1, 1))
+        + row("Unit", ("mm", "mm", "V"))
+        + "\n"
+    )
+    ms = T * 1e3
+    return head + lines(ms, Y * 1e3, ms, R * 1e3, ms, U, separator="\t", decimal=",") + "EOF\n"
+
+
+def iso_german():
+    stamps = (np.datetime64("2024-05-01T12:00:00.000") + np.round(T * 1e3).astype("timedelta64[ms]")).astype(str)
+    rows = zip(stamps, Y * 1e3, R * 1e3, U, strict=True)
+    body = "\n".join(f"{a};{b:.9g};{c:.9g};{d:.9g}".replace(".", ",") for a, b, c, d in rows)
+    return "Prüfstand 3\nBediener: Müller\n\nZeitstempel;Weg [mm];Führungsgröße [mm];Stellgröße [V]\n" + body + "\n"
+
+
+def workbook(path):
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.append(["Versuch 3"])
+    sheet = book.create_sheet("Messung")
+    for row in (["Zeit", "Lageistwert", "Lagesollwert", "Motorspannung"], ["ms", "mm", "mm", "V"]):
+        sheet.append(row)
+    for row in zip(T * 1e3, Y * 1e3, R * 1e3, U, strict=True):
+        sheet.append([float(x) for x in row])
+    book.save(path)
+
+
+def parquet(path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    stamps = pa.array((NS + np.round(T * 1e9)).astype("int64"), pa.timestamp("ns"))
+    columns = {"timestamp": stamps, "pos_actual_mm": Y * 1e3, "pos_target_mm": R * 1e3, "motor_voltage": U}
+    pq.write_table(pa.table(columns), path)
+
+
+def tdms(path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(path) as writer:
+        writer.write_segment(
+            [
+                ChannelObject("Log", name, values, properties={"wf_increment": 1e-3, "unit_string": unit})
+                for name, values, unit in (
+                    ("Position", Y * 1e3, "mm"),
+                    ("Sollwert", R * 1e3, "mm"),
+                    ("Spannung", U, "V"),
+                )
+            ]
+        )
+
+
+def mdf(path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from asammdf import MDF, Signal
+
+        with MDF(version="4.10") as file:
+            file.append(
+                [Signal(Y * 1e3, T, name="Axis.ActPos", unit="mm"), Signal(R * 1e3, T, name="Axis.SetPos", unit="mm")]
+            )
+            file.append([Signal(U, T, name="Axis.Voltage", unit="V")])
+            file.save(path, overwrite=True)
+
+
+def hdf5(path):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        group = file.create_group("run1")
+        for name, values, unit in (("t", T, "s"), ("q", Y * 1e3, "mm"), ("target", R * 1e3, "mm"), ("u", U, "V")):
+            group[name] = values
+            group[name].attrs["unit"] = unit
+
+
+def mat73(path):
+    """MATLAB writes v7.3 as HDF5 behind 512 bytes of its own, classes as attributes, matrices by columns."""
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in (("t", T), ("pos", Y), ("ref", R), ("u", U)):
+            file[name] = values[np.newaxis, :]
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as stream:
+        stream.write(
+            b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Wed May 01 12:00:00 2024 HDF5 schema 1.00 .".ljust(
+                124
+            )
+        )
+        stream.write(b"\x00\x02IM")
+
+
+def timetable(path):
+    """mat-io is the one free writer of timetables; its import changes pandas' options: it runs in another process."""
+    script = (
+        "import sys, numpy as np, pandas as pd, matio\n"
+        "t, y, r, u = np.load(sys.argv[1])\n"
+        "frame = pd.DataFrame({'pos': y, 'ref': r, 'voltage': u}, index=pd.to_timedelta(t, unit='s'))\n"
+        "matio.save_to_mat(sys.argv[2], {'log': frame}, version='v7')\n"
+    )
+    data = path.with_suffix(".npy")
+    np.save(data, np.stack([T, Y, R, U]))
+    subprocess.run([sys.executable, "-c", script, str(data), str(path)], check=True, capture_output=True)
+
+
+def simulink(path):
+    import scipy.io
+
+    signals = [{"values": v, "label": name} for name, v in (("position", Y), ("reference", R), ("voltage", U))]
+    scipy.io.savemat(path, {"ScopeData": {"time": T, "signals": signals}})
+
+
+def bag(plugin):
+    def write(path):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        kinds = store.types
+        with Writer(path, version=8, storage_plugin=StoragePlugin[plugin]) as writer:
+            states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+            command = writer.add_connection("/elbow/target_position", "std_msgs/msg/Float64", typestore=store)
+            for t, y, r, u in zip(T, Y, R, U, strict=True):
+                now = NS + round(t * 1e9)
+                stamp = kinds["builtin_interfaces/msg/Time"](sec=now // 10**9, nanosec=now % 10**9)
+                header = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+                nothing = np.array([])
+                state = kinds["sensor_msgs/msg/JointState"](
+                    header=header, name=["elbow"], position=np.array([y]), velocity=nothing, effort=np.array([u])
+                )
+                message = kinds["std_msgs/msg/Float64"](data=float(r))
+                writer.write(command, now, store.serialize_cdr(message, "std_msgs/msg/Float64"))
+                writer.write(states, now, store.serialize_cdr(state, "sensor_msgs/msg/JointState"))
+
+    return write
+
+
+def matrix(path):
+    import scipy.io
+
+    scipy.io.savemat(path, {"rec": np.column_stack([T, R, Y, U])})
+
+
+def json_lines():
+    rows = zip(T, Y, R, U, strict=True)
+    return "\n".join(
+        json.dumps({"ts": a * 1e3, "pos": {"mm": b * 1e3}, "ref_mm": c * 1e3, "u": d}) for a, b, c, d in rows
+    )
+
+
+def klipper(path):
+    """Klipper's data logger: documents that a control character ends, packed."""
+    parts = [{"id": "angle:a", "result": {"header": ["time", "angle"]}}]
+    rows = [[float(t), float(y)] for t, y in zip(T, Y, strict=True)]
+    parts += [{"q": "angle:a", "params": {"data": rows[k : k + 100]}} for k in range(0, len(rows), 100)]
+    path.write_bytes(gzip.compress(b"".join(json.dumps(part).encode() + b"\x03" for part in parts)))
+
+
+def lerobot(path):
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    joints = [[float(y * 500), 3.0] for y in Y]
+    pq.write_table(pa.table({"action": joints, "observation.state": joints, "timestamp": T}), path)
+
+
+MM = 1e-3
+READ = [
+    ("the format's own", "a.csv", text("time [s],position [m],reference [m],voltage [V]\n" + lines(T, Y, R, U)), {}),
+    ("suffixes", "a.csv", text("t_ms,pos_mm,ref_mm,u_V\n" + lines(T * 1e3, Y * 1e3, R * 1e3, U)), {}),
+    (
+        "microcontroller",
+        "a.txt",
+        text("millis target_mm actual_mm volts\n" + lines(T * 1e3, R * 1e3, Y * 1e3, U, separator=" ")),
+        {},
+    ),
+    ("microseconds", "a.csv", text("micros,soll_um,ist_um,pwm_volts\n" + lines(T * 1e6, R * 1e6, Y * 1e6, U)), {}),
+    ("German, time stamps, Latin-1", "a.csv", text(iso_german(), "latin-1"), {}),
+    (
+        "German compounds",
+        "a.csv",
+        text(
+            "Zeit in ms;Positionsistwert / mm;Positionssollwert / mm;Reglerausgang / V\n"
+            + lines(T * 1e3, Y * 1e3, R * 1e3, U, separator=";", decimal=",")
+        ),
+        {},
+    ),
+    (
+        "UTF-16 of a spreadsheet",
+        "a.txt",
+        text(
+            "Time\tActual position\tTarget position\tControl voltage\ns\tmm\tmm\tV\n"
+            + lines(T, Y * 1e3, R * 1e3, U, separator="\t"),
+            "utf-16",
+        ),
+        {},
+    ),
+    (
+        "preamble and units",
+        "a.csv",
+        text(
+            'Device,"PSU 4"\nSample Interval,1 ms\n\nTime,CH1 pos,CH2 setpoint,CH3 voltage\n(s),(mm),(mm),(V)\n'
+            + lines(T, Y * 1e3, R * 1e3, U)
+        ),
+        {},
+    ),
+    ("numpy.savetxt", "a.txt", text("# t y r u\n" + lines(T, Y, R, U, separator=" ", form="{:.18e}")), {}),
+    ("pandas with its index", "a.csv", text(",time,pos,ref,u\n" + lines(np.arange(T.size), T, Y, R, U)), {}),
+    ("gzip", "a.csv.gz", lambda p: p.write_bytes(gzip.compress(("t,q,qg,u\n" + lines(T, Y, R, U)).encode())), {}),
+    ("LabVIEW", "a.lvm", text(lvm()), {}),
+    ("TwinCAT Scope", "a.csv", text(scope()), {}),
+    ("workbook", "a.xlsx", workbook, {}),
+    ("Parquet", "a.parquet", parquet, {}),
+    ("TDMS", "a.tdms", tdms, {}),
+    ("MDF4, two groups", "a.mf4", mdf, {}),
+    ("HDF5", "a.h5", hdf5, {}),
+    ("npz", "a.npz", lambda p: np.savez(p, time=T, theta=Y, theta_ref=R, u=U), {}),
+    ("MAT v7.3", "a.mat", mat73, {}),
+    ("timetable", "a.mat", timetable, {}),
+    ("Simulink", "a.mat", simulink, {}),
+    (
+        "JSON",
+        "a.json",
+        lambda p: p.write_text(
+            json.dumps({"t": T.tolist(), "log": {"pos": Y.tolist(), "ref": R.tolist(), "u": U.tolist()}})
+        ),
+        {},
+    ),
+    ("JSON lines", "a.jsonl", text(json_lines()), {}),
+    ("ROS 2, MCAP", "bag", bag("MCAP"), {}),
+    ("ROS 2, SQLite", "bag", bag("SQLITE3"), {}),
+    (
+        "ODrive",
+        "a.csv",
+        text(
+            "t,axis0.pos_estimate,axis0.input_pos,axis0.Iq_setpoint,axis0.Iq_measured,vbus_voltage\n"
+            + lines(T, Y / (2 * np.pi), R / (2 * np.pi), U, U * 0.9, 24 + 0 * T)
+        ),
+        {},
+    ),
+    (
+        "moteus",
+        "a.csv",
+        text(
+            "timestamp,servo_stats.position,servo_command.position,servo_stats.torque_Nm,servo_stats.voltage\n"
+            + lines(T + 1.7e9, Y / (2 * np.pi), R / (2 * np.pi), U, 24 + 0 * T, form="{:.15g}")
+        ),
+        {},
+    ),
+    (
+        "named by their order",
+        "a.csv",
+        text(lines(T, R, Y, U)),
+        {"columns": {"time": "1", "reference": "2", "position": "3", "voltage": "4"}},
+    ),
+    ("matrix", "a.mat", matrix, {"columns": {"time": "1", "reference": "2", "position": "3", "voltage": "4"}}),
+    (
+        "duty and supply",
+        "a.csv",
+        text("t_ms,angle_deg,target_deg,duty\n" + lines(T * 1e3, Y * DEG, R * DEG, U / 24)),
+        {"settings": {"supply_voltage": 24}},
+    ),
+    (
+        "counts and PWM",
+        "a.csv",
+        text(
+            "t_ms,enc_counts,target_counts,pwm\n"
+            + lines(T * 1e3, Y * 4096 / (2 * np.pi), R * 4096 / (2 * np.pi), U * 255 / 12)
+        ),
+        {"settings": {"counts_per_rev": 4096, "supply_voltage": "12 V", "pwm_full_scale": 255}},
+    ),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "options"), [case[1:] for case in READ], ids=[case[0] for case in READ])
+def test_log_is_read_as_it_was_made(tmp_path, name, write, options):
+    write(tmp_path / name)
+    record = read_log(tmp_path / name, **options).record
+    step = np.ptp(R)
+    assert record.time == pytest.approx(T, abs=1e-6)
+    assert np.max(np.abs(record.position - Y)) < 1e-6 * step
+    assert np.max(np.abs(record.reference - R)) < 1e-6 * step
+    assert np.max(np.abs(record.voltage - U)) < 1e-6 * np.ptp(U)
+    assert (record.controller.kp, record.controller.kd) == (pytest.approx(60, rel=1e-3), pytest.approx(4, rel=1e-3))
+
+
+ASKED = [
+    ("no names", "a.csv", text(lines(T, R, Y, U)), "has no row that names its 4 columns"),
+    ("two axes", "a.csv", text("t,theta1,theta2,u\n" + lines(T, Y, Y**2, U)), "may be one of 'theta1', 'theta2'"),
+    (
+        "degrees or radians",
+        "a.csv",
+        text("t,angle,target,u\n" + lines(T, Y * 500, R * 500, U)),
+        "deg and rad are plausible",
+    ),
+    (
+        "no unit of a length",
+        "a.csv",
+        text("t,pos,target,u\n" + lines(T, Y * 1e3, R * 1e3, U)),
+        "mm, deg and rad are plausible",
+    ),
+    (
+        "milliseconds or microseconds",
+        "a.csv",
+        text("t,pos,target,u\n" + lines(T * 5e4, Y, R, U)),
+        "plausible in ms and in us",
+    ),
+    (
+        "counts without a scale",
+        "a.csv",
+        text("t_ms,Present Position,Goal Position,Present PWM\n" + lines(T * 1e3, Y, R, U)),
+        "counts_per_rev",
+    ),
+    (
+        "cycles instead of time",
+        "a.txt",
+        text("Cycle PLC_PRG.fPos PLC_PRG.fTarget PLC_PRG.fU\n" + lines(np.arange(T.size), Y, R, U, separator=" ")),
+        "no column named time",
+    ),
+    (
+        "a command that may be the reference",
+        "a.csv",
+        text("t,pos,command\n" + lines(T, Y, R)),
+        "may be reference or voltage",
+    ),
+    (
+        "volts or counts",
+        "a.csv",
+        text("t,pos,ref,u\n" + lines(T, Y, R, np.clip(np.round(U * 50), -255, 255))),
+        "counts of a PWM are plausible",
+    ),
+    ("joints", "a.parquet", lerobot, "say --unit position="),
+    ("no command", "a.json.gz", klipper, "neither reference nor voltage is given"),
+]
+
+
+@pytest.mark.parametrize(("name", "write", "part"), [case[1:] for case in ASKED], ids=[case[0] for case in ASKED])
+def test_what_can_be_read_in_two_ways_is_a_question(tmp_path, name, write, part):
+    write(tmp_path / name)
+    with pytest.raises(InputError) as asked:
+        read_log(tmp_path / name)
+    assert part in str(asked.value)
+
+
+def test_an_answer_settles_the_question(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t,pos,target,u\n" + lines(T, Y * 1e3, R * 1e3, U))
+    (record,) = read_records(path, units={"position": "mm"})
+    assert np.max(np.abs(record.position - Y)) < 1e-9
+    assert np.max(np.abs(record.reference - R)) < 1e-9
+    (tmp_path / "b.txt").write_text("Cycle fPos fTarget fU\n" + lines(np.arange(T.size), Y, R, U, separator=" "))
+    (record,) = read_records(tmp_path / "b.txt", settings={"sample_time": "1 ms"})
+    assert record.time == pytest.approx(T, abs=1e-9)
+
+
+# ---- hostile and damaged files
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [(case[1], case[2]) for case in READ if case[0] not in ("ROS 2, SQLite", "timetable")],
+    ids=[case[0] for case in READ if case[0] not in ("ROS 2, SQLite", "timetable")],
+)
+@pytest.mark.parametrize("share", [0.02, 0.6])
+def test_a_file_that_ends_early_is_read_or_refused_by_one_sentence(tmp_path, name, write, share):
+    write(tmp_path / name)
+    path = next((tmp_path / name).glob("*.mcap")) if (tmp_path / name).is_dir() else tmp_path / name
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    read_or_refuse(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.tdms", "a.mf4", "a.h5", "a.npz", "a.mat"])
+def test_a_file_with_wrong_bytes_is_read_or_refused_by_one_sentence(tmp_path, name):
+    writers = {"a.xlsx": workbook, "a.parquet": parquet, "a.tdms": tdms, "a.mf4": mdf, "a.h5": hdf5, "a.mat": mat73}
+    writers["a.npz"] = lambda path: np.savez_compressed(path, t=T, q=Y, ref=R, u=U)
+    writers[name](tmp_path / name)
+    content = bytearray((tmp_path / name).read_bytes())
+    rng = np.random.default_rng(7)
+    for _ in range(4):
+        wrong = bytearray(content)
+        for at in rng.integers(0, len(wrong), 40):
+            wrong[at] = rng.integers(256)
+        (tmp_path / name).write_bytes(wrong)
+        read_or_refuse(tmp_path / name)
+
+
+def read_or_refuse(path):
+    """Return the sentence of the refusal, None where the file was read."""
+    try:
+        record = read_log(path).record
+    except InputError as error:
+        sentence = str(error)
+    else:
+        assert np.isfinite(record.position).all()
+        return None
+    assert sentence.isprintable()
+    return sentence
+
+
+def test_links_of_hdf5_to_other_files_are_not_followed(tmp_path):
+    import h5py
+
+    (tmp_path / "axis").mkdir()
+    hdf5(tmp_path / "secret.h5")
+    with h5py.File(tmp_path / "axis" / "a.h5", "w") as file:
+        file["t"] = T
+        file["pos"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "/run1/q")
+        file["soft"] = h5py.SoftLink("/t")
+        file.create_dataset("ref", (4,), "f8", external=[(str(tmp_path / "secret.h5"), 0, 32)])
+        layout = h5py.VirtualLayout((T.size,), "f8")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "/run1/q", (T.size,))
+        file.create_virtual_dataset("position", layout)
+    assert "the columns are 't'" in read_or_refuse(tmp_path / "axis" / "a.h5")
+
+
+def test_a_bag_that_names_a_file_outside_is_refused(tmp_path):
+    bag("MCAP")(tmp_path / "bag")
+    (data,) = (tmp_path / "bag").glob("*.mcap")
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    data.rename(tmp_path / data.name)
+    metadata.write_text(metadata.read_text().replace(data.name, f"../{data.name}"))
+    assert "outside its folder" in read_or_refuse(tmp_path / "bag")
+    metadata.write_text(metadata.read_text().replace(f"../{data.name}", data.name))
+    (tmp_path / "bag" / data.name).symlink_to(tmp_path / data.name)
+    assert "outside its folder" in read_or_refuse(tmp_path / "bag")
+
+
+def test_bombs_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "LARGEST", 2**20)
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"0,0\n" * 2**20))
+    assert "unpacks to more than 1 MiB" in read_or_refuse(tmp_path / "a.csv.gz")
+    (tmp_path / "b.json").write_text("[" * 200_000)
+    assert "nested too deep" in read_or_refuse(tmp_path / "b.json")
+
+
+def test_numpy_objects_are_never_unpickled(tmp_path):
+    np.savez(tmp_path / "a.npz", position=np.array([{"a": 1}], dtype=object))
+    assert "holds objects, which are not read" in read_or_refuse(tmp_path / "a.npz")
+
+
+def test_a_reader_that_takes_too_long_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(isolated, "WALL", 0.05)
+    hdf5(tmp_path / "a.h5")
+    assert "takes more than 0.05 s to read as HDF5" in read_or_refuse(tmp_path / "a.h5")
+
+
+def test_a_reader_that_needs_too_much_memory_is_ended(tmp_path, monkeypatch):
+    script = tmp_path / "hungry.py"
+    script.write_text("import numpy\nfrom servolens.reading.isolated import _limit\n_limit()\nnumpy.ones(2**30)\n")
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False)
+    assert "MemoryError" in done.stderr
+
+
+def test_a_missing_library_is_named(tmp_path, monkeypatch):
+    hdf5(tmp_path / "a.h5")
+    (tmp_path / "without").mkdir()
+    (tmp_path / "without" / "h5py.py").write_text("raise ImportError('no module', name='h5py')\n")
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path / 'without'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    assert read_or_refuse(tmp_path / "a.h5").endswith(
+        "is HDF5; to read it install h5py, or all readers: pip install 'servolens[formats]'"
+    )
