@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import json
+import sys
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from servolens.errors import InputError
+from servolens.findings import Finding
 
 if TYPE_CHECKING:
     import os
 
-__all__ = ["decoded", "json_of", "read_fields"]
+__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields"]
 
 T = TypeVar("T")
 
@@ -43,6 +47,30 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
     return data
 
 
+def encoded(value: Any) -> Any:
+    """Return a value, with the dataclasses, arrays and mappings in it, as JSON holds it: :func:`read_fields` inverted.
+
+    Numbers that are not finite are null.
+
+    Examples
+    --------
+    >>> from servolens.record import Controller
+    >>> encoded(Controller(kp=60))["kp"], encoded(np.array([1.0, np.nan]))
+    (60, [1.0, None])
+    """
+    if hasattr(value, "to_json"):
+        return encoded(value.to_json())
+    if is_dataclass(value):
+        return {field.name: encoded(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): encoded(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [encoded(one) for one in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return encoded(value.tolist())
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
 def read_fields(cls: type[T], data: Any, known: Mapping[str, Any] | None = None) -> T:
     """Build the dataclass `cls` from an object with its fields; others are left alone.
 
@@ -51,7 +79,8 @@ def read_fields(cls: type[T], data: Any, known: Mapping[str, Any] | None = None)
     cls : type
         A dataclass.
     data : mapping
-        As JSON holds it. A number that is null was not finite: it becomes infinite, unless None is admissible.
+        As JSON holds it. A number that is null was not finite: it becomes infinite, unless None is admissible; in an
+        array it is not a number.
     known : mapping of str to type, optional
         Names in the annotations that its module does not import when it runs.
 
@@ -66,17 +95,30 @@ def read_fields(cls: type[T], data: Any, known: Mapping[str, Any] | None = None)
     >>> read_fields(Controller, {"kp": 60, "derivative": "position"}).kp
     60.0
     """
+    return cls(**fields_of(cls, data, [field.name for field in fields(cls)], known))  # type: ignore[arg-type] # a dataclass
+
+
+def fields_of(cls: type, data: Any, names: Sequence[str], known: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the named fields of the dataclass `cls` from an object; see :func:`read_fields`."""
     if not isinstance(data, Mapping):
         raise InputError(f"{cls.__name__} must be an object, got {str(data)[:40]!r}")
-    names = {"Mapping": Mapping, "Sequence": Sequence, **(known or {})}
-    hints = get_type_hints(cls, localns=names)
+    local = {"Mapping": Mapping, "Sequence": Sequence, "NDArray": NDArray, **(known or {})}
+    wanted = SimpleNamespace(__annotations__={name: cls.__annotations__[name] for name in names})
+    hints = get_type_hints(wanted, globalns=vars(sys.modules[cls.__module__]), localns=local)
     found = {}
-    for field in fields(cls):  # type: ignore[arg-type] # a dataclass
+    for field in fields(cls):
+        if field.name not in names:
+            continue
         if field.name in data:
-            found[field.name] = decoded(hints[field.name], data[field.name], field.name, names)
+            found[field.name] = decoded(hints[field.name], data[field.name], field.name, local)
         elif field.default is MISSING and field.default_factory is MISSING:
             raise InputError(f"{field.name} of {cls.__name__} is missing")
-    return cls(**found)
+    return found
+
+
+def findings_in(data: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return the findings of a result's file; none where it has none."""
+    return tuple(read_fields(Finding, one) for one in _of_type(list, data.get("findings") or [], "findings"))
 
 
 def decoded(kind: Any, value: Any, name: str, known: Mapping[str, Any] | None = None) -> Any:  # noqa: C901 - a case each
@@ -98,7 +140,7 @@ def decoded(kind: Any, value: Any, name: str, known: Mapping[str, Any] | None = 
     if origin in (dict, Mapping):
         return {str(key): decoded(parts[1], one, name, known) for key, one in _of_type(dict, value, name).items()}
     if origin is np.ndarray:
-        return np.array([_number(one, name) for one in _of_type(list, value, name)])
+        return _array(value, name)
     if hasattr(kind, "from_json"):
         return kind.from_json(value)
     if is_dataclass(kind):
@@ -112,6 +154,14 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, known: Mapping[str, An
     if len(kinds) != len(items):
         raise InputError(f"{name} must hold {len(kinds)} values, got {len(items)}")
     return tuple(decoded(kind, item, name, known) for kind, item in zip(kinds, items, strict=True))
+
+
+def _array(value: Any, name: str) -> NDArray[np.float64]:
+    """Return lists of numbers as an array; what is null was not a number."""
+    try:
+        return np.array(_of_type(list, value, name), dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must hold numbers, got {str(value)[:40]!r}") from None
 
 
 def _number(value: Any, name: str) -> float:

@@ -14,13 +14,14 @@ from servolens.effects import Sensor
 from servolens.errors import InputError
 from servolens.inputs import as_plant, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion
-from servolens.result import Result
+from servolens.result import Result, late
 from servolens.simulation import simulate
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Sequence
 
+    import pandas as pd
     from numpy.typing import NDArray
 
     from servolens.inputs import Plants, Records, RecordSettings
@@ -112,6 +113,11 @@ class Prediction(Result):
         if not self.records:
             raise InputError("this prediction was read from a file, which holds no records; pass them")
         return tuple(row[0] - record.position for record, row in zip(self.records, self.positions, strict=True))
+
+    def trajectories(self) -> pd.DataFrame:
+        """Return measured and simulated positions; see :func:`servolens.summaries.frames.trajectories`."""
+        frame: pd.DataFrame = late("summaries.frames", "trajectories")(self)
+        return frame
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.prediction/1``: the first model's errors, then all by name."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.prediction import Prediction
     from servolens.summary import Summary
 
-__all__ = ["Result"]
+__all__ = ["Result", "late"]
 
 
 class Result(ABC):
@@ -69,17 +69,17 @@ class Result(ABC):
 
     def summary(self) -> Summary:
         """Return what the result says: sentences, tables and findings. ``print`` shows it, a notebook renders it."""
-        summary: Summary = _late("summaries", "summary_of")(self)
+        summary: Summary = late("summaries.shown", "summary_of")(self)
         return summary
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return the result's table; see :func:`servolens.summaries.frames.frame_of` for what each kind holds."""
-        frame: pd.DataFrame = _late("summaries.frames", "frame_of")(self)
+        frame: pd.DataFrame = late("summaries.frames", "frame_of")(self)
         return frame
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the result's main figure and return its axes; on a new figure of pyplot's where `ax` is None."""
-        axes: Axes = _late("report.shown", "plot_result")(self, ax)
+        axes: Axes = late("report.shown", "plot_result")(self, ax)
         return axes
 
     def simulate(self, records: Records = None, **settings: Unpack[RecordSettings]) -> Prediction:
@@ -87,7 +87,7 @@ class Result(ABC):
         own = getattr(self, "records", ())
         if records is None and not own:
             raise InputError("this result holds no records to simulate; pass them")
-        found: Prediction = _late("prediction", "predict")(self, own if records is None else records, **settings)
+        found: Prediction = late("prediction", "predict")(self, own if records is None else records, **settings)
         return found
 
     def residuals(self, records: Records = None, **settings: Unpack[RecordSettings]) -> tuple[NDArray[np.float64], ...]:
@@ -104,6 +104,6 @@ class Result(ABC):
         return self.summary()._repr_html_()
 
 
-def _late(room: str, name: str) -> Any:
+def late(room: str, name: str) -> Any:
     """Return a function of a room above, which is loaded now."""
     return getattr(importlib.import_module(f"servolens.{room}"), name)

@@ -16,7 +16,8 @@ from servolens.model_evidence import MATERIAL
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.design.found import Design, Response
+    from servolens.design.found import Design
+    from servolens.design.response import Response
     from servolens.model import Model
     from servolens.model_evidence import Evidence
     from servolens.plant import Plant

@@ -26,7 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design.found import Design, Response
+    from servolens.design.found import Design
+    from servolens.design.response import Response
     from servolens.design.scenarios import Scenario
     from servolens.model import Model
     from servolens.plant import Plant

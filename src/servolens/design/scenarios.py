@@ -15,7 +15,7 @@ from servolens.errors import InputError
 from servolens.model import Model
 
 if TYPE_CHECKING:
-    from servolens.design.found import Response
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
     from servolens.effects import Axis
     from servolens.plant import Plant

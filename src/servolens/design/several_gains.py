@@ -27,8 +27,8 @@ from servolens.processors import in_parallel
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from servolens.design.found import Response
     from servolens.design.margins import LoopMargins
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
     from servolens.model import Model
     from servolens.plant import Plant

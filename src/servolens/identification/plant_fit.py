@@ -4,38 +4,49 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
+import numpy as np
+
+from servolens.decoding import decoded, encoded, fields_of, findings_in, json_of, read_fields
 from servolens.effects import Effect
 from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
 from servolens.identification.fit_findings import above_noise, findings_of
 from servolens.identification.fitted import model_of
 from servolens.identification.fitting import check_loops, final_fit, level_of, likelihood_of, simulation_error
-from servolens.identification.options import wanted
+from servolens.identification.noise import NoiseModel
+from servolens.identification.options import FitOptions, Prior, wanted
 from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.inputs import as_effects, as_plant, as_records, check_units
+from servolens.model import Model
 from servolens.plant import Plant
 from servolens.processors import single_threaded_blas
+from servolens.result import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servolens.findings import Finding
-    from servolens.identification.noise import NoiseModel
-    from servolens.identification.options import Begin, Bounds, Compared, Driven, FitOptions, Fixed, Loss, Priors
+    from servolens.identification.options import Begin, Bounds, Compared, Driven, Fixed, Loss, Priors
     from servolens.inputs import Effects, Plants, Records, RecordSettings
-    from servolens.model import Model, Quantity
+    from servolens.model import Quantity
     from servolens.record import Record
 
 __all__ = ["Fit", "fit"]
 
+SUMMED_UP = (
+    "correlation", "colour", "local", "at_bound", "undetermined", "rms_error", "misfit", "weights", "variance",
+    "converged", "is_smooth", "status",
+)  # fmt: skip
+"""What the file of a fit keeps of its search; plant and covariance are the model's."""
+
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fit:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Fit(Result):
     """A fitted plant and how far it can be trusted.
 
     Attributes
@@ -55,10 +66,12 @@ class Fit:
         A fit that does not reach the noise; parameters at a bound, not determined, or not to be told apart; a search
         that did not end.
     records : tuple of Record
-        What was fitted.
+        What was fitted; none where the fit was read from a file.
     options : FitOptions
         How, with what the effects themselves hold.
     """
+
+    kind: ClassVar[str] = "fit"
 
     model: Model
     refinement: Refinement
@@ -88,6 +101,47 @@ class Fit:
     def at_noise(self) -> bool:
         """Whether the residual is explained by the noise."""
         return self.rms_error <= AT_NOISE * self.noise
+
+    @property
+    def correlations(self) -> dict[tuple[str, str], float]:
+        """Correlation of every two estimates, those that are most alike first."""
+        names, matrix = list(self.plant.parameters), self.refinement.correlation
+        found = {(a, b): float(matrix[i, j]) for i, a in enumerate(names) for j, b in enumerate(names) if i < j}
+        known = {pair: value for pair, value in found.items() if np.isfinite(value)}
+        return dict(sorted(known.items(), key=lambda item: -abs(item[1])))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.fit/1`` without the file's header: all but records and residuals."""
+        return {
+            "model": self.model.to_json(),
+            "driven": self.driven,
+            "noise": self.noise,
+            "rms_error": self.rms_error,
+            "at_noise": self.at_noise,
+            "noise_model": encoded(self.noise_model),
+            "refinement": {name: encoded(getattr(self.refinement, name)) for name in SUMMED_UP},
+            "options": encoded(self.options),
+        }
+
+    @classmethod
+    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Fit:
+        """See :meth:`servolens.result.Result.from_json`."""
+        data = json_of(source)
+        model = Model.from_json(data.get("model") or {})
+        size = len(model.plant.values)
+        covariance = np.full((size, size), np.nan) if model.covariance is None else model.covariance
+        known = {"Prior": Prior}
+        ended = fields_of(Refinement, data.get("refinement"), SUMMED_UP)
+        return cls(
+            model=model,
+            refinement=Refinement(plant=model.plant, covariance=covariance, residuals=(), starts=(), **ended),
+            driven=str(data.get("driven")),
+            noise_model=read_fields(NoiseModel, data.get("noise_model"), known),
+            noise=decoded(float, data.get("noise"), "noise"),
+            findings=findings_in(data),
+            records=(),
+            options=read_fields(FitOptions, data.get("options"), known),
+        )
 
 
 @single_threaded_blas

@@ -9,7 +9,6 @@ import numpy as np
 
 from servolens.effects import VelocityDecayDamping
 from servolens.model import NORMAL_95, Quantity
-from servolens.plant import Plant
 from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, unit
 from servolens.summary import Summary, Table
 
@@ -19,8 +18,8 @@ if TYPE_CHECKING:
     from servolens.identification import Identification
     from servolens.identification.varying import VaryingDamping
     from servolens.model import Model
+    from servolens.plant import Plant
     from servolens.prediction import Prediction, RecordError
-    from servolens.record import Record
 
 __all__ = ["identification_summary", "model_table", "prediction_summary"]
 
@@ -34,7 +33,6 @@ KINDS = {
 
 def identification_summary(identification: Identification) -> Summary:
     """Tell how well each model simulates its own records, then its parameters."""
-    records = identification.records
     models = {"constant": identification.constant, "velocity": identification.velocity}
     sentences = [_accuracy(identification), *_damping_law(identification.velocity)]
     for kind, model in models.items():
@@ -47,12 +45,12 @@ def identification_summary(identification: Identification) -> Summary:
     if identification.varying is not None:
         tables.insert(
             1 if identification.constant else 0,
-            _varying_table(identification.varying, _gain_unit(records[0]), records[0].length_unit),
+            _varying_table(identification.varying, identification.gain_unit),
         )
     if identification.errors:
         tables.append(_errors_table(identification))
     return Summary(
-        title=f"Identified from {listed([record.name for record in records])}",
+        title=f"Identified from {listed(identification.names)}",
         sentences=tuple(sentences),
         tables=tuple(tables),
         findings=identification.findings,
@@ -160,7 +158,8 @@ def _bound(plant: Plant, name: str, value: float) -> str:
     return "" if at is None else f"{number(at)} {unit(plant.unit(name))}"
 
 
-def _varying_table(varying: VaryingDamping, gain_unit: str, length_unit: str) -> Table:
+def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
+    length_unit = gain_unit.partition("/")[0]
     errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
     rows = [
         (
@@ -182,16 +181,11 @@ def _varying_table(varying: VaryingDamping, gain_unit: str, length_unit: str) ->
     )
 
 
-def _gain_unit(record: Record) -> str:
-    plant = Plant(gain=1.0, damping=0.0, length_unit=record.length_unit, command_unit=record.command_unit)
-    return plant.unit("gain")
-
-
 def _errors_table(identification: Identification) -> Table:
     kinds = [kind for kind in ("constant", "varying", "velocity") if kind in identification.errors]
     rows = [
-        (record.name, *(number(identification.errors[kind][i].percent_error, 3) for kind in kinds))
-        for i, record in enumerate(identification.records)
+        (name, *(number(identification.errors[kind][i].percent_error, 3) for kind in kinds))
+        for i, name in enumerate(identification.names)
     ]
     return Table(
         title="Mean error of the simulated step [% of the step]",
