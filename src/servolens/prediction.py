@@ -12,7 +12,7 @@ import numpy as np
 from servolens.decoding import json_of, read_fields
 from servolens.effects import Sensor
 from servolens.errors import InputError
-from servolens.inputs import as_plant, as_records, check_units, listed
+from servolens.inputs import as_model, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion
 from servolens.result import Result, late
 from servolens.simulation import simulate
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.inputs import Plants, Records, RecordSettings
+    from servolens.model import Model
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -84,6 +85,9 @@ class Prediction(Result):
         Of the models.
     positions : tuple of tuple of ndarray, shape (n,)
         ``positions[i][j]``: simulated at the samples of record i by model j [m or rad].
+    identified_from : tuple of str
+        Names of the records that the models were identified from; all others are held out. Empty where that is not
+        known, as of a bare plant.
     """
 
     kind: ClassVar[str] = "prediction"
@@ -93,6 +97,7 @@ class Prediction(Result):
     records: tuple[Record, ...] = ()
     plants: tuple[Plant, ...] = ()
     positions: tuple[tuple[NDArray[np.float64], ...], ...] = ()
+    identified_from: tuple[str, ...] = ()
 
     @property
     def plant(self) -> Plant:
@@ -100,6 +105,10 @@ class Prediction(Result):
         if not self.plants:
             raise InputError("this prediction was read from a file, which holds no plants; predict again")
         return self.plants[0]
+
+    def is_held_out(self, record: str) -> bool | None:
+        """Tell whether no model was identified from the `record` of this name; None where that is not known."""
+        return record not in self.identified_from if self.identified_from else None
 
     @property
     def average_percent(self) -> tuple[float, ...]:
@@ -122,10 +131,14 @@ class Prediction(Result):
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.prediction/1``: the first model's errors, then all by name."""
         rows = [
-            {**row[0].to_json(), "by_model": {m: e.to_json() for m, e in zip(self.models, row, strict=True)}}
+            {
+                **row[0].to_json(),
+                "held_out": self.is_held_out(row[0].name),
+                "by_model": {m: e.to_json() for m, e in zip(self.models, row, strict=True)},
+            }
             for row in self.errors
         ]
-        return {"models": list(self.models), "records": rows}
+        return {"models": list(self.models), "records": rows, "identified_from": list(self.identified_from)}
 
     @classmethod
     def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Prediction:
@@ -133,7 +146,11 @@ class Prediction(Result):
         data = json_of(source)
         models = tuple(data.get("models") or ("the model",))
         rows = [row.get("by_model") or {models[0]: row} for row in data.get("records", ())]
-        return cls(models=models, errors=tuple(tuple(RecordError.from_json(row[m]) for m in models) for row in rows))
+        return cls(
+            models=models,
+            errors=tuple(tuple(RecordError.from_json(row[m]) for m in models) for row in rows),
+            identified_from=tuple(str(name) for name in data.get("identified_from", ())),
+        )
 
 
 def prediction_error(plant: Plant, record: Record) -> RecordError:
@@ -225,7 +242,8 @@ def predict(
     >>> found.errors[0][0].percent_error < 0.1, found.residuals()[0].shape == found.positions[0][0].shape
     (True, True)
     """
-    plants = _named(models)
+    known = _named(models)
+    plants = {name: model.plant for name, model in known.items()}
     runs = as_records(records, settings)
     for plant, record in product(plants.values(), runs):
         check_units(plant, record)
@@ -236,17 +254,18 @@ def predict(
         records=runs,
         plants=tuple(plants.values()),
         positions=tuple(tuple(run.position + one for one in row) for run, row in zip(runs, missed, strict=True)),
+        identified_from=tuple(dict.fromkeys(name for model in known.values() for name in model.identified_from)),
     )
 
 
-def _named(models: Any) -> dict[str, Plant]:
-    """Return plants by name."""
+def _named(models: Any) -> dict[str, Model]:
+    """Return models by name."""
     if isinstance(models, Mapping):
-        named = {str(name): as_plant(model) for name, model in models.items()}
+        named = {str(name): as_model(model) for name, model in models.items()}
     else:
         given = listed(models)
         names = ["the model"] if len(given) == 1 else [f"model {i}" for i in range(1, len(given) + 1)]
-        named = {name: as_plant(model) for name, model in zip(names, given, strict=True)}
+        named = {name: as_model(model) for name, model in zip(names, given, strict=True)}
     if not named:
         raise InputError("no model was given; at least one is needed")
     return named

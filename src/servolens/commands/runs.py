@@ -179,14 +179,14 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     driven = [record.name for record in records if record.reference is None or record.controller is None]
     lost = [Finding(code="not_simulated", severity="error", message=f"{m}.", record=n) for n, m in failed.items()]
     findings = together(quality_findings(records), _voltage_driven(driven), lost)
+    prediction = Prediction(
+        models=("the model",), errors=tuple((error,) for error in errors), identified_from=model.identified_from
+    )
     if json_file:
-        rows = [{**e.to_json(), "held_out": e.name not in model.identified_from} for e in errors]
+        rows = [{**e.to_json(), "held_out": prediction.is_held_out(e.name)} for e in errors]
         rows += [{**dict.fromkeys(rows[0]), "name": name, "reason": reason} for name, reason in failed.items()]
         write_json(json_file, "prediction", {"model": model_file, "records": rows}, findings)
-    prediction = Prediction(models=("the model",), errors=tuple((error,) for error in errors))
-    summary = prediction_summary(
-        prediction, trained_on=model.identified_from, voltage_driven=driven, length_unit=model.plant.length_unit
-    )
+    summary = prediction_summary(prediction, voltage_driven=driven, length_unit=model.plant.length_unit)
     show(replace(summary, findings=findings), json_file)
     return 0
 

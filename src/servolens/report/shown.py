@@ -12,7 +12,7 @@ from servolens.report.curves import curve
 from servolens.report.plots import plot_curves
 from servolens.report.plots_design import plot_step_responses
 from servolens.report.style import FULL_WIDTH, styled
-from servolens.summaries.wording import number
+from servolens.summaries.wording import listed, number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -83,7 +83,9 @@ def _responses(result: Any, ax: Axes | None) -> Axes:
                 curves.append(curve(label if first else "", record.time, position, role).thinned())
     shown = len(records) < len(result.records)
     names = (
-        f"The first {len(records)} of {len(result.records)} records" if shown else ", ".join(r.name for r in records)
+        f"The first {len(records)} of {len(result.records)} records"
+        if shown
+        else listed([r.name for r in records], most=3)
     )
     return plot_curves(
         curves, xlabel="Time [s]", ylabel=f"Position [{records[0].length_unit}]", title=names, ax=_axes(ax)

@@ -29,6 +29,8 @@ KINDS = {
     "varying": "damping that varies in time",
 }
 """In the order in which people are told."""
+DATA = {True: "held out", False: "used", None: "–"}
+"""Whether a record is held out; None where it is not known what the models were identified from."""
 
 
 def identification_summary(identification: Identification) -> Summary:
@@ -74,7 +76,6 @@ def model_table(model: Model, title: str) -> Table:
 def prediction_summary(
     prediction: Prediction,
     *,
-    trained_on: Sequence[str] = (),
     voltage_driven: Sequence[str] = (),
     length_unit: str = "m",
 ) -> Summary:
@@ -84,25 +85,24 @@ def prediction_summary(
     ----------
     prediction : Prediction
         The errors.
-    trained_on : sequence of str
-        Names of the records that the models were identified from; all others are held out.
     voltage_driven : sequence of str
         Names of the records that were simulated from their voltage, not in closed loop.
     length_unit : str
         Of the records.
     """
     names = [row[0].name for row in prediction.errors]
-    held = [name for name in names if name not in trained_on]
+    held = [name for name in names if prediction.is_held_out(name)]
     sentences = [
         f"{model[:1].upper()}{model[1:]} is {percent(average)} of the step off on average over {_records(len(names))}."
         for model, average in zip(prediction.models, prediction.average_percent, strict=True)
     ]
-    sentences.append(_data(names, held))
+    if prediction.identified_from:
+        sentences.append(_data(names, held))
     driven = [name for name in names if name in voltage_driven]
     if driven:
         sentences.append(f"Simulated from the logged voltage, not in closed loop: {listed(driven)}.")
     single = len(prediction.models) == 1
-    table = _single(prediction, held, length_unit) if single else _many(prediction, held)
+    table = _single(prediction, length_unit) if single else _many(prediction)
     return Summary(title="Prediction", sentences=tuple(sentences), tables=(table,))
 
 
@@ -207,7 +207,7 @@ def _records(count: int) -> str:
     return "1 record" if count == 1 else f"{count} records"
 
 
-def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Table:
+def _single(prediction: Prediction, length_unit: str) -> Table:
     errors: list[RecordError] = [row[0] for row in prediction.errors]
     factor, length = scale([e.mean_abs_error for e in errors], length_unit)
     rows = [
@@ -216,7 +216,7 @@ def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Ta
             number(factor * e.mean_abs_error, 3),
             number(e.percent_error, 3),
             number(e.fit_percent),
-            "held out" if e.name in held else "used",
+            DATA[prediction.is_held_out(e.name)],
         )
         for e in errors
     ]
@@ -228,9 +228,9 @@ def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Ta
     )
 
 
-def _many(prediction: Prediction, held: Sequence[str]) -> Table:
+def _many(prediction: Prediction) -> Table:
     rows = [
-        (row[0].name, *(number(e.percent_error, 3) for e in row), "held out" if row[0].name in held else "used")
+        (row[0].name, *(number(e.percent_error, 3) for e in row), DATA[prediction.is_held_out(row[0].name)])
         for row in prediction.errors
     ]
     rows.append(("average", *(number(average, 3) for average in prediction.average_percent), ""))

@@ -111,7 +111,7 @@ def plus_minus(quantity: Quantity) -> str:
     value, error = quantity.value, quantity.stderr
     if error is None:
         return f"{number(value)} (error not known)"
-    share = f" ({percent(100 * error / abs(value))})" if value else ""
+    share = f" ({percent(100 * error / abs(value))})" if abs(value) > error else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
     decimals = _decimals(error)
