@@ -684,3 +684,29 @@ def test_guard_names_the_cause(answer, sentence):
 def test_wrong_use_of_states_and_guard_is_refused(call, message):
     with pytest.raises(InputError, match=message):
         call()
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda loop, params: held_response(loop, [0.0, 0.1], [0.1, 0.1], params=params),
+        lambda loop, params: ct.input_output_response(loop, [0.0, 0.1], [0.1, 0.1], params=params),
+        lambda loop, params: loop.linearize([0.0, 0.0], 0.0, params=params),
+        lambda loop, params: loop.at_rest(params=params),
+    ],
+    ids=["held_response", "input_output_response", "linearize", "at_rest"],
+)
+def test_misspelt_parameter_is_refused_with_the_one_that_may_be_meant(ask):
+    loop = closed_loop(Plant(gain=1.9, damping=6.0), kp=60.0)
+    with pytest.raises(InputError, match="'gian' is no parameter of this system; did you mean 'gain'"):
+        ask(loop, {"gian": 2.0})
+    ask(loop, {"gain": 2.0})
+
+
+def test_parameters_of_the_whole_reach_each_plant_of_an_interconnection():
+    plants = [to_control(Plant(gain=1.9, damping=6.0), name=name, prefix=f"{name}.") for name in ("x", "y")]
+    both = ct.interconnect(
+        plants, inplist=["x.voltage", "y.voltage"], outlist=["x.position", "y.position"], check_unused=False
+    )
+    drawn = ct.input_output_response(both, [0.0, 0.1], np.ones((2, 2)), params={"x.gain": 3.8})
+    assert drawn.outputs[0, -1] == pytest.approx(2.0 * drawn.outputs[1, -1], rel=1e-4)

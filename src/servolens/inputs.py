@@ -26,11 +26,13 @@ __all__ = [
     "as_effects",
     "as_groups",
     "as_model",
+    "as_models",
     "as_plant",
     "as_record",
     "as_records",
     "check_units",
     "described",
+    "is_model",
     "listed",
 ]
 
@@ -162,15 +164,26 @@ def as_model(source: Plants) -> Model:
         return Model(plant=source)
     if isinstance(source, str | os.PathLike):
         return read_model(source)
-    held = getattr(source, "model", None) or getattr(source, "plant", None)
-    if isinstance(held, Model | Plant):
-        return as_model(held)
+    if _holds_model(source):
+        return as_model(source.model if isinstance(getattr(source, "model", None), Model) else source.plant)
     raise InputError(f"a Plant, a model, a fit, a diagnosis, or a model file's path is needed; got {described(source)}")
 
 
 def as_plant(source: Plants) -> Plant:
     """Return the plant of what :func:`as_model` takes."""
     return source if isinstance(source, Plant) else as_model(source).plant
+
+
+def as_models(source: Plants) -> tuple[Model, ...]:
+    """Return the models of one axis, or several; see :func:`as_model`."""
+    return tuple(as_model(one) for one in listed(source))
+
+
+def is_model(source: object) -> bool:
+    """Tell whether :func:`as_model` takes `source`; a path that ends in ``.json`` is a model's, others are records'."""
+    if isinstance(source, str | os.PathLike):
+        return os.fspath(source).lower().endswith(".json")
+    return isinstance(source, Model | Plant) or _holds_model(source)
 
 
 def check_units(plant: Plant, record: Record) -> None:
@@ -218,6 +231,13 @@ def described(value: Any) -> str:
     text = " ".join(repr(value).split()) if isinstance(value, str | int | float | complex | list | tuple | dict) else ""
     kind = "None" if value is None else type(value).__name__
     return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
+
+
+def _holds_model(source: object) -> bool:
+    """Tell whether a result of ours is given; a table may have columns of these names."""
+    if isinstance(source, type) or hasattr(source, "columns"):
+        return False
+    return any(isinstance(getattr(source, name, None), Model | Plant) for name in ("model", "plant"))
 
 
 def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from servolens.design.least_kd import tune
 from servolens.design.settle import evaluate
+from servolens.inputs import as_plant
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from servolens.design.found import Design
     from servolens.design.response import Response
     from servolens.design.spec import PDSpec
+    from servolens.inputs import Plants
     from servolens.plant import Plant
 
 __all__ = ["Comparison", "compare"]
@@ -78,26 +80,28 @@ class Comparison:
 
 
 def compare(
-    linear: Plant,
-    nonlinear: Plant,
+    linear: Plants,
+    nonlinear: Plants,
     spec: PDSpec,
     *,
-    diagnosed: Plant | None = None,
+    diagnosed: Plants | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Comparison:
     """Design on each model, and run the simpler models' recommendations on the richer plants.
 
     Parameters
     ----------
-    linear, nonlinear : Plant
+    linear, nonlinear : Plant, model, fit, diagnosis, or path of a model's file
         Two models of the same axis.
     spec : PDSpec
         What to reach.
-    diagnosed : Plant, optional
+    diagnosed : the same, optional
         The model that the data support best, where causes were looked for.
     progress : callable, optional
         Called with (description, done, total).
     """
+    linear, nonlinear = as_plant(linear), as_plant(nonlinear)
+    diagnosed = None if diagnosed is None else as_plant(diagnosed)
     first = tune(linear, spec, progress=progress)
     second = tune(nonlinear, spec, progress=progress)
     on = _run(nonlinear, first)

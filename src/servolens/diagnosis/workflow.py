@@ -22,20 +22,21 @@ from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.identification.fitted import fitted
+from servolens.identification.options import as_priors
 from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.findings import Finding
     from servolens.identification.likelihood import Hypothesis
-    from servolens.identification.options import Prior
+    from servolens.identification.options import Priors
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
@@ -47,7 +48,7 @@ def diagnose(
     records: Records,
     *,
     heldout: Records = (),
-    priors: Mapping[str, Prior] | None = None,
+    priors: Priors | None = None,
     effort: str = "normal",
     progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
     **settings: Unpack[RecordSettings],
@@ -65,7 +66,7 @@ def diagnose(
     heldout : the same
         Other runs of it, on which they are tested. Without any, each record in turn is left out of the fit; a single
         one is parted in time.
-    priors : mapping of str to Prior, optional
+    priors : mapping of str to Prior or (value, standard deviation), optional
         Knowledge from elsewhere, by qualified parameter name.
     effort : {"quick", "normal", "thorough"}
         How far the search goes; bounds its time by the number of samples that it simulates.
@@ -92,11 +93,12 @@ def diagnose(
     ('explained', ['coulomb_friction'])
     """
     runs, others = as_groups(records, heldout, settings)
-    check_request(runs, others, priors or {}, effort)
+    known = as_priors(priors)
+    check_request(runs, others, known, effort)
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case(runs, others, dict(priors or {}), len(catalogue())), effort, findings, progress)
+        return _diagnosed(Case(runs, others, known, len(catalogue())), effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise

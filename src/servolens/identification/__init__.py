@@ -1,6 +1,6 @@
 """Identification by the integral method, and its refinement."""
 
-from servolens.identification.options import Prior
+from servolens.identification.options import Prior, Priors, as_priors
 from servolens.identification.plant_fit import Fit, fit
 from servolens.identification.resampling import Bootstrap, Profile, bootstrap, profile
 from servolens.identification.workflow import Identification, identify
@@ -10,7 +10,9 @@ __all__ = [
     "Fit",
     "Identification",
     "Prior",
+    "Priors",
     "Profile",
+    "as_priors",
     "bootstrap",
     "fit",
     "identify",

@@ -14,7 +14,19 @@ from servolens.inputs import described
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["Begin", "Bounds", "Compared", "Driven", "FitOptions", "Fixed", "Loss", "Prior", "Priors", "wanted"]
+__all__ = [
+    "Begin",
+    "Bounds",
+    "Compared",
+    "Driven",
+    "FitOptions",
+    "Fixed",
+    "Loss",
+    "Prior",
+    "Priors",
+    "as_priors",
+    "wanted",
+]
 
 
 @final
@@ -163,9 +175,16 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
         values=values,
         local=(local,) if isinstance(local, str) else tuple(local),
         bounds={name: _bounds(name, bound) for name, bound in (bounds or {}).items()},
-        priors={name: _prior(name, prior) for name, prior in (priors or {}).items()},
+        priors=as_priors(priors),
         **choices,
     )
+
+
+def as_priors(priors: Priors | None) -> dict[str, Prior]:
+    """Return priors by name, of values with their standard deviations too."""
+    if not isinstance(priors, Mapping | None):
+        raise InputError(f"priors must go by name, such as {{'gain': (1.9, 0.1)}}; got {described(priors)}")
+    return {name: _prior(name, prior) for name, prior in (priors or {}).items()}
 
 
 def _number(name: str, value: Any) -> float:

@@ -20,7 +20,7 @@ from servolens.identification.options import FitOptions, Prior, wanted
 from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
-from servolens.inputs import as_effects, as_plant, as_records, check_units
+from servolens.inputs import as_effects, as_plant, as_records, check_units, is_model
 from servolens.model import Model
 from servolens.plant import Plant
 from servolens.processors import single_threaded_blas
@@ -238,8 +238,7 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
 
 def _given(source: Any) -> tuple[tuple[Effect | type[Effect], ...], Plant | None]:
     """Return the effects that were given, or a whole plant."""
-    is_file = isinstance(source, os.PathLike) or (isinstance(source, str) and source.endswith(".json"))
-    if is_file or isinstance(source, Plant) or hasattr(source, "plant") or hasattr(source, "model"):
+    if is_model(source) or isinstance(source, os.PathLike):
         return (), as_plant(source)
     return as_effects(source), None
 

@@ -11,6 +11,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.fitting import runs_of
 from servolens.identification.refine import minimise_error
 from servolens.identification.runs import Resampled
+from servolens.inputs import described
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -106,8 +107,7 @@ def profile(fit: Fit, name: str) -> Profile:
     NumericalError
         If the fit itself cannot be repeated.
     """
-    index = _fitted(fit, name)
-    runs = _runs(fit)
+    runs, index = _runs(fit), _fitted(fit, name)
     best = fit.plant.values[index]
     width = np.sqrt(fit.model.covariance[index, index]) if fit.model.covariance is not None else np.nan
     width = float(width) if np.isfinite(width) and width > 0 else 0.05 * max(abs(best), 1e-3)
@@ -161,6 +161,10 @@ def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
 
 
 def _runs(fit: Fit) -> list[Run]:
+    if getattr(fit, "kind", None) != "fit":
+        raise InputError(f"what servolens.fit returns is needed; got {described(fit)}")
+    if not fit.records:
+        raise InputError("this fit was read from a file, which holds no records; fit them again")
     return runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
 
 
