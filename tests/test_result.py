@@ -191,8 +191,9 @@ def test_design_that_gives_no_gain_has_no_step_to_draw():
 def test_fit_report_names_errors_correlations_and_what_was_fixed():
     found = fit("coulomb_friction", RECORDS, fixed={"damping": 6.0})
     parameters, correlations = found.summary().tables
-    states = {row[0]: row[-1] for row in parameters.rows}
-    assert states == {"gain": "fitted", "damping": "fixed", "coulomb_friction.level": "fitted"}
+    values = {row[0]: row[1] for row in parameters.rows}
+    assert values["damping"] == "6 (fixed)"
+    assert all("±" in values[name] for name in ("gain", "coulomb_friction.level"))
     assert correlations.rows[0][0] == "gain, coulomb_friction.level"
     assert float(correlations.rows[0][1]) == pytest.approx(next(iter(found.correlations.values())), abs=0.006)
 

@@ -30,7 +30,7 @@ def fit_summary(fit: Fit) -> Summary:
     parts = ["gain", "damping", *(spoken(effect.name) for effect in fit.plant.effects)]
     parameters = Table(
         title="Parameters",
-        columns=("Parameter", "Value ± standard error", "95 % interval", "Unit", "State"),
+        columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
         rows=tuple((name, *_row(quantity)) for name, quantity in fit.quantities.items()),
     )
     pairs = _correlations(fit)
@@ -55,15 +55,15 @@ def _accuracy(fit: Fit) -> str:
 
 def _how(fit: Fit) -> str:
     driven = "in closed loop from the reference" if fit.driven == "closed_loop" else "driven by the voltage"
-    count = len(fit.plant.parameters) - len({*fit.options.held, *fit.plant.derived})
+    count = len(fit.plant.parameters) - len({*fit.options.held, *fit.plant.derived, *fit.refinement.at_bound})
     return f"Simulated {driven}; {count} parameters fitted. {fit.refinement.status.rstrip('.').capitalize()}."
 
 
-def _row(quantity: Quantity) -> tuple[str, str, str, str]:
+def _row(quantity: Quantity) -> tuple[str, str, str]:
     if quantity.stderr is not None:
-        return plus_minus(quantity), interval(quantity), unit(quantity.unit), "fitted"
+        return plus_minus(quantity), interval(quantity), unit(quantity.unit)
     state = {GIVEN: "fixed", AT_BOUND: "at its bound"}.get(quantity.reason or "", quantity.reason or "")
-    return number(quantity.value), "–", unit(quantity.unit), state
+    return f"{number(quantity.value)} ({state})", "–", unit(quantity.unit)
 
 
 def _correlations(fit: Fit) -> Table | None:
