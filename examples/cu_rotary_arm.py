@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from _data import folder, show_plant, show_table
 
-from servolens import CoulombFriction, Plant, Record, fit_effects, identify, predict, read_record
+from servolens import CoulombFriction, Plant, Record, identify, predict, read_record
 
 RUNS = {"K1_7": (7, 0), "K1_8": (8, 0), "K1_9": (9, 0), "k1k3_7": (7, 0.271), "k1k3_9": (9, 0.377)}
 COLUMNS = {
@@ -49,7 +49,7 @@ def main() -> None:
         "data sheet": Plant(gain=45.0, damping=23.3, length_unit="rad"),
         "constant": fit.constant.plant,
         "velocity": fit.velocity.plant,
-        "Coulomb": fit_effects(training, [CoulombFriction(level=5.0)]).plant,
+        "Coulomb": fit([CoulombFriction(level=5.0)], training).plant,
     }
     for name, plant in models.items():
         show_plant(name, plant)

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 from servolens.design.extrapolation import BEYOND, extrapolation
 from servolens.design.found import Light
 from servolens.design.recommended import NINE_OF_TEN
-from servolens.design.scenarios import as_models
+from servolens.inputs import as_models
 from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.design.found import Design
+    from servolens.inputs import Plants
     from servolens.model import Model
     from servolens.model_evidence import Evidence
-    from servolens.plant import Plant
 
 __all__ = ["trust"]
 
@@ -25,14 +25,14 @@ MISSED = 0.05
 ORDER = ("green", "amber", "red")
 
 
-def trust(models: Model | Plant | Sequence[Model | Plant], design: Design | None) -> tuple[Light, Light]:
+def trust(models: Plants, design: Design | None) -> tuple[Light, Light]:
     """Judge the models by their evidence, and the gain of a design by its models, its scenarios and the data's range.
 
     The verdict of a diagnosis alone decides nothing. A red gain is to be withheld.
 
     Parameters
     ----------
-    models : Model, Plant, or sequence of them
+    models : Plant, model, fit, diagnosis, path of a model's file, or a sequence of these
         What the design was made for.
     design : Design or None
         With its recommended gain, where it was looked for; None where nothing was designed.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design.found import Response
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
     from servolens.model import Model
     from servolens.model_evidence import Evidence

@@ -17,9 +17,10 @@ from servolens.design.extrapolation import BEYOND, FAR, within
 from servolens.design.found import Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
-from servolens.design.scenarios import as_models, drawn
+from servolens.design.scenarios import drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
+from servolens.inputs import as_models
 from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
@@ -27,10 +28,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design.found import Design, Response
+    from servolens.design.found import Design
+    from servolens.design.response import Response
     from servolens.design.scenarios import Scenario
+    from servolens.inputs import Plants
     from servolens.model import Model
-    from servolens.plant import Plant
 
 __all__ = ["NINE_OF_TEN", "recommend"]
 
@@ -46,7 +48,7 @@ slowly; so the gain that is taken, and those half way to gains that are less saf
 
 
 def recommend(
-    models: Model | Plant | Sequence[Model | Plant],
+    models: Plants,
     design: Design,
     *,
     scenarios: int = 200,
@@ -64,7 +66,7 @@ def recommend(
 
     Parameters
     ----------
-    models : Model, Plant, or sequence of them
+    models : Plant, model, fit, diagnosis, path of a model's file, or a sequence of these
         What the design was made for; a model brings its covariance, and what it leaves unexplained.
     design : Design
         From :func:`tune` on the plants of `models`.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.design.found import Response
+from servolens.design.response import Response
 from servolens.effects import Saturation
 from servolens.errors import NumericalError
 from servolens.simulation import Simulation, simulate_continuous, simulate_loop

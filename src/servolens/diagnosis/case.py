@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.findings import Finding
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import Prior
     from servolens.plant import Plant
     from servolens.record import Record
 

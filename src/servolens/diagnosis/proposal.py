@@ -195,7 +195,7 @@ def assumed_scale(plant: Plant, kp: float | None = None, reference: float | None
     kp, reference : float, optional
         Gain [V/m or V/rad] and step [m or rad] that are given; then they are returned as they are.
     """
-    values = dict(zip(plant.parameters, plant.values, strict=True))
+    values = plant.named
     shown = FULL * max(values.get("saturation.limit", 0.0), values.get("dead_zone.width", 0.0))
     most = max(USUAL_COMMAND.get(plant.command_unit, math.inf), shown)
     gain, step = _rate(plant) ** 2 / plant.gain if kp is None else kp, LARGEST_STEP if reference is None else reference

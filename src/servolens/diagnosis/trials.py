@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.effects import Effect
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import Prior
     from servolens.identification.ranking import Proposals
     from servolens.identification.score import ScoreTest
     from servolens.plant import Plant

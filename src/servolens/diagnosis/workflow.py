@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -21,21 +21,23 @@ from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
-from servolens.identification.door import together
 from servolens.identification.fitted import fitted
+from servolens.identification.options import as_priors
+from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.findings import Finding
-    from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.options import Priors
+    from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
@@ -43,12 +45,13 @@ __all__ = ["check_request", "diagnose"]
 
 @single_threaded_blas
 def diagnose(
-    records: Record | Sequence[Record],
+    records: Records,
     *,
-    heldout: Record | Sequence[Record] = (),
-    priors: Mapping[str, Prior] | None = None,
+    heldout: Records = (),
+    priors: Priors | None = None,
     effort: str = "normal",
     progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    **settings: Unpack[RecordSettings],
 ) -> Diagnosis:
     """Find what the model of gain and damping lacks, extend it, and measure the gain on held-out data.
 
@@ -58,17 +61,19 @@ def diagnose(
 
     Parameters
     ----------
-    records : Record or sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of one axis, from which model and causes are found.
-    heldout : Record or sequence of Record
+    heldout : the same
         Other runs of it, on which they are tested. Without any, each record in turn is left out of the fit; a single
         one is parted in time.
-    priors : mapping of str to Prior, optional
+    priors : mapping of str to Prior or (value, standard deviation), optional
         Knowledge from elsewhere, by qualified parameter name.
     effort : {"quick", "normal", "thorough"}
         How far the search goes; bounds its time by the number of samples that it simulates.
     progress : callable
         Is told (what, done, total).
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Raises
     ------
@@ -87,14 +92,13 @@ def diagnose(
     >>> diagnosis.verdict, [cause.effect for cause in diagnosis.causes]
     ('explained', ['coulomb_friction'])
     """
-    runs = together(records)
-    others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
-    together((*runs, *others))
-    check_request(runs, others, priors or {}, effort)
+    runs, others = as_groups(records, heldout, settings)
+    known = as_priors(priors)
+    check_request(runs, others, known, effort)
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case(runs, others, dict(priors or {}), len(catalogue())), effort, findings, progress)
+        return _diagnosed(Case(runs, others, known, len(catalogue())), effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise

@@ -38,10 +38,12 @@ class EndStop(Force):
     """
 
     name = "end_stop"
+    spoken = "an end stop"
     sentence = "The axis runs into a hard limit of its travel."
     latex = r"\max(0,\ k\delta + d\dot\delta)\ \mathrm{inwards},\ \delta = \mathrm{depth\ in\ the\ stop}"
     absent_at: ClassVar[dict[str, float]] = {"low": -1e12, "high": 1e12}
     contact_rate = CONTACT_RATE
+    typical: ClassVar[dict[str, float]] = {"low": -0.05, "high": 0.04}
     looks_like = (
         "Moves end abruptly always at the same position, whatever the reference asks; "
         "there the command stays large and the axis stands still."

@@ -23,10 +23,12 @@ class ReturnSpring(Force):
     """A spring, tether or cable pulls the axis back in proportion to the position."""
 
     name = "return_spring"
+    spoken = "a spring"
     sentence = "A spring, tether or cable pulls the axis back in proportion to the position."
     latex = r"k\,y"
     absent_at: ClassVar[dict[str, float]] = {"stiffness": 0.0}
     linear = True
+    typical: ClassVar[dict[str, float]] = {"stiffness": 6.0}
     looks_like = (
         "The axis rests short of its target by an error that grows with the distance from one place, "
         "and the motor must push to stay there."

@@ -18,9 +18,8 @@ from servolens.identification.structure import depends_on_inputs, is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
@@ -95,9 +94,8 @@ class Explained:
 def explained(
     plant: Plant,
     excerpt: Sequence[Record],
+    options: FitOptions | None = None,
     *,
-    held: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     like: Explained | None = None,
 ) -> Explained:
     """Fit `plant` and the noise in turn, and judge what is left.
@@ -108,14 +106,12 @@ def explained(
         Start and structure.
     excerpt : sequence of Record
         See :func:`excerpt_of`.
-    held : sequence of str
-        Qualified names of parameters that stay as they are.
-    priors : mapping of str to Prior, optional
-        Knowledge from elsewhere, by qualified name.
+    options : FitOptions, optional
+        What is held or bounded, and priors.
     like : Explained, optional
         Whose noise to begin with.
     """
-    options = FitOptions(held=tuple(held), priors=priors or {})
+    options = options or FitOptions()
     likelihood = Likelihood(excerpt, plant, options)
     try:
         found = likelihood.judged(plant, None if like is None else like.hypothesis)

@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
 
 from servolens.report.measured_story import write_measured
 from servolens.results import to_finite
 from servolens.study import held_out_prediction, study_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    import os
+    from collections.abc import Callable
 
     from servolens.design import PDSpec
-    from servolens.record import Record
+    from servolens.inputs import Records, RecordSettings
     from servolens.study import Study
 
 __all__ = ["write_report", "write_study"]
 
 
 def write_report(
-    path: Path,
-    records: Sequence[Record],
+    path: str | os.PathLike[str],
+    records: Records,
     *,
     spec: PDSpec | None = None,
     effort: str = "normal",
     progress: Callable[[str, int, int], None] | None = None,
+    **settings: Unpack[RecordSettings],
 ) -> dict[str, Any]:
     """Write everything about `records` into one self-contained page.
 
     Parameters
     ----------
-    path : Path
+    path : str or path
         The HTML file.
-    records : sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of one axis.
     spec : PDSpec, optional
         What a PD gain has to achieve; when None, a spec that suits the records is chosen, and the page says which.
@@ -41,6 +43,8 @@ def write_report(
         How far the search for causes goes.
     progress : callable, optional
         Called with (description, done, total).
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Returns
     -------
@@ -55,8 +59,8 @@ def write_report(
         If records that are fit for it do not determine gain and damping.
     """
     tell = progress or (lambda *_: None)
-    found = study_records(records, spec, effort=effort, progress=tell)
-    return write_study(path, found, progress=tell)
+    found = study_records(records, spec, effort=effort, progress=tell, **settings)
+    return write_study(Path(path), found, progress=tell)
 
 
 def write_study(

@@ -9,7 +9,9 @@ from servolens.summaries.wording import inside, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from servolens.design.found import Comparison, Design, Response
+    from servolens.design.comparison import Comparison
+    from servolens.design.found import Design
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
 
 __all__ = ["comparison_summary", "side_by_side"]

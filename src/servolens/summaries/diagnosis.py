@@ -61,7 +61,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         sentences += [f"{capital(spoken(cause.effect))}: {looks}", *rest]
     sentences += next_sentences(diagnosis)
     best = candidates_table(diagnosis)
-    names = listed([record.name for record in diagnosis.records])
+    names = listed([logged.name for logged in diagnosis.experiments])
     return Summary(
         title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
@@ -161,7 +161,7 @@ def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict in ("partly_explained", "unexplained"):
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
     samples = sum(len(record) for record in diagnosis.records)
-    if samples <= FEW:
+    if 0 < samples <= FEW:
         seconds = number(sum(record.duration for record in diagnosis.records), 2)
         told.append(
             f"{samples} samples in {seconds} s show little: before you trust this, log whole moves, up to rest."
@@ -238,7 +238,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
-    several = len(diagnosis.records) > 1
+    several = len(diagnosis.experiments) > 1
     noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
     these, they = ("these records", "they") if several else ("this record", "it")
     if any(finding.code == "shaken_axis" for finding in diagnosis.findings):
