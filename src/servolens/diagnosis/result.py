@@ -10,6 +10,9 @@ from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.effects import Effect
@@ -165,6 +168,10 @@ class Diagnosis:
         What damping, gain and a free force would have to do in time, and with what that goes.
     gains : tuple of RecordGain
         Record by record.
+    missed : tuple of (ndarray, ndarray)
+        Of each record that was held out, or else of each training record, by models fitted without it: simulated minus
+        measured position [m or rad], of gain and damping alone and with the causes. Of a record that was parted, its
+        last samples; infinite where a simulation leaves all bounds.
     candidates : tuple of Candidate
         Single effects by what they leave, the best first.
     linear, model : Model
@@ -188,6 +195,7 @@ class Diagnosis:
     where: tuple[Share, ...]
     instruments: tuple[Instrument, ...]
     gains: tuple[RecordGain, ...]
+    missed: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]
     candidates: tuple[Candidate, ...]
     linear: Model
     model: Model

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from servolens.report.measured_story import write_measured
 from servolens.results import to_finite
-from servolens.study import held_out_prediction, study_records
+from servolens.study import diagnosed_prediction, held_out_prediction, study_records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -83,13 +83,16 @@ def write_study(
     InputError
         If the file cannot be written.
     """
-    progress("Predicting held-out records", 95, 100)
-    held_out, lost = held_out_prediction(study)
+    held_out, lost = None, ()
+    if study.diagnosis is None:
+        progress("Predicting held-out records", 95, 100)
+        held_out, lost = held_out_prediction(study)
     progress("Writing the page", 98, 100)
     findings = (*study.findings, *lost)
     write_measured(path, study, held_out, findings)
     progress("Page written", 100, 100)
-    rows = [] if held_out is None else [[error.to_json() for error in row] for row in held_out.errors]
-    names = [] if held_out is None else list(held_out.models)
+    told = diagnosed_prediction(study) if held_out is None else held_out
+    rows = [] if told is None else [[error.to_json() for error in row] for row in told.errors]
+    names = [] if told is None else list(told.models)
     body: dict[str, Any] = to_finite({**study.to_json(), "held_out": {"models": names, "records": rows}})
     return {**body, "findings": [finding.to_json() for finding in findings]}

@@ -1,23 +1,33 @@
-"""One self-contained HTML page: no address, no script, nothing to load."""
+"""One self-contained HTML page: no address, nothing to load, and whole where no script runs."""
 
 from __future__ import annotations
 
+import json
+from base64 import b64encode
 from datetime import UTC, datetime
+from hashlib import sha256
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servolens import __version__
+from servolens.report.content import Details, Drawing, Playground
+from servolens.report.simulated import plants_script, simulator_script
+from servolens.report.style import HALF_WIDTH, THIRD_WIDTH
+from servolens.report.svg import with_shared_letters
 from servolens.results import write_atomically
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from servolens.report.content import Findings, Lights, Section
+    from servolens.report.content import Block, Findings, Lights, Picture, Section
+    from servolens.summary import Table
 
 __all__ = ["render_page", "write_page"]
 
 FOLDER = Path(__file__).parent
+PHONE, TABLET, GUTTER = 40, 92, 2
+"""Letters of the longest words of all columns that a row has room for; what a column's edge takes of them."""
 
 
 def write_page(
@@ -53,13 +63,80 @@ def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], 
         loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     made = f"Made by servolens {__version__} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
-    numbers = count(1)
-    return environment.get_template("page.html").render(
+    count_up = count(1)
+    scripts = _scripts(sections)
+    html = environment.get_template("page.html").render(
         title=title,
         lead=lead,
         more=more,
         sections=sections,
         made=made,
-        counter=lambda: next(numbers),
+        css=(FOLDER / "page.css").read_text(encoding="utf-8"),
+        scripts=scripts,
+        policy=_policy(scripts),
+        counter=lambda: next(count_up),
         kind_of=lambda block: type(block).__name__,
+        breadth=_breadth,
+        size=_size,
+        numbers=_numbers,
+        inert=_inert,
     )
+    return with_shared_letters(html)
+
+
+def _scripts(sections: Sequence[Section]) -> list[str]:
+    """Return the page's scripts: none where there is no figure, the simulator only where there are sliders."""
+    blocks = [block for section in sections for block in _all(section.blocks)]
+    if not any(isinstance(block, Drawing | Playground) for block in blocks):
+        return []
+    found = [_script("figures.js")]
+    plants = dict(plant for block in blocks if isinstance(block, Playground) for plant in block.plants)
+    if plants:
+        found += [simulator_script() + plants_script([*plants.items()]) + _script("sliders.js")]
+    return found
+
+
+def _all(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Return the blocks and those that are folded away in them."""
+    for block in blocks:
+        yield block
+        if isinstance(block, Details):
+            yield from _all(block.blocks)
+
+
+def _script(name: str) -> str:
+    return (FOLDER / name).read_text(encoding="utf-8")
+
+
+def _policy(scripts: Sequence[str]) -> str:
+    """Return the page's content security policy: it loads nothing, and runs its own scripts only."""
+    hashes = [b64encode(sha256(script.encode()).digest()).decode() for script in scripts]
+    allowed = " ".join(f"'sha256-{value}'" for value in hashes) or "'none'"
+    return f"default-src 'none'; style-src 'unsafe-inline'; script-src {allowed}; base-uri 'none'; form-action 'none'"
+
+
+def _numbers(drawing: Drawing) -> str:
+    """Return what the page's script has to know of a figure, as JSON inside a page."""
+    table = None if drawing.table is None else drawing.table.to_json()
+    pictures = [[panel.to_json() for panel in picture.panels] for picture in drawing.pictures]
+    told = {"name": drawing.name, "pictures": pictures, **({} if table is None else {"table": table})}
+    return _inert(json.dumps(told, separators=(",", ":"), ensure_ascii=False, allow_nan=False))
+
+
+def _inert(text: str) -> str:
+    """Return JSON in which no browser can find the end of the element that it stands in."""
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _size(picture: Picture) -> str:
+    """Return the class of a picture, by how many stand beside each other."""
+    if not picture.width or picture.width > HALF_WIDTH:
+        return ""
+    return " third" if picture.width <= THIRD_WIDTH else " half"
+
+
+def _breadth(table: Table) -> str:
+    """Return the class of a table that needs more room than a phone or a tablet has, by its longest words."""
+    columns = zip(table.columns, *table.rows, strict=True)
+    letters = sum(max(len(word) for text in column for word in text.split() or [""]) + GUTTER for column in columns)
+    return " broad wide" if letters > TABLET else " wide" if letters > PHONE else ""
