@@ -25,7 +25,7 @@ from servolens.report.figures import (
 from servolens.report.page import write_page
 from servolens.simulation import simulate
 from servolens.summaries import comparison_summary, model_table
-from servolens.summaries.wording import listed, number, percent
+from servolens.summaries.wording import listed, number, percent, percents
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -47,10 +47,10 @@ def write_story(path: Path, demo: Demo) -> None:
     """Write the page."""
     told = comparison_summary(demo.sampled[-1]).sentences
     average = demo.prediction.average_percent
+    constant, velocity = (percents(min(own), max(own)) for own in (average[:3], average[3:]))
     more = (
-        f"On the gain pairs of the paper's Table I the models with constant damping are {percent(min(average[:3]))} to"
-        f" {percent(max(average[:3]))} of the step off on average, those with damping that depends on speed"
-        f" {percent(min(average[3:]))} to {percent(max(average[3:]))}; each model knows one of the eight records.",
+        f"On the gain pairs of the paper's Table I the models with constant damping are {constant} of the step off on"
+        f" average, those with damping that depends on speed {velocity}; each model knows one of the eight records.",
         "Everything below is computed from records of a virtual cart, logged as the paper logs its real one. The cart's"
         " physics and numerics are written separately from those that identify and simulate it; it obeys the very"
         " law that is fitted, so the errors here are what remains when the law is right, which no real machine grants.",

@@ -73,7 +73,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
         Section(key="findings", title="Warnings and notes", blocks=_findings(diagnosis)),
     ]
     more = [Lights(lights=diagnosis_lights(diagnosis)), *_log(diagnosis), *remaining_sentences(diagnosis)]
-    more += [*noise_sentences(diagnosis), _tested(diagnosis)]
+    more.append(_tested(diagnosis))
     write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
 
 
@@ -162,7 +162,12 @@ def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Tell what the causes are worth, record by record."""
     drawable = any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains)
     figure = [gains_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
-    return (residuals_figure("wrong-residuals", diagnosis), *figure, records_table(diagnosis))
+    return (
+        *noise_sentences(diagnosis),
+        residuals_figure("wrong-residuals", diagnosis),
+        *figure,
+        records_table(diagnosis),
+    )
 
 
 def _findings(diagnosis: Diagnosis) -> tuple[Block, ...]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from servolens.report.figure_data import Numbers
 
-__all__ = ["drawing", "keys_from", "keys_of"]
+__all__ = ["drawing", "keys_from", "keys_of", "legend_of"]
 
 LENGTH, HEIGHT = 34, 12
 """Of a sample in a legend, in the page's pixels."""
@@ -75,6 +75,14 @@ def keys_of(*axes: Axes) -> list[Key]:
     return keys_from(found)
 
 
+def legend_of(ax: Axes) -> list[Key]:
+    """Return the legend of these axes, and take it out of the picture."""
+    found, drawn = keys_of(ax), ax.get_legend()
+    if drawn is not None:
+        drawn.remove()
+    return found
+
+
 def keys_from(handles: Mapping[str, Any]) -> list[Key]:
     """Return the legend of these artists of matplotlib by their labels."""
     return [Key(label=label, svg=_sample(handle)) for label, handle in handles.items()]
@@ -111,7 +119,7 @@ def _outline(line: Any) -> str:
 
     style = MarkerStyle(line.get_marker())
     size = min(float(line.get_markersize()), MARK) * PIXELS
-    path = style.get_path().transformed(style.get_transform())
+    path: Any = style.get_path().transformed(style.get_transform())
     polygons = [
         "M" + "L".join(f"{LENGTH / 2 + size * x:.1f} {HEIGHT / 2 - size * y:.1f}" for x, y in polygon)
         for polygon in path.to_polygons(closed_only=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
@@ -37,16 +37,19 @@ class Scale:
         Its ends: left or below first.
     kind : {"linear", "log", "named"}
         Whether its places have names instead of numbers.
+    told : bool
+        Whether numbers stand beside it; else they stand at the panel below.
     """
 
     label: str
     low: float
     high: float
     kind: Literal["linear", "log", "named"]
+    told: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
-        return {"label": self.label, "low": self.low, "high": self.high, "kind": self.kind}
+        return {"label": self.label, "low": self.low, "high": self.high, "kind": self.kind, "told": self.told}
 
 
 @final
@@ -122,7 +125,7 @@ class Numbers:
     """
 
     columns: tuple[str, ...]
-    rows: Sequence[Sequence[str | float]]
+    rows: Sequence[Sequence[Any]]
 
     def to_json(self) -> dict[str, Any]:
         """Return the columns, numbers by :func:`encoded`."""
@@ -148,7 +151,8 @@ def panels_of(figure: Figure) -> tuple[Panel, ...]:
         title = " ".join((ax.get_title(loc="left") or ax.get_title()).split())
         scales = [_scale(axis, ends) for axis, ends in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim()))]
         found.append(Panel(title=title, box=box, x=scales[0], y=scales[1], lines=tuple(_lines(ax))))
-    return tuple(found)
+    last = found[-1]
+    return tuple(p if p.x.told else replace(p, x=replace(p.x, label=last.x.label)) for p in found)
 
 
 def _scale(axis: Axis, ends: tuple[float, float]) -> Scale:
@@ -157,7 +161,8 @@ def _scale(axis: Axis, ends: tuple[float, float]) -> Scale:
     named = isinstance(axis.get_major_locator(), FixedLocator)
     kind: Literal["linear", "log", "named"] = "named" if named else "log" if axis.get_scale() == "log" else "linear"
     label = " ".join(axis.get_label_text().split())
-    return Scale(label=label, low=float(ends[0]), high=float(ends[1]), kind=kind)
+    told = axis.get_tick_params().get("labelbottom", True) is not False
+    return Scale(label=label, low=float(ends[0]), high=float(ends[1]), kind=kind, told=told)
 
 
 def _lines(ax: Axes) -> list[Line]:

@@ -140,7 +140,7 @@
           const grid = axis === "x" ? `M${at} ${top}V${top + height}` : `M${left} ${at}H${left + width}`;
           this.ticks.append(make("path", {d: grid, class: "grid"}));
           const spot = axis === "x" ? {x: at, y: top + height + 12, "text-anchor": "middle"} : {x: left - 5, y: at + 3, "text-anchor": "end"};
-          this.ticks.append(make("text", spot, short(value)));
+          if (this.scales[axis].told) this.ticks.append(make("text", spot, short(value)));
         }
       }
       this.group.prepend(this.ticks);

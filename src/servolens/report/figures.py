@@ -12,11 +12,11 @@ from servolens.identification.piecewise import varying_residual
 from servolens.plant import Plant
 from servolens.report.content import Drawing, Picture
 from servolens.report.curves import Curve, curve
-from servolens.report.drawing import drawing, keys_of
+from servolens.report.drawing import drawing, keys_of, legend_of
 from servolens.report.equation import in_order, motion_latex
 from servolens.report.figure_data import Numbers
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
-from servolens.report.style import FULL_WIDTH, HALF_WIDTH, new_figure, panel_figure, stacked_figure, styled
+from servolens.report.style import FULL_WIDTH, HALF_WIDTH, NAMED, WIDE, new_figure, panel_figure, stacked_figure, styled
 from servolens.report.svg import formula_svg
 from servolens.report.wording import shown, symbol_text
 from servolens.simulation import simulate
@@ -189,7 +189,7 @@ def damping_law_figure(
     """Draw C(v): of each panel its title, laws and points."""
     figures, axes = [], []
     for title, laws, points in panels:
-        figure, ax = panel_figure(3.2, HALF_WIDTH if len(panels) > 1 else 0.75 * FULL_WIDTH)
+        figure, ax = panel_figure(3.0, HALF_WIDTH if len(panels) > 1 else WIDE, 0.7)
         plot_damping_laws(laws, points, length_unit=length_unit, title=title, legend=False, ax=ax)
         axes.append(ax)
         figures.append(figure)
@@ -227,10 +227,11 @@ def errors_figure(
     caption: str,
 ) -> Drawing:
     """Draw Table I as dots."""
-    figure = new_figure(0.36 * len(rows) + 1.3)
+    figure = new_figure(0.36 * len(rows) + 0.8, NAMED)
+    ax = figure.add_subplot()
     names, roles = [name for name, _ in models], [role for _, role in models]
-    plot_percent_errors([shown(row) for row in rows], names, percent, held_out, roles, ax=figure.add_subplot())
-    return drawing(key, figure, caption)
+    plot_percent_errors([shown(row) for row in rows], names, percent, held_out, roles, ax=ax)
+    return drawing(key, figure, caption, legend=legend_of(ax))
 
 
 def plant_formula(key: str, plant: Plant) -> Drawing:

@@ -15,7 +15,7 @@ from servolens.report.figure_data import Numbers
 from servolens.report.gain_names import gain_names
 from servolens.report.map_picture import TITLES
 from servolens.report.plots_design import Mark, plot_gain_map, plot_settling_times, plot_step_responses
-from servolens.report.style import COLOURS, HALF_WIDTH, THIRD_WIDTH, new_figure, panel_figure, styled
+from servolens.report.style import COLOURS, HALF_WIDTH, THIRD_WIDTH, WIDE, new_figure, panel_figure, styled
 from servolens.summaries.wording import inside, number
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def settling_figure(key: str, models: Sequence[Column], caption: str) -> Drawing
     spec = best.design.spec
     gains = np.linspace(0.0, last_gain([model.design for model in models]), GAINS)
     curves = [settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
-    figure, ax = panel_figure(3.4)
+    figure, ax = panel_figure(3.2, WIDE, 0.6)
     plot_settling_times(
         curves,
         [(model.role, model.design.intervals) for model in models],
@@ -130,7 +130,7 @@ def steps_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     titles = ("The whole step", f"Magnified: the band of ±{100 * spec.band:g} %")
     figures, axes = [], []
     for zoom, title in ((None, titles[0]), (window, titles[1])):
-        figure, ax = panel_figure(3.0, HALF_WIDTH)
+        figure, ax = panel_figure(3.0, HALF_WIDTH, 0.75)
         axes.append(
             plot_step_responses(
                 curves,

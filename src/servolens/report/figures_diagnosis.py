@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.report.curves import curve
-from servolens.report.drawing import drawing, keys_from
+from servolens.report.drawing import drawing, keys_from, legend_of
 from servolens.report.figure_data import Numbers
 from servolens.report.laws import law_along
 from servolens.report.plots_diagnosis import plot_candidates, plot_pieces, plot_record_errors, plot_shares
-from servolens.report.style import COLOURS, INK, THIRD_WIDTH, new_figure, panel_figure, styled
+from servolens.report.style import COLOURS, INK, NAMED, THIRD_WIDTH, WIDE, new_figure, panel_figure, styled
 from servolens.report.wording import shown
 from servolens.summaries.diagnosis_tables import data_kinds, kinds_sentence
 from servolens.summaries.evidence import CLEAR, QUANTITIES, correlation
@@ -54,7 +54,7 @@ def shares_figure(key: str, shares: Sequence[Share]) -> Drawing:
     drawn = sorted(shares, key=lambda share: share.quantity == "frequency")[:MOST_SHARES]
     figures = []
     for share in drawn:
-        figure, ax = panel_figure(2.2, THIRD_WIDTH)
+        figure, ax = panel_figure(2.2, THIRD_WIDTH, 0.55)
         _draw_share(ax, share)
         figures.append(figure)
     from matplotlib.lines import Line2D
@@ -94,7 +94,7 @@ def _draw_share(ax: Axes, share: Share) -> None:
         xlabel = f"{name.capitalize()} [{text}]"
     plot_shares(100 * error, 100 * samples, ticks, worst, xlabel=xlabel, title=title, ax=ax)
     ax.set_ylabel("Share [%]")
-    ax.title.set_fontsize(9.0)
+    ax.title.set_fontsize(8.0)
 
 
 def _tick(edges: NDArray[np.float64], place: int) -> str:
@@ -157,7 +157,7 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
     level = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
     title = f"correlation r = {correlation(instrument)}, p < {level}"
-    figure, ax = panel_figure(3.2)
+    figure, ax = panel_figure(3.0, WIDE)
     plot_pieces(
         factor * x,
         value,
@@ -182,7 +182,7 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         caption += " The blue line was not fitted to these points: it is what the model with its causes says."
     columns = (ax.get_xlabel(), " ".join(ax.get_ylabel().split()), "Standard error")
     rows = [(float(a), float(b), float(c)) for a, b, c in zip(factor * x, value, deviation, strict=True)]
-    return drawing(key, figure, caption, table=Numbers(columns=columns, rows=rows))
+    return drawing(key, figure, caption, legend=legend_of(ax), table=Numbers(columns=columns, rows=rows))
 
 
 def _labelled(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -> tuple[float, str]:
@@ -218,14 +218,15 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
     names, errors, answers = zip(*rows, strict=True)
     factor, length = scale([max(errors)], diagnosis.plant.length_unit)
-    figure = new_figure(0.25 * len(rows) + 1.0)
+    figure = new_figure(0.25 * len(rows) + 0.7, NAMED)
+    ax = figure.add_subplot()
     plot_candidates(
         names,
         factor * np.array(errors),
         answers,
         floor=factor * max(diagnosis.noise_floor, 1e-300),
         xlabel=f"R.m.s. error left [{length}], logarithmic",
-        ax=figure.add_subplot(),
+        ax=ax,
     )
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
     caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
@@ -237,7 +238,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     caption += " Not held out. Driven by the logged voltage, each beside its own noise."
     left = [(name, float(factor * error)) for name, error in zip(names, errors, strict=True)]
     table = Numbers(columns=("Effect", f"R.m.s. error left [{length}]"), rows=left)
-    return drawing(key, figure, caption, table=table)
+    return drawing(key, figure, caption, legend=legend_of(ax), table=table)
 
 
 @styled
@@ -248,7 +249,8 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         rows = [*rows[: MOST_ROWS // 3], *rows[-2 * MOST_ROWS // 3 :]]
     gains = [gain for gain, _ in rows]
     factor, length = scale([g.before for g in gains if np.isfinite(g.before)], diagnosis.plant.length_unit)
-    figure = new_figure(0.3 * len(gains) + 1.2)
+    figure = new_figure(0.3 * len(gains) + 0.8, NAMED)
+    ax = figure.add_subplot()
     before, after, noise = (
         _positive([factor * getattr(g, name) for g in gains]) for name in ("before", "after", "noise")
     )
@@ -259,7 +261,7 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         noise,
         np.array([g.heldout for g in gains]),
         xlabel=f"R.m.s. error [{length}], logarithmic",
-        ax=figure.add_subplot(),
+        ax=ax,
     )
     caption = (
         "Error of each record without and with the causes, and its noise. Hollow: the model was fitted to these data."
@@ -270,7 +272,7 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     columns = ("Record", "Data", *(f"{what} [{length}]" for what in ("Gain and damping", "With the causes", "Noise")))
     numbers = zip(before, after, noise, strict=True)
     told = [(gain.name, kind, *map(float, row)) for (gain, kind), row in zip(rows, numbers, strict=True)]
-    return drawing(key, figure, caption, table=Numbers(columns=columns, rows=told))
+    return drawing(key, figure, caption, legend=legend_of(ax), table=Numbers(columns=columns, rows=told))
 
 
 def _positive(values: Sequence[float]) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from servolens.report.measured_story import write_measured
+from servolens.report.printing import checked_page
 from servolens.results import to_finite
 from servolens.study import diagnosed_prediction, held_out_prediction, study_records
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servolens.design import PDSpec
+    from servolens.findings import Finding
+    from servolens.prediction import Prediction
     from servolens.record import Record
     from servolens.study import Study
 
@@ -32,7 +35,7 @@ def write_report(
     Parameters
     ----------
     path : Path
-        The HTML file.
+        The page: .html, or .pdf, which Chromium prints.
     records : sequence of Record
         Runs of one axis.
     spec : PDSpec, optional
@@ -50,10 +53,12 @@ def write_report(
     Raises
     ------
     InputError
-        If there is no record, or the file cannot be written.
+        If there is no record, the name ends otherwise, there is no Chromium to print a PDF, or the file cannot be
+        written.
     NumericalError
         If records that are fit for it do not determine gain and damping.
     """
+    checked_page(path)
     tell = progress or (lambda *_: None)
     found = study_records(records, spec, effort=effort, progress=tell)
     return write_study(path, found, progress=tell)
@@ -67,7 +72,7 @@ def write_study(
     Parameters
     ----------
     path : Path
-        The HTML file.
+        The page: .html, or .pdf, which Chromium prints.
     study : Study
         Of one axis.
     progress : callable
@@ -83,7 +88,8 @@ def write_study(
     InputError
         If the file cannot be written.
     """
-    held_out, lost = None, ()
+    held_out: Prediction | None = None
+    lost: tuple[Finding, ...] = ()
     if study.diagnosis is None:
         progress("Predicting held-out records", 95, 100)
         held_out, lost = held_out_prediction(study)

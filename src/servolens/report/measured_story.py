@@ -32,7 +32,7 @@ from servolens.summaries import (
     gain_sentences,
     identification_summary,
 )
-from servolens.summaries.diagnosis import noise_sentences, remaining_sentences, verdict_sentence
+from servolens.summaries.diagnosis import remaining_sentences, verdict_sentence
 from servolens.summaries.wording import listed, number, percent
 from servolens.summary import Summary, Table
 
@@ -88,8 +88,7 @@ def _lead(study: Study) -> tuple[str, tuple[str, ...]]:
     """Return the gain or why there is none, and what else matters most."""
     first = gain_sentences(study)[0]
     if study.diagnosis is not None:
-        told = [verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis)]
-        return first, (*told, *noise_sentences(study.diagnosis))
+        return first, (verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis))
     return first, () if study.fit is None else identification_summary(study.fit).sentences[:2]
 
 

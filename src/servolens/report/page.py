@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from servolens import __version__
 from servolens.report.content import Details, Drawing, Playground
+from servolens.report.printing import checked_page, printed
 from servolens.report.simulated import plants_script, simulator_script
 from servolens.report.style import HALF_WIDTH, THIRD_WIDTH
 from servolens.report.svg import with_shared_letters
@@ -20,27 +21,30 @@ from servolens.results import write_atomically
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from servolens.report.content import Block, Findings, Lights, Picture, Section
+    from servolens.report.content import Block, Findings, Lights, Section
     from servolens.summary import Table
 
 __all__ = ["render_page", "write_page"]
 
 FOLDER = Path(__file__).parent
-PHONE, TABLET, GUTTER = 40, 92, 2
-"""Letters of the longest words of all columns that a row has room for; what a column's edge takes of them."""
+PHONE, TABLET, GUTTER, UNBROKEN = 42, 92, 2, 12
+"""Letters that a row of a table has room for; what the edge of a column takes; what is not broken between words."""
 
 
 def write_page(
     path: Path, title: str, lead: str, more: Sequence[str | Findings | Lights], sections: Sequence[Section]
 ) -> None:
-    """Write the page of :func:`render_page`, whole or not at all.
+    """Write the page of :func:`render_page`, whole or not at all; where `path` ends in ``.pdf``, printed.
 
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file cannot be written, its name ends otherwise than in .html or .pdf, or a PDF cannot be printed.
     """
-    write_atomically(path, render_page(title, lead, more, sections).encode("utf-8", "replace"))
+    checked_page(path)
+    html = render_page(title, lead, more, sections)
+    content = printed(html) if path.suffix.lower() == ".pdf" else html.encode("utf-8", "replace")
+    write_atomically(path, content)
 
 
 def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], sections: Sequence[Section]) -> str:
@@ -128,15 +132,21 @@ def _inert(text: str) -> str:
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
-def _size(picture: Picture) -> str:
-    """Return the class of a picture, by how many stand beside each other."""
-    if not picture.width or picture.width > HALF_WIDTH:
-        return ""
-    return " third" if picture.width <= THIRD_WIDTH else " half"
+def _size(drawing: Drawing) -> str:
+    """Return the class of a figure, by how many of its pictures stand beside each other."""
+    width = drawing.pictures[0].width
+    if not width or width > HALF_WIDTH:
+        return " full"
+    return " third" if width <= THIRD_WIDTH else " half"
+
+
+def _least_room(text: str) -> int:
+    """Return how many letters of a cell have to stand in one line: its longest word, or all where they are few."""
+    return max(min(len(text), UNBROKEN), *(len(word) for word in text.split() or [""]))
 
 
 def _breadth(table: Table) -> str:
     """Return the class of a table that needs more room than a phone or a tablet has, by its longest words."""
     columns = zip(table.columns, *table.rows, strict=True)
-    letters = sum(max(len(word) for text in column for word in text.split() or [""]) + GUTTER for column in columns)
+    letters = sum(max(_least_room(text) for text in column) + GUTTER for column in columns)
     return " broad wide" if letters > TABLET else " wide" if letters > PHONE else ""

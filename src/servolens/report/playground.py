@@ -71,7 +71,7 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     shown = _shown_gain(design, last)
     step = step_response(plant, spec, shown, SHOWN * spec.settling_time)
     stepped = curve("as identified", step.time, step.position, "velocity").thinned()
-    figures, (left, right) = zip(*(panel_figure(3.3, HALF_WIDTH) for _ in range(2)), strict=True)
+    figures, (left, right) = zip(*(panel_figure(3.3, HALF_WIDTH, 0.75) for _ in range(2)), strict=True)
     plot_step_responses(
         [stepped],
         reference=spec.reference,
@@ -145,7 +145,7 @@ def _marks(design: Design) -> list[Mark]:
 
 def _fit_step(ax: Any, spec: PDSpec) -> None:
     """Leave room for the overshoot of other gains."""
-    ends = sorted((-0.15 * spec.reference, 1.75 * spec.reference))
+    ends = sorted((-0.15 * spec.reference, 1.65 * spec.reference))
     ax.set(xlim=(0.0, SHOWN * spec.settling_time), ylim=ends)
 
 

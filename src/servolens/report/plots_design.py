@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
+from matplotlib.ticker import EngFormatter
 
 from servolens.report.style import COLOURS, GREY, INK, LOOKS, axes_of, styled
 
@@ -91,8 +92,7 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
             ax.axvspan(low, high, color=LOOKS[role]["color"], alpha=0.13, linewidth=0, zorder=0, gid="live-designed")
     ax.axhline(limit, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
     if spread is not None:
-        x, low, high = spread
-        found = ax.fill_between(x, low, high, color=SPREAD, alpha=0.4, linewidth=0, label="spread of the axis")
+        found = ax.fill_between(*spread, color=SPREAD, alpha=0.4, linewidth=0, label="spread of the axis")
         found.set_gid("live-settling-spread")
     for line in curves:
         drawn = ax.plot(line.x, line.y, label=line.label or "_nolegend_", **{**LOOKS[line.role], "linestyle": "-"})
@@ -273,7 +273,7 @@ def plot_gain_map(
     filled = ax.contourf(found.kp, found.kd, shade.shown(found).T, levels, cmap="Blues", extend="max", alpha=0.85)
     if ax.figure is not None:
         label = shade.label.format(command=command_unit, length=length_unit)
-        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format="%g", aspect=30)
+        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format=EngFormatter(sep=""), aspect=30)
     if found.feasible.any() and not found.feasible.all():
         ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=COLOURS["vermilion"])
     marks = (("least noise", found.least_noise, "o"), ("recommended", recommended, "*"))

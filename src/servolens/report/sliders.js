@@ -1,7 +1,8 @@
 "use strict";
 /* Sliders for the gains: the figure of servolens.report.playground, moved by the page's simulator. */
 (() => {
-  const BUDGET = 7; /* milliseconds of simulation in one frame, beside the one of the gains themselves */
+  const BUDGET = 6; /* milliseconds of work in a frame, after which no new simulation is begun */
+  const PART = 5; /* milliseconds that one simulation may take, where it can be watched for less */
   const JUMP = 0.06; /* as in servolens.report.figures_design */
   const {step, evaluate, horizon, rateOf, settlingTime} = servolensSimulator(servolensRule, servolensPlants);
   const short = (value, digits = 3) => String(Number(value.toPrecision(digits)));
@@ -14,6 +15,7 @@
       this.figure = window.servolensFigures.get(element.dataset.name);
       [this.left, this.right] = this.figure.panels;
       this.frames = [];
+      this.isNew = false;
       this.build();
       this.warm();
     }
@@ -87,24 +89,19 @@
       };
       idle(again);
     }
+    /* All of a frame's work is here: the gains first, then as much of the rest as there is time for */
     change() {
-      if (this.waiting) return;
-      this.waiting = true;
-      requestAnimationFrame(() => {
-        this.waiting = false;
-        const begin = performance.now();
-        this.show();
-        this.jobs = this.slices();
-        this.frames.push(performance.now() - begin);
-        this.next();
-      });
-    }
-    next() {
+      this.isNew = true;
       if (this.isRunning) return;
       this.isRunning = true;
       const frame = () => {
         const begin = performance.now();
         let done = false;
+        if (this.isNew) {
+          this.isNew = false;
+          this.show();
+          this.jobs = this.slices();
+        }
         while (!done && performance.now() - begin < BUDGET) done = this.jobs.next().done;
         this.frames.push(performance.now() - begin);
         this.isRunning = !done;
@@ -116,7 +113,7 @@
     show() {
       const design = this.design, gains = this.gains, axis = this.told.nominal;
       const whole = horizon(design, axis, gains), shown = this.told.shown * design.settling;
-      const watched = Math.max(Math.min(whole, 8 / Math.max(this.cost ?? 0, 1e-9)), shown);
+      const watched = Math.max(Math.min(whole, PART / Math.max(this.cost ?? 0, 1e-9)), shown);
       const found = evaluate(design, axis, gains, watched);
       this.found = found;
       this.draw(this.left, "live-step-velocity", this.path(this.left, found.run.n, (k) => found.run.time[k], (k) => found.run.position[k]));
@@ -156,7 +153,7 @@
       const low = new Float64Array(count).fill(Infinity), high = new Float64Array(count).fill(-Infinity);
       let meet = 0;
       for (const axis of this.told.scenarios) {
-        const own = evaluate(design, axis, gains, Math.max(Math.min(horizon(design, axis, gains), 8 / this.cost), end)), run = own.run;
+        const own = evaluate(design, axis, gains, Math.max(Math.min(horizon(design, axis, gains), PART / this.cost), end)), run = own.run;
         meet += own.meets;
         for (let i = 0; i < count; i++) {
           const place = (end * i) / (count - 1) / design.sample, k = Math.min(Math.floor(place), run.n - 2);

@@ -20,9 +20,11 @@ __all__ = [
     "FULL_WIDTH",
     "HALF_WIDTH",
     "LOOKS",
+    "NAMED",
     "STYLE",
     "THIRD_WIDTH",
     "VARIABLES",
+    "WIDE",
     "axes_of",
     "new_figure",
     "panel_figure",
@@ -57,8 +59,8 @@ LOOKS: dict[Role, dict[str, Any]] = {
     "third": {"color": COLOURS["purple"], "linewidth": 1.5, "linestyle": (0, (4, 1, 1, 1)), "zorder": 3},
 }
 """What is measured or true is broad and pale, so that a model that fits lies visibly on it."""
-MARGINS = (0.85, 0.12, 0.47, 0.28)
-"""Left, right, below and above a panel [inches]."""
+MARGINS = (0.12, 0.47, 0.28)
+"""Right, below and above a panel [inches]."""
 VARIABLES = {
     "ffffff": "paper",
     INK[1:]: "ink",
@@ -73,8 +75,9 @@ VARIABLES = {
 """Colours of figures, and the page's variables that stand for them."""
 FULL_WIDTH = 7.6
 """Inches at which text of a figure has the size of the page's small text."""
-HALF_WIDTH, THIRD_WIDTH = 3.75, 2.6
-"""The same of pictures that stand beside each other where the window is wide enough, else below each other."""
+NAMED, WIDE, HALF_WIDTH, THIRD_WIDTH = 6.2, 4.8, 3.75, 2.6
+"""The same of one with names at its side, of one that a phone can show, and of two and of three beside each other where
+there is room."""
 STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
@@ -122,27 +125,27 @@ def new_figure(height: float, width: float = FULL_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def panel_figure(height: float, width: float = FULL_WIDTH) -> tuple[Figure, Axes]:
-    """Return a figure of this size [inches] and its one panel, with room for labels of two lines.
+def panel_figure(height: float, width: float = FULL_WIDTH, left: float = 0.92) -> tuple[Figure, Axes]:
+    """Return a figure of this size [inches] and its one panel, with room for its labels at the `left`.
 
     Room that is known beforehand is much sooner laid out than what has to be measured.
     """
     figure = Figure(figsize=(width, height))
-    _leave_room(figure)
+    _leave_room(figure, left)
     return figure, figure.add_subplot()
 
 
 def stacked_figure(height: float, width: float, ratio: float) -> tuple[Figure, Axes, Axes]:
     """Return a figure like :func:`panel_figure` with two panels, the upper one `ratio` times as high."""
     figure = Figure(figsize=(width, height))
-    _leave_room(figure)
+    _leave_room(figure, 0.92)
     above, below = figure.subplots(2, 1, height_ratios=[ratio, 1.0], gridspec_kw={"hspace": 0.12})
     return figure, above, below
 
 
-def _leave_room(figure: Figure) -> None:
+def _leave_room(figure: Figure, left: float) -> None:
     width, height = (float(size) for size in figure.get_size_inches())
-    left, right, bottom, top = MARGINS
+    right, bottom, top = MARGINS
     figure.subplots_adjust(left=left / width, right=1.0 - right / width, bottom=bottom / height, top=1.0 - top / height)
 
 

@@ -41,7 +41,22 @@ INFIX = {
     ca.OP_ERF: "servolensErf({})",
     ca.OP_CONSTPOW: "Math.pow({},{})",
 }
-MATH = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh")
+MATH: tuple[str, ...] = (
+    "sqrt",
+    "exp",
+    "log",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+)
 MATH += ("atanh", "floor", "ceil", "pow", "expm1", "log1p", "atan2", "hypot", "sign")
 OPERATIONS = INFIX | {getattr(ca, f"OP_{name.upper()}"): f"Math.{name}" for name in MATH}
 ERF = """function servolensErf(x) {
