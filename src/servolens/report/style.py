@@ -73,9 +73,9 @@ VARIABLES = {
     **{colour[1:].lower(): name for name, colour in COLOURS.items()},
 }
 """Colours of figures, and the page's variables that stand for them."""
-FULL_WIDTH = 7.6
+FULL_WIDTH = 5.6
 """Inches at which text of a figure has the size of the page's small text."""
-NAMED, WIDE, HALF_WIDTH, THIRD_WIDTH = 6.2, 4.8, 3.75, 2.6
+NAMED, WIDE, HALF_WIDTH, THIRD_WIDTH = 6.2, 5.2, 3.75, 2.6
 """The same of one with names at its side, of one that a phone can show, and of two and of three beside each other where
 there is room."""
 STYLE: Any = {

@@ -27,6 +27,8 @@ COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
 LETTER = re.compile(r'<path id="letter-[^"]+" d="[^"]*" transform="scale\([\d.]+\)"/>')
 PLACE = re.compile(r'(?<=\s)(x|y)="(-?\d+\.\d{3,})"')
 LINES = {"M", "L"}
+GROWTH = 1.15
+"""How far a picture may be enlarged where there is room."""
 KNOWN = ("panel-", "axis-", "live-", "xtick_", "ytick_")
 """How names begin that the page's script looks for."""
 USES = re.compile(r'(?:href="#|url\(#)([^")]+)')
@@ -54,7 +56,7 @@ def svg(figure: Figure, key: str) -> str:
     head, body = text.split(">", 1)
     width = re.search(r'width="([\d.]+)pt"', head)
     head = re.sub(r'\s(?:width|height)="[^"]*"', "", ADDRESSES.sub("", head))
-    style = f' style="max-width:{float(width[1]) / 72:.2f}in"' if width else ""
+    style = f' style="max-width:{GROWTH * float(width[1]) / 72:.2f}in"' if width else ""
     return f'{head} aria-hidden="true" focusable="false"{style}>{_tidy(body, key)}'
 
 
