@@ -98,20 +98,7 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
         drawn = ax.plot(line.x, line.y, label=line.label or "_nolegend_", **{**LOOKS[line.role], "linestyle": "-"})
         drawn[0].set_gid(f"live-settling-{line.role}")
     for mark in marks:
-        colour = LOOKS[mark.role]["color"]
-        meets = mark.settling_time <= limit * (1 + 1e-9)
-        ax.plot(
-            mark.kd,
-            mark.settling_time,
-            marker="o" if meets else "X",
-            markersize=8 if meets else 9,
-            color=colour,
-            markeredgecolor="white",
-            linestyle="none",
-            label=mark.label,
-            zorder=7,
-            gid="live-designed",
-        )
+        _draw_mark(ax, mark, meets=mark.settling_time <= limit * (1 + 1e-9))
     ax.set(xlabel=gain, ylabel="Settling time [s]", title=title)
     ax.set_ylim(0.0, top)
     ax.margins(x=0.0)
@@ -130,6 +117,21 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
     if legend:
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return ax
+
+
+def _draw_mark(ax: Axes, mark: Mark, *, meets: bool) -> None:
+    ax.plot(
+        mark.kd,
+        mark.settling_time,
+        marker="o" if meets else "X",
+        markersize=8 if meets else 9,
+        color=LOOKS[mark.role]["color"],
+        markeredgecolor="white",
+        linestyle="none",
+        label=mark.label,
+        zorder=7,
+        gid="live-designed",
+    )
 
 
 @styled
