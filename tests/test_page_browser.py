@@ -281,7 +281,7 @@ def test_settling_curve_follows_the_slider_of_kp(shown, study):
     for kd, time in told:
         assert evaluate(study.model.plant, spec, kd, duration=2.0).settling_time == pytest.approx(time, abs=2e-3)
     assert figure.locator(".live-designed").first.is_hidden()
-    figure.get_by_role("button", name="As designed").click()
+    figure.get_by_role("button", name="As at first").click()
     assert one.page.evaluate("servolensPlaygrounds[0].gains.kp") == 100
     assert figure.locator(".live-designed").first.evaluate("(e) => e.style.display") == ""
 

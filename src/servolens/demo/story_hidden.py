@@ -48,7 +48,7 @@ def _gain(axis: HiddenAxis) -> Section:
     """Return the gain, on the model and on the true axis."""
     study = axis.study
     blocks: list[Block] = []
-    if study.model is not None and study.design is not None and not study.design.withheld:
+    if study.model is not None and study.design is not None:
         blocks.append(playground("gain", study.model, study.design))
     blocks += gain_sentences(study)
     blocks.append(_on_axis(axis))

@@ -124,17 +124,33 @@ def _excerpt(record: Record) -> Record:
 def _settings(study: Study) -> Table:
     rows = []
     for record, quality in zip((*study.records, *study.heldout), study.check, strict=True):
-        loop = record.controller
-        gains = ("–", "–") if loop is None else (number(loop.kp), number(loop.kd))
         speed = f"{number(quality.top_speed, 3)} {record.length_unit}/s"
         rows.append(
-            (record.name, number(record.duration), *gains, f"{number(record.step_size, 3)} {record.length_unit}", speed)
+            (
+                record.name,
+                number(record.duration),
+                _gains(record),
+                f"{number(record.step_size, 3)} {record.length_unit}",
+                speed,
+            )
         )
     return Table(
         title="What was done",
-        columns=("Record", "Duration [s]", "Kp", "Kd", "Step", "Top speed"),
+        columns=("Record", "Duration [s]", "Gains", "Step", "Top speed"),
         rows=tuple(rows),
     )
+
+
+def _gains(record: Record) -> str:
+    """Return the gains of a record's loop by their names in its law."""
+    loop = record.controller
+    if loop is None:
+        return "–"
+    if loop.integral_rate > 0:
+        told = {"Kp": loop.kp / loop.kd, "Kv": loop.kd, "Kiv": loop.integral_rate * loop.kd}
+    else:
+        told = {"Kp": loop.kp, "Kd": loop.kd, **({"Ki": loop.ki} if loop.ki else {})}
+    return ", ".join(f"{name} {number(value)}" for name, value in told.items())
 
 
 def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
@@ -266,9 +282,17 @@ def _design(study: Study) -> Section:
             " reach with a little to spare; ask for your own with kp and settling_time."
         )
     told = design_summary(study.design, forced=study.forced, length_unit=length_unit, command_unit=command_unit)
-    if not study.design.withheld:
-        blocks.append(playground("gain", study.model, study.design))
-    blocks.append(Summary(title="", sentences=told.sentences, tables=told.tables))
+    sentences = told.sentences
+    if study.design.withheld:
+        sentences = sentences[1:]  # the first says no more
+        blocks.append(
+            f"The gain is withheld. {study.lights['gain'].sentence} What follows is what the model says of gains, not"
+            " what the axis will do."
+        )
+    blocks += [
+        playground("gain", study.model, study.design),
+        Summary(title="", sentences=sentences, tables=told.tables),
+    ]
     simpler = comparison_summary(comparison, length_unit=length_unit, command_unit=command_unit)
     new = tuple(sentence for sentence in simpler.sentences if sentence not in told.sentences)
     blocks.append(Summary(title="What simpler models recommend", sentences=new, tables=simpler.tables))

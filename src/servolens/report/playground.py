@@ -86,7 +86,7 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     _fit_step(left, spec)
     plot_settling_times(
         [line],
-        [("velocity", design.intervals)],
+        [("velocity", () if design.withheld else design.intervals)],
         _marks(design),
         limit=spec.settling_time,
         gain=names.free_label,
@@ -97,7 +97,7 @@ def playground(key: str, model: Model, design: Design) -> Playground:
         ax=right,
     )
     right.set_xlim(0.0, last)
-    caption = _caption(spec, plant, shown)
+    caption = _caption(design, plant, shown)
     structures = {plant.structure: "nominal"}
     for scenario in scenarios:
         structures.setdefault(scenario.plant.structure, f"scenario{len(structures)}")
@@ -109,16 +109,19 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     )
 
 
-def _caption(spec: PDSpec, plant: Plant, shown: float) -> str:
+def _caption(design: Design, plant: Plant, shown: float) -> str:
+    spec = design.spec
     names = gain_names(spec, plant)
     gains = f"{names.kp} = {number(spec.kp)} {names.kp_unit} and {names.free} = {number(shown)} {names.free_unit}"
+    first, shaded = "with", ""
+    if design.kd is not None:
+        first, shaded = "as designed with", "; shaded, the gains that meet the spec"
     return (
         f"The gain with its cliff and its spread. Left: the step of {number(abs(spec.reference))} {plant.length_unit},"
-        f" as designed with {gains}, the band and the time it holds from (dashed). Right: when the step settles,"
-        f" against {names.free}; shaded, the gains that meet the spec. Pale: {SCENARIOS} axes as they may be, drawn"
-        " from what the data leave open, gains realised within 2 %, steps up and back. Where the line jumps, a swing"
-        " touches the band: a gain beside such a cliff can miss the target by a whole swing. Simulated, no measured"
-        " data."
+        f" {first} {gains}, the band and the time it holds from (dashed). Right: when the step settles, against"
+        f" {names.free}{shaded}. Pale: {SCENARIOS} axes as they may be, drawn from what the data leave open, gains"
+        " realised within 2 %, steps up and back. Where the line jumps, a swing touches the band: a gain beside such a"
+        " cliff can miss the target by a whole swing. Simulated, no measured data."
     )
 
 

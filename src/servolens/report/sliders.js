@@ -52,7 +52,7 @@
       }
       const again = document.createElement("button");
       again.type = "reset";
-      again.textContent = "As designed";
+      again.textContent = "As at first";
       form.append(again);
       form.addEventListener("reset", (event) => {
         event.preventDefault();
