@@ -11,6 +11,7 @@ from servolens.commands.files import (
     about,
     check_apart,
     check_outputs,
+    check_page,
     load_records,
     priors_from,
     refusal,
@@ -40,7 +41,7 @@ __all__ = ["diagnose", "next_"]
 @prior_option
 @effort_option
 @click.option("--out", metavar="FILE", help="Write the extended model.")
-@click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
+@click.option("--report", metavar="FILE.html|.pdf", help="Write a self-contained page; PDF by Chromium.")
 @force_option
 @json_option
 def diagnose(
@@ -64,6 +65,7 @@ def diagnose(
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--out": out, "--report": report, "--json": json_file}
+    check_page(report)
     check_outputs(outputs, (*recordings.paths, *heldout))
     from servolens.diagnosis import diagnose as find
     from servolens.summaries import diagnosis_summary

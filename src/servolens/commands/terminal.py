@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["progress_bar", "show"]
 
+BAR, BESIDE = 20, 14
+"""Columns of the bar, and of what stands beside it but for the description."""
 DELAY = 1.0
 """Work that is done sooner shows no bar [s]."""
 
@@ -44,23 +46,26 @@ def progress_bar() -> Iterator[Progress]:
     if not sys.stderr.isatty():
         yield lambda description, done, total: None
         return
-    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
+    console = _console(sys.stderr)
     bar = Bar(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=30),
+        SpinnerColumn(),
+        BarColumn(bar_width=BAR),
         TimeElapsedColumn(),
-        console=_console(sys.stderr),
+        TextColumn("{task.description}", markup=False),
+        console=console,
         transient=True,
     )
+    room = max(console.width - BAR - BESIDE, 8)
     task = bar.add_task("Working", total=None)
     timer = threading.Timer(DELAY, bar.start)
     timer.daemon = True
     timer.start()
     try:
         yield lambda description, done, total: bar.update(
-            task, description=escaped(description), completed=done, total=total or None
+            task, description=escaped(description)[:room], completed=done, total=total or None
         )
     finally:
         timer.cancel()

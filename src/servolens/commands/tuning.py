@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import about, check_apart, check_outputs, load_records, priors_from, writing
+from servolens.commands.files import about, check_apart, check_outputs, check_page, load_records, priors_from, writing
 from servolens.commands.options import (
     Documented,
     Recordings,
@@ -35,7 +35,7 @@ __all__ = ["compare", "tune"]
 @heldout_option
 @prior_option
 @effort_option
-@click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
+@click.option("--report", metavar="FILE.html|.pdf", help="Write a self-contained page; PDF by Chromium.")
 @click.option("--force", is_flag=True, help="Give the gain although its light is red.")
 @json_option
 def tune(
@@ -58,6 +58,7 @@ def tune(
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--report": report, "--json": json_file}
+    check_page(report)
     found = _studied(recordings, spec, outputs, priors=priors, effort=effort, heldout=heldout, force=force)
     if json_file:
         write_json(json_file, "tuning", found.to_json(), found.findings)

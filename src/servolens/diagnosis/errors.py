@@ -117,6 +117,10 @@ class Gains:
         """Return both errors of plant `i`."""
         return Errors(rms_error=self.train(i), heldout_rms_error=self.tested(i))
 
+    def missed(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+        """Return the residuals of the first and the last plant where they were not fitted, record by record."""
+        return tuple(zip(self.held[0], self.held[-1], strict=True))
+
     def by_record(self) -> tuple[RecordGain, ...]:
         """Return the errors of the first and the last plant, record by record."""
         sets = [(self.records, self.trained, False), (self.heldout or self.records, self.held, True)]

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     import os
     from collections.abc import Mapping
 
+    import numpy as np
+    from numpy.typing import NDArray
+
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.effects import Effect
     from servolens.findings import Finding
@@ -189,6 +192,10 @@ class Diagnosis(Result):
         What damping, gain and a free force would have to do in time, and with what that goes.
     gains : tuple of RecordGain
         Record by record.
+    missed : tuple of (ndarray, ndarray)
+        Of each record that was held out, or else of each training record, by models fitted without it: simulated minus
+        measured position [m or rad], of gain and damping alone and with the causes. Of a record that was parted, its
+        last samples; infinite where a simulation leaves all bounds.
     candidates : tuple of Candidate
         Single effects by what they leave, the best first.
     linear, model : Model
@@ -216,6 +223,7 @@ class Diagnosis(Result):
     where: tuple[Share, ...]
     instruments: tuple[Instrument, ...]
     gains: tuple[RecordGain, ...]
+    missed: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]
     candidates: tuple[Candidate, ...]
     linear: Model
     model: Model

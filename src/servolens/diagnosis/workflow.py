@@ -141,6 +141,7 @@ def _diagnosed(
         where=error_shares(case.records, [residual(fits[0].plant, record) for record in case.records]),
         instruments=instruments(case.trials.screen, fits[0].plant),
         gains=gains.by_record(),
+        missed=gains.missed(),
         candidates=_candidates(case, found),
         linear=fits[0].model,
         model=model,

@@ -34,6 +34,7 @@ __all__ = [
     "other_findings",
     "remaining_sentences",
     "spoken",
+    "tells_noise_again",
     "verdict_sentence",
     "why_enough",
 ]
@@ -152,7 +153,13 @@ def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def noise_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
     found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
-    return [capital(unit(finding.message)) for finding in found]
+    return [capital(unit(finding.message)) for finding in found if not tells_noise_again(finding, diagnosis)]
+
+
+def tells_noise_again(finding: Finding, diagnosis: Diagnosis) -> bool:
+    """Whether a finding says nothing but how large the noise is, and the verdict's sentence says that too."""
+    is_plain = finding.code == "noise_model" and finding.message.endswith("(r.m.s.).") and ";" not in finding.message
+    return is_plain and "the noise is" in verdict_sentence(diagnosis)
 
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:

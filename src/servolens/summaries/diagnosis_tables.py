@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.diagnosis.errors import KEPT
 from servolens.diagnosis.logs import BEYOND
 from servolens.summaries.names import spoken
-from servolens.summaries.wording import capital, minus, number, plus_minus, scale, unit
+from servolens.summaries.wording import capital, minus, number, plus_minus, scale, undetermined, unit
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
         for name, quantity in diagnosis.model.quantities.items()
     ]
     title = "Model with the causes" if diagnosis.causes else "Model of gain and damping"
-    return Table(title=title, columns=("Parameter", "Value ± standard error", "Unit"), rows=tuple(rows))
+    columns = ("Parameter", "Value ± standard error", "Unit")
+    note = undetermined({name.replace(".", " "): quantity for name, quantity in diagnosis.model.quantities.items()})
+    return Table(title=title, columns=columns, rows=tuple(rows), note=note)
 
 
 def records_table(diagnosis: Diagnosis) -> Table:
