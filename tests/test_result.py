@@ -203,3 +203,27 @@ def test_a_quantity_is_a_number_and_is_formatted_as_one():
     assert float(quantity) == quantity.value
     assert f"{quantity:.3f}" == f"{quantity.value:.3f}"
     assert f"{quantity}".endswith(" m/s^2/V")
+
+
+def test_records_and_models_show_themselves_in_one_line():
+    assert repr(RECORDS[0]) == "<Record kp 40, kd 0: 1501 samples in 1.5 s, position, reference, voltage; kp 40, kd 0>"
+    assert repr(made(Fit).model).startswith("<Model: gain 1.89")
+    assert "\n" not in repr(made(Fit).model)
+
+
+def test_the_law_of_identify_is_what_fit_finds():
+    record = lab.step_record(lab.NLM3, kp=100, encoder=1e-5, noise=1e-5, seed=1)
+    law, found = identify(record, model="velocity").velocity, fit("velocity_decay_damping", record)
+    for name, quantity in found.quantities.items():
+        assert law.quantities[name].value == pytest.approx(quantity.value, abs=0.1 * quantity.stderr)
+        assert law.quantities[name].stderr == pytest.approx(quantity.stderr, rel=0.05)
+
+
+def test_pieces_that_the_data_do_not_determine_are_a_sentence_and_no_rows():
+    short = identify(RECORDS[0].slice(0.0, 0.06))
+    (table,) = (table for table in short.summary().tables if table.title.startswith("Damping that varies"))
+    errors = np.sqrt(np.diag(short.varying.covariance))[:-1]
+    vague = int((errors > np.maximum(short.varying.damping, 1.0)).sum())
+    assert vague > 0
+    assert len(table.rows) == errors.size - vague
+    assert f"The data hardly determine the other {vague} of {errors.size} pieces." in table.note

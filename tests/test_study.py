@@ -207,7 +207,7 @@ def test_unknown_requests_are_refused_before_any_work(cart):
     with pytest.raises(InputError, match="effort must be one of"):
         study_records(cart.records, SPEC, effort="endless")
     with pytest.raises(InputError, match="prior on 'mass' is not possible"):
-        study_records(cart.records, SPEC, priors={"mass": None})
+        study_records(cart.records, SPEC, priors={"mass": (1.0, 0.1)})
     with pytest.raises(InputError, match="very samples of"):
         study_records(cart.records, SPEC, heldout=cart.records[:1])
 

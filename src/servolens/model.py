@@ -96,7 +96,7 @@ class Quantity:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Model:
     """A plant, how well its parameters are known, and what it was identified from.
 
@@ -119,6 +119,10 @@ class Model:
     identified_from: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     evidence: Evidence | None = None
+
+    def __repr__(self) -> str:
+        """Return one line: every parameter with its error."""
+        return f"<Model: {', '.join(f'{name} {quantity}' for name, quantity in self.quantities.items())}>"
 
     @property
     def quantities(self) -> dict[str, Quantity]:

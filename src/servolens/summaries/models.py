@@ -29,6 +29,8 @@ KINDS = {
     "varying": "damping that varies in time",
 }
 """In the order in which people are told."""
+LEAST_DAMPING = 1.0
+"""Damping [1/s] below which a standard error as large as the damping still says something."""
 DATA = {True: "held out", False: "used", None: "–"}
 """Whether a record is held out; None where it is not known what the models were identified from."""
 
@@ -170,14 +172,17 @@ def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
         for start, end, c, error, speed in zip(
             varying.edges[:-1], varying.edges[1:], varying.damping, errors, varying.speed, strict=False
         )
+        if error < max(c, LEAST_DAMPING)
     ]
+    lost = varying.damping.size - len(rows)
+    left_out = f" The data hardly determine the other {lost} of {varying.damping.size} pieces." if lost else ""
     gain = plus_minus(Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit))
     active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
     return Table(
         title="Damping that varies in time (varying)",
         columns=("Time since the step [s]", "Damping ± standard error [1/s]", f"Mean |speed| [{length_unit}/s]"),
         rows=tuple(rows),
-        note=f"Gain {gain} {unit(gain_unit)}.{active}",
+        note=f"Gain {gain} {unit(gain_unit)}.{active}{left_out}",
     )
 
 

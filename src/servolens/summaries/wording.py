@@ -107,6 +107,8 @@ def plus_minus(quantity: Quantity) -> str:
     >>> from servolens.model import Quantity
     >>> plus_minus(Quantity(value=1.91647, stderr=0.00211, unit="m/s^2/V"))
     '1.9165 ± 0.0021 (0.11 %)'
+    >>> plus_minus(Quantity(value=-0.2, stderr=40.0, unit="1/s"))
+    '0 ± 40'
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
@@ -115,7 +117,12 @@ def plus_minus(quantity: Quantity) -> str:
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
     decimals = _decimals(error)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}{share}"
+    return f"{_unsigned_zero(f'{value:.{decimals}f}')} ± {error:.{decimals}f}{share}"
+
+
+def _unsigned_zero(text: str) -> str:
+    """Return a number without the sign of a zero, which says nothing."""
+    return text if float(text) else text.lstrip("-")
 
 
 def interval(quantity: Quantity) -> str:
