@@ -250,7 +250,7 @@ def test_next_of_a_model_without_effects_says_no(bench, tmp_path):
         ("", "is not JSON"),
         ("[1]", "neither diagnosis nor model"),
         ('{"schema": "servolens.design/1"}', "neither diagnosis nor model"),
-        ('{"schema": "servolens.diagnosis/1"}', "'model' is missing"),
+        ('{"schema": "servolens.diagnosis/1"}', "'causes' is missing"),
         ('{"schema": "servolens.model/1"}', "not a model"),
     ],
     ids=["empty", "list", "design", "hollow diagnosis", "hollow model"],

@@ -112,7 +112,7 @@ def fields_of(cls: type, data: Any, names: Sequence[str], known: Mapping[str, An
         if field.name in data:
             found[field.name] = decoded(hints[field.name], data[field.name], field.name, local)
         elif field.default is MISSING and field.default_factory is MISSING:
-            raise InputError(f"{field.name} of {cls.__name__} is missing")
+            raise InputError(f"{cls.__name__}: {field.name!r} is missing")
     return found
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set, ValuesView
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypedDict
 
@@ -218,8 +218,8 @@ def as_effects(source: Effects) -> tuple[Effect | type[Effect], ...]:
 
 
 def listed(source: Any) -> tuple[Any, ...]:
-    """Return what `source` holds if it is a list, tuple or iterator of things; else `source` alone."""
-    if isinstance(source, Sequence | Iterator) and not isinstance(source, str):
+    """Return what `source` holds if it is a list, tuple, set, iterator or a mapping's values; else `source` alone."""
+    if isinstance(source, Sequence | Iterator | Set | ValuesView) and not isinstance(source, str):
         return tuple(source)
     return (source,)
 

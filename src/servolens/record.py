@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.control_arithmetic import Seen, answer
+from servolens.control_arithmetic import LoopSignals, answer
 from servolens.controller import Controller
 from servolens.errors import InputError
 
@@ -256,7 +256,7 @@ class Record:
         """
         _require(self.reference is not None, "the control law needs the reference; log it")
         assert self.reference is not None  # noqa: S101 - required above
-        seen = Seen(
+        seen = LoopSignals(
             time=self.time,
             reference=self.reference,
             position=self.position,

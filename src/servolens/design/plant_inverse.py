@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.control_arithmetic import Seen, answer
+from servolens.control_arithmetic import LoopSignals, answer
 from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_plant
@@ -165,7 +165,9 @@ def smooth_move(size: float, duration: float, sample_time: float) -> tuple[NDArr
 def _braking(controller: Controller, t: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what a controller without its integral asks for where the axis follows the reference exactly."""
     alone = replace(controller, ki=0.0, integral_rate=0.0, integral_before=0.0)
-    seen = Seen(time=t, reference=r, position=r, sample_time=float(np.median(np.diff(t))), velocity=_motion(t, r)[1])
+    seen = LoopSignals(
+        time=t, reference=r, position=r, sample_time=float(np.median(np.diff(t))), velocity=_motion(t, r)[1]
+    )
     found = answer(alone, seen)
     return found.ahead - controller.kd * found.derivative
 

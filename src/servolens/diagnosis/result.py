@@ -308,7 +308,9 @@ class Diagnosis(Result):
                 ),
                 **fields_of(cls, data, SIMPLE, known),
             )
-        except (KeyError, TypeError, AttributeError) as error:
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
+            if isinstance(error, InputError):
+                raise
             missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
             raise InputError(f"not a whole diagnosis: {missing}") from None
 
