@@ -58,8 +58,9 @@ confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what
 design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense scan of the gain (minutes)
 	@$(BIN)/python benchmarks/design_scan.py $(SCAN_ARGS)
 
-pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
+pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo, and of the effects
 	@$(BIN)/python docs/pictures.py
+	@$(BIN)/python docs/effect_pictures.py
 
 bench: $(DEV_STAMP) ## the figures of the README, measured here
 	@$(BIN)/python benchmarks/run.py
