@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.effects import VelocityDecayDamping
 from servolens.model import NORMAL_95, Quantity
-from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, unit
+from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, undetermined, unit
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -67,11 +67,12 @@ def model_table(model: Model, title: str) -> Table:
     for name, quantity in model.quantities.items():
         rows.append((name.rpartition(".")[2], plus_minus(quantity), interval(quantity), unit(quantity.unit)))
     effects = [effect.name for effect in model.plant.effects]
+    unknown = undetermined({name.rpartition(".")[2]: quantity for name, quantity in model.quantities.items()})
     return Table(
         title=title,
         columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
         rows=tuple(rows),
-        note=f"Effects: {listed(effects)}." if effects else "",
+        note=" ".join(part for part in (f"Effects: {listed(effects)}." if effects else "", unknown) if part),
     )
 
 
