@@ -1,4 +1,4 @@
-"""Return spring: a tether or a cable pulls back."""
+"""Return spring: a spring or a cable pulls back."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ __all__ = ["ReturnSpring"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReturnSpring(Force):
-    """A spring, tether or cable pulls the axis back in proportion to the position."""
+    """A spring or a cable pulls the axis back in proportion to the position."""
 
     name = "return_spring"
     spoken = "a spring"
-    sentence = "A spring, tether or cable pulls the axis back in proportion to the position."
+    sentence = "A spring or a cable pulls the axis back in proportion to the position."
     latex = r"k\,y"
     absent_at: ClassVar[dict[str, float]] = {"stiffness": 0.0}
     linear = True
