@@ -130,8 +130,8 @@ def undetermined(quantities: Mapping[str, Quantity]) -> str:
     Examples
     --------
     >>> from servolens.model import Quantity
-    >>> undetermined({"gain": Quantity(value=1.9, stderr=0.1), "alpha1": Quantity(value=0.0, stderr=2160.0)})
-    'Not significantly different from zero: alpha1.'
+    >>> undetermined({"gain": Quantity(value=1.9, stderr=0.1, unit="1"), "a": Quantity(value=0, stderr=9, unit="1")})
+    'Not significantly different from zero: a.'
     """
     names = [name for name, q in quantities.items() if q.stderr is not None and q.stderr > abs(q.value)]
     return f"Not significantly different from zero: {listed(names, most=8)}." if names else ""
