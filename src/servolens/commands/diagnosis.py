@@ -65,8 +65,8 @@ def diagnose(
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--out": out, "--report": report, "--json": json_file}
-    check_page(report)
     check_outputs(outputs, (*recordings.paths, *heldout))
+    check_page(report)
     from servolens.diagnosis import diagnose as find
     from servolens.summaries import diagnosis_summary
 

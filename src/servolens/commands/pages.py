@@ -69,8 +69,8 @@ def report(recordings: Recordings, spec: SpecOptions, effort: str, out: str, jso
     """
     recordings, wanted = _split(recordings, spec)
     outputs = {"--out": out, "--json": json_file}
-    check_page(out)
     check_outputs(outputs, recordings.paths)
+    check_page(out)
     from servolens.report import write_report
     from servolens.study import completed_spec
 

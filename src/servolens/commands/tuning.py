@@ -58,7 +58,6 @@ def tune(
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--report": report, "--json": json_file}
-    check_page(report)
     found = _studied(recordings, spec, outputs, priors=priors, effort=effort, heldout=heldout, force=force)
     if json_file:
         write_json(json_file, "tuning", found.to_json(), found.findings)
@@ -118,6 +117,7 @@ def _studied(
 ) -> Study:
     """Read the records and study them."""
     check_outputs(outputs, (*recordings.paths, *heldout))
+    check_page(outputs.get("--report"))
     from servolens.study import completed_spec, study_records
 
     known = priors_from(priors)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from servolens.report.content import Block, Drawing
     from servolens.report.curves import Curve, Role
 
-__all__ = ["write_story"]
+__all__ = ["law_panels", "write_story"]
 
 PAPER = (
     "N. Wongvanich, C. E. Hann and H. R. Sirisena, in “Non linear electromechanical cart characterization using minimal"
@@ -227,19 +227,24 @@ def _true_damping(demo: Demo, record: Record) -> Curve:
     return curve("true", line.x, damping_at(demo.truth, line.y), "truth")
 
 
-def _law_figure(demo: Demo) -> Drawing:
+def law_panels(demo: Demo) -> list[tuple[str, list[Curve], list[Curve]]]:
+    """Return the damping laws of the three records: title, laws and points of each route to them."""
     fastest = 1.1 * max(float(fit.varying.speed.max()) for fit in demo.fits if fit.varying is not None)
     truth = law_curve("true", demo.truth, fastest, "truth")
     named = [(f"Kp {kp}", fit, role) for kp, fit, role in zip((60, 80, 100), demo.fits, KP_ROLES, strict=True)]
     pieces = [law_curve(n, f.law_from_pieces, fastest, r) for n, f, r in named if f.law_from_pieces is not None]
     direct = [law_curve(n, f.velocity.plant, fastest, r) for n, f, r in named if f.velocity is not None]
     points = [curve("", f.varying.speed, f.varying.damping, r) for n, f, r in named if f.varying is not None]
+    return [
+        ("Through the pieces (eqs. 19–22)", [truth, *pieces], points),
+        ("Directly in the integral equation", [truth, *direct], []),
+    ]
+
+
+def _law_figure(demo: Demo) -> Drawing:
     return damping_law_figure(
         "damping-law",
-        [
-            ("Through the pieces (eqs. 19–22)", [truth, *pieces], points),
-            ("Directly in the integral equation", [truth, *direct], []),
-        ],
+        law_panels(demo),
         "Damping against speed from the three records (the paper's figure 8), each identified from its own record."
         " Left: the paper's route, a curve through the damping of the pieces (markers) at their mean speeds; it"
         " falls too fast below 0.2 m/s. Right: the same law fitted in the integral equation; the three curves"

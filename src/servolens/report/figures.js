@@ -1,7 +1,7 @@
 "use strict";
 /* Cursor, zoom and numbers of the page's figures. The pictures are whole without it. */
 (() => {
-  const SVG = "http://www.w3.org/2000/svg";
+  const SVG = document.querySelector("svg")?.namespaceURI; /* the page holds no address */
   const make = (name, attributes = {}, text = "") => {
     const element = document.createElementNS(SVG, name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);

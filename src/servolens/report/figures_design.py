@@ -21,6 +21,7 @@ from servolens.summaries.wording import inside, number
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from servolens.design import Comparison, Design, GainMap, PDSpec, Response
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Column",
     "columns",
+    "draw_settling",
     "gains_figure",
     "highest",
     "last_gain",
@@ -70,22 +72,27 @@ def columns(comparison: Comparison) -> list[Column]:
 @styled
 def settling_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     """Draw settling time against Kd of all models, feasible gains shaded, recommendations marked on the last one."""
+    figure, ax = panel_figure(3.2, WIDE, 0.6)
+    draw_settling(models, ax)
+    return drawing(key, figure, caption, legend=keys_of(ax))
+
+
+def draw_settling(models: Sequence[Column], ax: Axes, *, legend: bool = False) -> None:
+    """Draw what :func:`settling_figure` shows; with a `legend`, inside matplotlib's figure."""
     best = models[-1]
     spec = best.design.spec
     gains = np.linspace(0.0, last_gain([model.design for model in models]), GAINS)
     curves = [settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
-    figure, ax = panel_figure(3.2, WIDE, 0.6)
     plot_settling_times(
         curves,
         [(model.role, model.design.intervals) for model in models],
         [*_marks(models), *_recommended(best)],
         limit=spec.settling_time,
         gain=gain_names(spec, best.plant).free_label,
-        legend=False,
+        legend=legend,
         top=highest(curves, spec.settling_time),
         ax=ax,
     )
-    return drawing(key, figure, caption, legend=keys_of(ax))
 
 
 def _marks(models: Sequence[Column]) -> list[Mark]:

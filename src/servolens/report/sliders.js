@@ -63,7 +63,7 @@
       this.status = status;
       this.element.querySelector(".drawing").before(form);
       form.after(status);
-      this.mark = document.createElementNS("http://www.w3.org/2000/svg", "circle");
+      this.mark = document.createElementNS(this.right.svg.namespaceURI, "circle");
       this.mark.setAttribute("class", "now");
       this.mark.setAttribute("r", 4.5);
       this.right.group.append(this.mark);
@@ -244,7 +244,7 @@
       let own = group.querySelector("path.band");
       if (!own) {
         const use = group.querySelector("use"), clip = group.querySelector("[clip-path]") ?? group.closest("[clip-path]");
-        own = document.createElementNS("http://www.w3.org/2000/svg", "path");
+        own = document.createElementNS(this.right.svg.namespaceURI, "path");
         own.setAttribute("class", "band");
         own.setAttribute("style", use.getAttribute("style"));
         (clip && group.contains(clip) ? clip : group).append(own);
