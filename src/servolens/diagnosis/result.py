@@ -281,7 +281,7 @@ class Diagnosis(Result):
 
     @classmethod
     def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Diagnosis:
-        """See :meth:`servolens.result.Result.from_json`; of `instruments` files keep no picture."""
+        """See :meth:`servolens.result.Result.from_json`; of `instruments` files keep no picture, of `missed` nothing."""
         from servolens.diagnosis.next_experiment import Experiment
         from servolens.model_evidence import Remainder
 
@@ -300,6 +300,7 @@ class Diagnosis(Result):
                     for name, found in data["rival_models"].items()
                 },
                 findings=findings_in(data),
+                missed=(),
                 records=(),
                 heldout=(),
                 remembered=(
