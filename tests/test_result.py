@@ -208,7 +208,7 @@ def test_a_quantity_is_a_number_and_is_formatted_as_one():
 
 def test_records_and_models_show_themselves_in_one_line():
     assert repr(RECORDS[0]) == "<Record kp 40, kd 0: 1501 samples in 1.5 s, position, reference, voltage; kp 40, kd 0>"
-    assert re.match(r"<Model: gain [\d.]+ ± \S+ m/s^2/V, damping ", repr(made(Fit).model))
+    assert re.match(r"<Model: gain [\d.]+ ± \S+ m/s\^2/V, damping ", repr(made(Fit).model))
     assert "\n" not in repr(made(Fit).model)
 
 
