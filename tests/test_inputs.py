@@ -13,6 +13,7 @@ import pytest
 from servolens import (
     Controller,
     CoulombFriction,
+    Fit,
     InputError,
     Model,
     PDSpec,
@@ -29,6 +30,8 @@ from servolens import (
     lab,
     predict,
     profile,
+    read_model,
+    recommend,
     simulate,
     simulate_continuous,
     simulate_loop,
@@ -263,3 +266,35 @@ def test_profile_and_bootstrap_want_a_fit():
     for ask in (lambda given: profile(given, "gain"), lambda given: bootstrap(given, seed=1)):
         with pytest.raises(InputError, match=r"what servolens.fit returns is needed; got Plant"):
             ask(PLANT)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: identify(RECORD),
+        lambda: identify(RECORD, model="constant"),
+        lambda: fit((), RECORD),
+        lambda: diagnose(RECORD, effort="quick"),
+    ],
+    ids=["identification", "constant", "fit", "diagnosis"],
+)
+def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
+    found = make()
+    found.save(tmp_path / "result.json")
+    assert as_plant(tmp_path / "result.json") == found.plant
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: read_model(5), "the path of a model's file is needed; got int"),
+        (lambda: Fit.from_json(5), "what to_json returned, or a file's path, is needed; got int"),
+        (lambda: recommend(PLANT, SPEC), "what servolens.design.tune returns is needed, got PDSpec"),
+        (lambda: fit(RECORD, "coulomb_friction"), "an effect, its class or its name is needed, .*; got Record"),
+        (lambda: fit("coulomb_friction", RECORD, bounds={"gain": 2}), r"the bounds of gain must be .*; got int 2"),
+        (lambda: fit("coulomb_friction", RECORD, fixed="gain"), "gain has no value to be fixed at; write fixed="),
+    ],
+)
+def test_what_cannot_be_used_is_said(ask, said):
+    with pytest.raises(InputError, match=said):
+        ask()

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import types
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
 from servolens.errors import InputError
 from servolens.findings import Finding
-
-if TYPE_CHECKING:
-    import os
 
 __all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields"]
 
@@ -35,6 +33,8 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
     """
     if isinstance(source, Mapping):
         return source
+    if not isinstance(source, str | os.PathLike):
+        raise InputError(f"what to_json returned, or a file's path, is needed; got {type(source).__name__}")
     path = Path(source)
     try:
         data = json.loads(path.read_text(encoding="utf-8"))

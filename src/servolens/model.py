@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -15,7 +16,6 @@ from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
@@ -26,6 +26,8 @@ __all__ = ["Model", "Quantity", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
+HOLDERS = ("servolens.fit/1", "servolens.diagnosis/1", "servolens.identification/1")
+"""Results whose files hold a model."""
 OPTIONAL = ("inertia", "free_damping")
 """Numbers of a plant that stand in its file where they are known."""
 
@@ -201,7 +203,7 @@ class Model:
 
 
 def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] = ()) -> Model:
-    """Read a ``servolens.model/1`` file.
+    """Read a ``servolens.model/1`` file, or the model of a fit, a diagnosis or an identification.
 
     Parameters
     ----------
@@ -215,6 +217,8 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
     InputError
         If the file cannot be read or is none.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"the path of a model's file is needed; got {type(path).__name__}")
     path = Path(path)
     try:
         if path.exists() and not path.is_file():
@@ -227,12 +231,22 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
     schema = data.get("schema") if isinstance(data, dict) else None
-    if schema != SCHEMA:
+    if schema not in (SCHEMA, *HOLDERS):
         raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
     try:
-        return Model.from_json(data, effects)
+        return Model.from_json(data if schema == SCHEMA else _held(data), effects)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the model that a result's file holds; of an identification the richest."""
+    models = data.get("models")
+    among = [models.get("velocity"), models.get("constant")] if isinstance(models, dict) else [data.get("model")]
+    found = next((model for model in among if isinstance(model, dict)), None)
+    if found is None:
+        raise InputError("holds no model of a plant")
+    return found
 
 
 def _value(quantity: Mapping[str, Any]) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from servolens.design.cover import gain_scale
 from servolens.design.extrapolation import BEYOND, FAR, within
-from servolens.design.found import Recommended
+from servolens.design.found import Design, Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import drawn
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.design.found import Design
     from servolens.design.response import Response
     from servolens.design.scenarios import Scenario
     from servolens.inputs import Plants
@@ -99,6 +98,8 @@ def recommend(
     (1.0, True)
     """
     known = as_models(models)
+    if not isinstance(design, Design):
+        raise InputError(f"what servolens.design.tune returns is needed, got {type(design).__name__}")
     if not known or scenarios < 1:
         raise InputError("a recommended gain needs at least one model and one scenario")
     if design.kd is None:
