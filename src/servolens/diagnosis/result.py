@@ -281,7 +281,7 @@ class Diagnosis(Result):
 
     @classmethod
     def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Diagnosis:
-        """See :meth:`servolens.result.Result.from_json`; files keep no picture of `instruments`, nothing of `missed`."""
+        """See :meth:`servolens.result.Result.from_json`; of `instruments` and `missed` files keep no picture."""
         from servolens.diagnosis.next_experiment import Experiment
         from servolens.model_evidence import Remainder
 
