@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.reading import Reading
     from servolens.record import Record
 
-__all__ = ["Log", "read_logs", "read_records"]
+__all__ = ["Log", "log_files", "read_logs", "read_records"]
 
 StrPath = str | os.PathLike[str]
 LARGEST_TOML = 2**20
@@ -103,6 +103,23 @@ def read_logs(
     logs = tuple(Log(path=source.path, reading=_read(source, settings, columns, units)) for source in sources)
     _check_units([log.reading.record for log in logs], sources)
     return logs
+
+
+def log_files(path: StrPath, *, data_root: StrPath | None = None) -> tuple[Path, ...]:
+    """Return the files that a file, a folder or a campaign names, in order; a ROS bag is a folder.
+
+    Parameters
+    ----------
+    path, data_root
+        As in :func:`read_records`.
+
+    Raises
+    ------
+    InputError
+        If the folder or the campaign cannot be read, or names a file outside of what is allowed.
+    """
+    root = None if data_root is None else _real(Path(data_root))
+    return tuple(source.path for source in _sources(Path(path), root))
 
 
 @final

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
     from threadpoolctl import ThreadpoolController
 
-__all__ = ["in_parallel", "single_threaded_blas"]
+__all__ = ["PROCESSORS", "in_parallel", "single_threaded_blas"]
+
+PROCESSORS = "SERVOLENS_PROCESSORS"
+"""Environment variable: how many processors one process uses; all of the machine's where it is not set."""
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -24,8 +27,16 @@ def in_parallel(function: Callable[[Job], Result], jobs: Iterable[Job], workers:
 
     The compiled simulation leaves Python free meanwhile.
     """
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    threads = workers or _allowed()
+    if threads == 1:
+        return [function(job) for job in jobs]
+    with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(function, jobs))
+
+
+def _allowed() -> int:
+    stated = os.environ.get(PROCESSORS, "")
+    return int(stated) if stated.isascii() and stated.isdigit() and int(stated) else os.cpu_count() or 1
 
 
 def single_threaded_blas(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

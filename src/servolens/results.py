@@ -100,8 +100,17 @@ def to_finite(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} has no place in a result")
 
 
-def write_atomically(path: Path, content: bytes) -> None:
+def write_atomically(path: Path, content: bytes, *, durable: bool = False) -> None:
     """Write `content` beside `path` and move it there, so that no reader ever sees half of it.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    content : bytes
+        All of it.
+    durable : bool
+        Whether to wait until the disk has it, so that it survives a loss of power.
 
     Raises
     ------
@@ -115,7 +124,7 @@ def write_atomically(path: Path, content: bytes) -> None:
             return
         part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
         try:
-            part.write_bytes(content)
+            _write(part, content, durable=durable)
             part.replace(target)
         except BaseException:
             with suppress(OSError):
@@ -123,6 +132,13 @@ def write_atomically(path: Path, content: bytes) -> None:
             raise
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
+
+
+def _write(path: Path, content: bytes, *, durable: bool) -> None:
+    path.write_bytes(content)
+    if durable:
+        with path.open("rb+") as stream:
+            os.fsync(stream.fileno())
 
 
 def _is_lost(value: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from servolens.commands.conversion import convert
 from servolens.commands.diagnosis import diagnose, next_
+from servolens.commands.fleet import fleet
 from servolens.commands.gains import design, map_
 from servolens.commands.pages import demo, report
 from servolens.commands.runs import check, identify, predict
@@ -9,5 +10,5 @@ from servolens.commands.tuning import compare, tune
 
 __all__ = ["COMMANDS"]
 
-COMMANDS = (demo, tune, convert, check, identify, predict, diagnose, next_, design, map_, compare, report)
+COMMANDS = (demo, tune, convert, check, identify, predict, diagnose, next_, design, map_, compare, report, fleet)
 """In the order in which they are used."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any, final
 
 import click
 
+from servolens.commands.parsing import Documented, Paths, named
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
@@ -58,29 +60,6 @@ WISHES = (
     "position_noise",
 )
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
-
-
-@final
-class Documented(click.Command):
-    """A command whose epilog is an example, printed as it is to be typed."""
-
-    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the example on a line of its own."""
-        formatter.write(f"\nExample:\n  {self.epilog}\n")
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Repeat an option of :class:`Paths` before each of its paths, then parse."""
-        greedy = {name for option in self.params if isinstance(option, Paths) for name in option.opts}
-        return super().parse_args(ctx, _spread(args, greedy, ctx) if greedy else args)
-
-
-@final
-class Paths(click.Option):
-    """An option that takes every path up to the next option."""
-
-    def type_cast_value(self, ctx: click.Context, value: Any) -> tuple[str, ...]:
-        """Return the paths, none of them empty."""
-        return _named(super().type_cast_value(ctx, value))
 
 
 def finite(value: Any) -> float:
@@ -177,15 +156,23 @@ class SpecOptions:
     given: Mapping[str, Any]
 
 
-def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",)) -> Callable[[Command], Command]:
+def recordings(
+    *, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",), folder: bool = False
+) -> Callable[[Command], Command]:
     """Give a command the argument ``RECORD…`` and its options, as one ``recordings``.
 
     Parameters
     ----------
     kp, kd : tuple of str
         How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
+    folder : bool
+        Whether the argument is one ``FOLDER`` of them.
     """
-    decorators = _record_options(kp, kd)
+    argument = ("FOLDER", 1) if folder else ("RECORD...", -1)
+    decorators: tuple[Callable[[Command], Command], ...] = (
+        click.argument("records", nargs=argument[1], required=True, metavar=argument[0]),
+        *_record_options(kp, kd),
+    )
 
     def decorate(command: Command) -> Command:
         @wraps(command)
@@ -198,7 +185,7 @@ def recordings(*, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd"
             stated = {name: value for name, value in gains.items() if value is not None}
             ordered = options.pop("column_order") or {}
             chosen = Recordings(
-                paths=_named(options.pop("records")),
+                paths=named(_several(options.pop("records"))),
                 settings=_once(options.pop("setting"), "--setting") | stated,
                 columns=ordered | _once(options.pop("column"), "--column"),
                 units=_once(options.pop("unit"), "--unit"),
@@ -359,7 +346,6 @@ force_option = click.option(
 
 def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[[Command], Command], ...]:
     return (
-        click.argument("records", nargs=-1, required=True, metavar="RECORD..."),
         click.option(
             *kp,
             "record_kp",
@@ -397,39 +383,12 @@ def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[
     )
 
 
-def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:
-    """Return the arguments with each option of `greedy` before every one of its paths."""
-    result: list[str] = []
-    current, missing = None, False
-    for i, arg in enumerate(args):
-        name, mark, value = arg.partition("=")
-        is_option = arg.startswith("-") and arg != "-"
-        if is_option and missing:
-            break
-        if arg == "--":
-            return [*result, *args[i:]]
-        if name in greedy:
-            current, missing = name, not mark
-            result += [name, value] if mark else []
-        elif is_option:
-            current = None
-            result.append(arg)
-        else:
-            result += [arg] if current is None else [current, arg]
-            missing = False
-    if missing:
-        raise click.UsageError(f"{current} needs at least one record", ctx)
-    return result
-
-
 def _number(option: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:
     return click.option(option, type=finite, metavar="NUMBER", required=required, help=text)
 
 
-def _named(paths: tuple[str, ...]) -> tuple[str, ...]:
-    if not all(path.strip() for path in paths):
-        raise click.UsageError("a record's file name is empty")
-    return paths
+def _several(paths: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (paths,) if isinstance(paths, str) else paths
 
 
 def _once(pairs: tuple[tuple[str, str], ...], option: str) -> dict[str, str]:

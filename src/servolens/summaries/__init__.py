@@ -5,6 +5,7 @@ from servolens.summaries.comparison import comparison_summary
 from servolens.summaries.diagnosis import diagnosis_summary, experiment_summary
 from servolens.summaries.experiment import demo_summary, hidden_summary
 from servolens.summaries.fits import fit_summary
+from servolens.summaries.fleet import fleet_summary
 from servolens.summaries.gains import design_summary, gains_summary, map_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
 from servolens.summaries.reading import reading_summary
@@ -20,6 +21,7 @@ __all__ = [
     "diagnosis_summary",
     "experiment_summary",
     "fit_summary",
+    "fleet_summary",
     "gain_sentences",
     "gains_summary",
     "hidden_summary",

@@ -1,0 +1,67 @@
+"""Commands and options that click does not know: an example in the help, an option with several paths."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, final
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+__all__ = ["Documented", "Paths", "named"]
+
+
+@final
+class Documented(click.Command):
+    """A command whose epilog is an example, printed as it is to be typed."""
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the example on a line of its own."""
+        formatter.write(f"\nExample:\n  {self.epilog}\n")
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Repeat an option of :class:`Paths` before each of its paths, then parse."""
+        greedy = {name for option in self.params if isinstance(option, Paths) for name in option.opts}
+        return super().parse_args(ctx, _spread(args, greedy, ctx) if greedy else args)
+
+
+@final
+class Paths(click.Option):
+    """An option that takes every path up to the next option."""
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> tuple[str, ...]:
+        """Return the paths, none of them empty."""
+        return named(super().type_cast_value(ctx, value))
+
+
+def named(paths: tuple[str, ...]) -> tuple[str, ...]:
+    """Return paths, none of which may be empty."""
+    if not all(path.strip() for path in paths):
+        raise click.UsageError("a record's file name is empty")
+    return paths
+
+
+def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:
+    """Return the arguments with each option of `greedy` before every one of its paths."""
+    result: list[str] = []
+    current, missing = None, False
+    for i, arg in enumerate(args):
+        name, mark, value = arg.partition("=")
+        is_option = arg.startswith("-") and arg != "-"
+        if is_option and missing:
+            break
+        if arg == "--":
+            return [*result, *args[i:]]
+        if name in greedy:
+            current, missing = name, not mark
+            result += [name, value] if mark else []
+        elif is_option:
+            current = None
+            result.append(arg)
+        else:
+            result += [arg] if current is None else [current, arg]
+            missing = False
+    if missing:
+        raise click.UsageError(f"{current} needs at least one record", ctx)
+    return result

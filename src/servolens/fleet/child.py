@@ -1,0 +1,81 @@
+"""The process that studies axes, one after the other, for a :class:`~servolens.fleet.keeper.Keeper`."""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+import gc
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from typing import IO, Any
+
+__all__ = ["main", "memory_of"]
+
+PR_SET_PDEATHSIG = 1
+LOOK = 1.0
+"""Seconds between looks whether the parent is still there."""
+PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
+
+
+def main() -> None:
+    """Answer each line of standard input, a job, with one line, its result; end when the input ends."""
+    _end_with_parent()
+    jobs = sys.stdin.buffer
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
+    from servolens.fleet.axis_study import studied
+
+    for line in jobs:
+        began = time.process_time()
+        result = studied(json.loads(line))
+        cost = {"cpu_seconds": time.process_time() - began, "memory": _tidy()}
+        _answer(answers, {"result": result, "cost": cost})
+    os._exit(0)  # a library's clean-up may crash or wait
+
+
+def memory_of(process: int) -> float | None:
+    """Return the resident memory of a process and its children [MiB]; None where the system does not tell."""
+    try:
+        with open(f"/proc/{process}/statm", encoding="ascii") as stream:  # noqa: PTH123 - five times a second
+            own = int(stream.read().split()[1]) * PAGE / 2**20
+    except (OSError, ValueError, IndexError):
+        return None
+    with suppress(OSError, ValueError):
+        for task in os.listdir(f"/proc/{process}/task"):  # noqa: PTH208 - names are what is needed
+            with open(f"/proc/{process}/task/{task}/children", encoding="ascii") as stream:  # noqa: PTH123 - as above
+                own += sum(memory_of(int(child)) or 0.0 for child in stream.read().split())
+    return own
+
+
+def _answer(stream: IO[bytes], value: dict[str, Any]) -> None:
+    stream.write(json.dumps(value, ensure_ascii=True, allow_nan=False).encode("ascii") + b"\n")
+    stream.flush()
+
+
+def _tidy() -> float:
+    """Give memory that is free back to the system, and return what is still used [MiB]."""
+    gc.collect()
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+    return memory_of(os.getpid()) or 0.0
+
+
+def _end_with_parent() -> None:
+    """Let this process end when its parent does, however and whenever that ends."""
+    if os.name != "posix":
+        return  # it ends with its input, after the axis it is at
+    parent = int(sys.argv[1])
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
+def _watch(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(LOOK)
+    os._exit(1)
