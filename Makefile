@@ -61,8 +61,9 @@ design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense
 fleet-kills: $(DEV_STAMP) ## a fleet whose processes are killed at 200 random moments (half an hour)
 	@SERVOLENS_KILLS=200 $(BIN)/python -m pytest tests/test_fleet_faults.py -k random_moments
 
-pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo
+pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo, and of the effects
 	@$(BIN)/python docs/pictures.py
+	@$(BIN)/python docs/effect_pictures.py
 
 bench: $(DEV_STAMP) ## the figures of the README, measured here
 	@$(BIN)/python benchmarks/run.py

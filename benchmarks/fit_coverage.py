@@ -1,4 +1,4 @@
-"""How often the 95 % intervals of ``fit_effects`` hold the truth, for each effect, in every world (``make coverage``).
+"""How often the 95 % intervals of ``fit`` hold the truth, for each effect, in every world (``make coverage``).
 
 A cart (β 1.9 m/s²/V, c 6 1/s) with one effect of moderate size visits three levels for 0.8 s each, once at Kp 40 and
 once at Kp 100 with Kd 5, at 1 kHz; the usual noise and encoder are 10 µm. Both records are fitted together from values
@@ -15,7 +15,7 @@ import time
 from coverage_study import Batch, Job, Step, campaign, carried_out
 from judging import judged_parameters
 
-from servolens import Plant, fit_effects
+from servolens import Plant, fit
 from servolens.effects import CATALOGUE
 from servolens.errors import ServolensError
 from servolens.lab import Truth
@@ -77,7 +77,7 @@ def study(job: Job) -> Batch:
         records = campaign(truth, RUNS, job.world, seed)
         begun = time.process_time()
         try:
-            found = fit_effects(records, [guess])
+            found = fit([guess], records)
         except ServolensError as failure:
             batch.failed.append(str(failure))
             continue

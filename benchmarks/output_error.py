@@ -4,7 +4,7 @@ Gain, damping, the level of Coulomb friction, and α₁ and α₂ of a damping t
 3 000 samples: digital PD loops at 1 kHz visit three levels for a second each, noise 10 µm, encoder 10 µm. The axis
 reverses and sticks. The laboratory of servolens logs them; it shares no equation with the simulator.
 
-All start from the solution of the integral equation, but for ``fit_effects``, which finds its start itself. Times of
+All start from the solution of the integral equation, but for ``fit``, which finds its start itself. Times of
 ours are warm, the best of five; ratios are taken of their median.
 
 * python-control: ``least_squares`` (trf, bounds, x_scale) on the ideal continuous loop by ``input_output_response``,
@@ -34,7 +34,7 @@ from scipy.signal import savgol_filter
 from servolens import lab
 from servolens.bridge import SOLVER, closed_loop, held_response, to_control
 from servolens.effects import CoulombFriction, VelocityDecayDamping
-from servolens.identification.effects_fit import fit_effects
+from servolens.identification import fit
 from servolens.identification.fitting import final_fit, likelihood_of
 from servolens.identification.options import FitOptions
 from servolens.identification.segments import motion_segments
@@ -77,9 +77,9 @@ def figures() -> list[Figure]:
     """Measure."""
     runs = records()
     start, _ = Screen.of(motion_segments(runs)).solve(GUESS)
-    whole = _timed(lambda: fit_effects(runs, GUESS).plant)
+    whole = _timed(lambda: fit(GUESS, runs).plant)
     alone = _timed(lambda: _refined(start, runs))
-    ours = np.array(fit_effects(runs, GUESS).plant.values)
+    ours = np.array(fit(GUESS, runs).plant.values)
     name, rival = "output-error fit", "least_squares + python-control"
     targeted = [
         by_control(f"{rival}, defaults", start, runs, {}),

@@ -90,8 +90,16 @@ def title(kind: type[Effect]) -> str:
 def effect_section(cls: type[Effect]) -> str:
     """Return one effect: its sentence, its formula, its parameters, and what it means to people."""
     rows = [row(spec) for spec in cls.parameters()]
-    head = [f"### `{cls.name}` {{ #{cls.name} }}", "", cls.sentence, "", f"$$\n{cls.latex}\n$$", ""]
+    head = [f"### `{cls.name}` {{ #{cls.name} }}", "", cls.sentence, "", f"$$\n{cls.latex}\n$$", "", picture(cls), ""]
     return "\n".join([*head, *TABLE_HEAD, *rows, "", *in_words(cls), *remarks(cls)])
+
+
+def picture(cls: type[Effect]) -> str:
+    """Return what the effect does to a step, as `make pictures` has drawn it."""
+    place = f"images/effects/{cls.name}.svg"
+    if not (Path(__file__).parent / place).exists():
+        raise FileNotFoundError(f"docs/{place} is missing; make pictures draws it")
+    return f"![Steps of 0.1 m at kp 60 without and with {cls.name}, and the difference]({place}){{ loading=lazy }}"
 
 
 def row(spec: Parameter) -> str:

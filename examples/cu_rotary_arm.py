@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from _data import folder, show_plant, show_table
 
-from servolens import CoulombFriction, Plant, Record, fit_effects, identify, predict, read_record
+from servolens import CoulombFriction, Plant, Record, fit, identify, predict, read_record
 
 RUNS = {"K1_7": (7, 0), "K1_8": (8, 0), "K1_9": (9, 0), "k1k3_7": (7, 0.271), "k1k3_9": (9, 0.377)}
 COLUMNS = {
@@ -44,18 +44,18 @@ def read() -> list[Record]:
 def main() -> None:
     records = read()
     training = records[:1]
-    fit = identify(training)
+    found = identify(training)
     models = {
         "data sheet": Plant(gain=45.0, damping=23.3, length_unit="rad"),
-        "constant": fit.constant.plant,
-        "velocity": fit.velocity.plant,
-        "Coulomb": fit_effects(training, [CoulombFriction(level=5.0)]).plant,
+        "constant": found.constant.plant,
+        "velocity": found.velocity.plant,
+        "Coulomb": fit([CoulombFriction(level=5.0)], training).plant,
     }
     for name, plant in models.items():
         show_plant(name, plant)
     table = predict(models, records)
     show_table(table, {record.name for record in training})
-    for finding in fit.findings:
+    for finding in found.findings:
         print(f"{finding.severity}: {finding.message}")
     stands = max(standing_error(record) for record in records)
     print(f"Where it fails: the arm stands still up to {stands:.3f} rad from its set point.")

@@ -21,14 +21,13 @@ from servolens import (
     AsymmetricFriction,
     ConstantForce,
     CoulombFriction,
-    EffectsFit,
-    FitOptions,
+    Fit,
     Plant,
     Presliding,
     Record,
     StribeckFriction,
     check,
-    fit_effects,
+    fit,
     read_record,
     simulate,
 )
@@ -75,7 +74,7 @@ def published() -> dict[str, Plant]:
     }
 
 
-def fitted(training: Record) -> EffectsFit:
+def fitted(training: Record) -> Fit:
     """Fit the structure that our own search ended at, in about half a minute; values here only have the right order."""
     effects = [
         StribeckFriction(level=0.2, static_excess=-0.1, stribeck_speed=0.01),
@@ -84,7 +83,7 @@ def fitted(training: Record) -> EffectsFit:
         Presliding(stiffness=300.0, level=0.05),
         ActuatorLag(time_constant=3e-4),
     ]
-    return fit_effects(training, effects, options=FitOptions(compared="voltage", begin="motion"))
+    return fit(effects, training, compared="voltage", begin="motion")
 
 
 def initial_velocity(run: Record) -> float:
@@ -126,7 +125,7 @@ def show(plants: dict[str, Plant], runs: tuple[Record, ...]) -> None:
             print(f"{name:24}{run.name:18}{position:9.3f} µm{voltage:10.2f} %{open_loop(plant, run):9.2f} mm")
 
 
-def shifted(fit: EffectsFit, errors: float) -> Plant:
+def shifted(fit: Fit, errors: float) -> Plant:
     """Return the fitted plant with its offset larger by so many standard errors."""
     offset = fit.quantities["constant_force.acceleration"]
     return fit.plant.with_effect(ConstantForce(acceleration=offset.value + errors * offset.stderr))

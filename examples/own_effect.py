@@ -17,7 +17,8 @@ from typing import Any, final
 
 import numpy as np
 
-from servolens import Controller, Plant, Record, fit_effects, read_model, simulate_loop, to_control
+import servolens
+from servolens import Controller, Plant, Record, read_model, simulate_loop, to_control
 from servolens.effects import Axis, DryFriction, parameter
 
 
@@ -60,7 +61,7 @@ def main() -> None:
     machine = Plant(gain=1.9, damping=6.0, effects=(TravelFriction(level=0.2, growth=3.0),))
     records = [measured(machine, kp, seed) for seed, kp in enumerate((60.0, 80.0, 100.0))]
 
-    fit = fit_effects(records, [TravelFriction(level=1.0, growth=1.0)])
+    fit = servolens.fit([TravelFriction(level=1.0, growth=1.0)], records)
     for name, quantity in fit.quantities.items():
         print(f"{name}: {quantity.value:.4f} ± {quantity.stderr:.4f} {quantity.unit}")
     print(f"residual {1e6 * fit.rms_error:.1f} µm, noise {1e6 * fit.noise:.1f} µm")

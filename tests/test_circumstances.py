@@ -130,31 +130,17 @@ def test_bare_axis_of_twice_the_inertia_has_half_of_gain_and_damping():
     assert Plant(gain=GAIN, damping=DAMPING).for_record(record(inertia=0.04)).gain == GAIN
 
 
-FORCE_OF = {
-    "asymmetric_damping": {"damping_difference": 3.0},
-    "coulomb_friction": {"level": 0.8},
-    "friction_map": {
-        **{f"{way}_{i}": 0.4 + 0.2 * i for way in ("positive", "negative") for i in range(5)},
-        "low": 0.01,
-        "high": 0.09,
-    },
-    "hardening_spring": {"cubic_stiffness": 500.0},
-    "load_friction": {"share": 0.2},
-    "pendulum_gravity": {"amplitude": 2.0, "phase": 0.4},
-    "presliding": {"stiffness": 2000.0, "level": 0.8},
-    "quadratic_drag": {"drag": 8.0},
-    "speed_servo": {"speed_per_volt": 0.1, "proportional": 40.0, "integral": 200.0},
-    "stribeck_friction": {"level": 0.5, "static_excess": 0.4, "stribeck_speed": 0.02},
-    "velocity_decay_damping": {"alpha1": 17.3, "alpha2": 13.1},
-    "flexible_coupling": {"frequency": 12.0, "damping_ratio": 0.05, "load_ratio": 0.4},
-    "force_limit": {"acceleration": 4.0},
-}
+KNOWS_NO_MASS = (Actuator, TimeShift, Sensor)
+"""Kinds of effects that act on the command or on what is seen."""
+OTHERWISE = ("backlash", "end_stop")
+"""Whose stiff contacts are given by the moving mass that they act on."""
+FORCES = [name for name, cls in CATALOGUE.items() if not issubclass(cls, KNOWS_NO_MASS) and name not in OTHERWISE]
 
 
-@pytest.mark.parametrize("name", FORCE_OF)
+@pytest.mark.parametrize("name", FORCES)
 def test_every_acceleration_is_divided_by_the_inertia(name):
     """At the same instant the same forces act, so push and level of friction are three times smaller."""
-    plant = Plant(gain=GAIN, damping=DAMPING).with_effect(CATALOGUE[name](**FORCE_OF[name]))
+    plant = Plant(gain=GAIN, damping=DAMPING).with_effect(CATALOGUE[name](**CATALOGUE[name].typical))
     heavy = plant.scaled(1 / 3.0)
     d = dynamics(plant.structure)
     function = ca.Function("at", d.inputs, [d.push, d.level])
@@ -171,8 +157,7 @@ def test_every_acceleration_is_divided_by_the_inertia(name):
 
 
 def test_every_parameter_of_what_acts_on_the_mass_says_how_it_goes_with_it():
-    knows_no_mass = (Actuator, TimeShift, Sensor)
-    specs = [spec for cls in CATALOGUE.values() if not issubclass(cls, knows_no_mass) for spec in cls.parameters()]
+    specs = [spec for cls in CATALOGUE.values() if not issubclass(cls, KNOWS_NO_MASS) for spec in cls.parameters()]
     assert all(spec.per_mass in (0, 0.5, 1) for spec in specs)
     assert all(spec.per_mass == 1 for spec in specs if spec.unit == "{x}/s^2")
 

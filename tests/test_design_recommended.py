@@ -285,17 +285,30 @@ def test_model_that_is_known_to_be_wrong_gives_no_gain(least, fields):
 @pytest.mark.parametrize("quantity", ["voltage", "speed", "step"])
 @pytest.mark.parametrize(("times", "light"), [(1.0, "green"), (1.4, "amber"), (1.6, "red")])
 def test_answer_beyond_the_records_is_amber_and_then_red(least, quantity, times, light):
-    gain = recommend(NLM3, least, scenarios=1).recommended.kd
-    run = lab.step_record(lab.NLM3, SPEC.kp, gain, encoder=0.0)
-    reached = {
-        "voltage": float(np.abs(run.voltage).max()),
-        "speed": float(np.abs(np.gradient(run.position, run.time)).max()),
-        "step": 0.1,
-    }
+    design = recommend(NLM3, least, scenarios=60)
+    reached = reached_with(design.recommended.kd)
     shown = DataRange(**{**reached, quantity: reached[quantity] / times})
-    of_gain = lights(least, Evidence(range=shown, remainder=leaving(0.01), heldout_of_step=0.001))[1]
+    model = Model(plant=NLM3, evidence=Evidence(range=shown, remainder=leaving(0.01), heldout_of_step=0.001))
+    of_gain = trust(model, design)[1]
     assert of_gain.light == light
     assert (quantity in of_gain.sentence) == (light != "green")
+
+
+def reached_with(kd):
+    run = lab.step_record(lab.NLM3, SPEC.kp, kd, encoder=0.0)
+    speed = float(np.abs(np.gradient(run.position, run.time)).max())
+    return {"voltage": float(np.abs(run.voltage).max()), "speed": speed, "step": 0.1}
+
+
+def test_recommended_gain_keeps_to_what_the_records_showed(least):
+    """A larger kd is slower: of the gains that meet the spec, those are left that no record has to be exceeded for."""
+    free = recommend(NLM3, least, scenarios=60).recommended.kd
+    slower = reached_with(0.5 * (free + least.intervals[-1][1]))["speed"]
+    shown = DataRange(**{**reached_with(free), "speed": slower})
+    model = Model(plant=NLM3, evidence=Evidence(range=shown, remainder=leaving(0.01), heldout_of_step=0.001))
+    kept = recommend(model, least, scenarios=60).recommended.kd
+    assert kept > free
+    assert reached_with(kept)["speed"] <= 1.011 * slower < reached_with(free)["speed"]
 
 
 def test_nothing_is_known_of_a_plant_alone(least):

@@ -507,7 +507,8 @@ def test_weight_within_a_small_angle_is_no_candidate_unless_it_stands():
 
 def test_arm_that_stands_upright_is_found_in_a_small_travel():
     arm = lab.Truth(gain=20.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 8.0, "phase": 2.9}})
-    runs = [lab.step_record(arm, kp=kp, kd=0.5, reference=[0.06], noise=1e-5, seed=kp) for kp in (10, 16)]
+    stated = {"reference": [0.06], "noise": 1e-5, "length_unit": "rad"}
+    runs = [lab.step_record(arm, kp=kp, kd=0.5, seed=kp, **stated) for kp in (10, 16)]
     diagnosis = diagnose(runs)
     assert diagnosis.verdict == "explained"
     (cause,) = diagnosis.causes

@@ -8,6 +8,7 @@ import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ MODULES = [
     for path in sorted(SOURCE.rglob("*.py"))
     if ">>>" in path.read_text(encoding="utf-8")
 ]
-PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
+PYTHON_BLOCK = re.compile(r"^ *```python\n(.*?)^ *```", flags=re.DOTALL | re.MULTILINE)
 PAGES = [
     page
     for page in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -38,7 +39,7 @@ def test_examples_in_docstrings_run(name, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_python_on_the_pages_runs(page, tmp_path):
-    script = "\n".join(PYTHON_BLOCK.findall(page.read_text(encoding="utf-8")))
+    script = "\n".join(map(textwrap.dedent, PYTHON_BLOCK.findall(page.read_text(encoding="utf-8"))))
     done = subprocess.run(
         [sys.executable, "-c", script],
         cwd=tmp_path,

@@ -17,6 +17,7 @@ from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.identification import Prior, identify
 from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.options import FitOptions
 from servolens.identification.refine import refine_closed_loop
 from servolens.identification.regressors import regressor
 from servolens.identification.segments import motion_segments
@@ -224,7 +225,7 @@ def test_program_with_loose_constraints_equals_plain_least_squares(plugin: str) 
 def test_steps_that_do_not_settle_are_not_taken_for_rests(dwell: float) -> None:
     record = step_record(LM1, 60.0, noise=1e-5, seed=1, reference=(0.1, 0.0, 0.1, 0.0), duration=dwell)
     start = Plant(gain=1.8, damping=6.0)
-    found = refine_closed_loop(start, [record], noise=1e-5).plant
+    found = refine_closed_loop(start, [record], FitOptions(), noise=1e-5).plant
     assert found.gain == pytest.approx(LM1.gain, rel=1e-3)
     assert found.damping == pytest.approx(LM1.damping, rel=1e-3)
 
@@ -263,7 +264,7 @@ def test_a_prior_on_the_velocity_model_adds_its_information_once() -> None:
         assert held.model.quantities["gain"].stderr == pytest.approx(expected, rel=0.1)
 
 
-@pytest.mark.parametrize("name", [name for name, effect in CATALOGUE.items() if regressor(effect).sizes])
+@pytest.mark.parametrize("name", [name for name in LAWS if name in CATALOGUE and regressor(CATALOGUE[name]).sizes])
 def test_columns_are_the_force_per_unit_of_each_size(name: str) -> None:
     random = np.random.default_rng(1)
     time, position, velocity = 3.0 * np.sort(random.random(2501)), *random.standard_normal((2, 2501))
@@ -340,7 +341,10 @@ def test_node_rule_is_half_the_interval_between_velocity_zeros() -> None:
     ("arguments", "message"),
     [
         ({"model": "cubic"}, "model must be 'all'"),
-        ({"priors": {"mass": Prior(value=1.0, deviation=1.0)}}, "a prior on 'mass' is not possible"),
+        (
+            {"priors": {"mass": Prior(value=1.0, deviation=1.0)}},
+            "'mass' is no parameter of this model; those are gain, damping",
+        ),
         ({"delta": -1.0}, "delta must not be negative"),
         ({"piece": 9.0}, "a piece must last between"),
         ({"piece": 0.001}, "would be"),

@@ -111,3 +111,14 @@ def test_the_error_stands_in_the_model_s_file():
     assert (again.evidence.range.kp, again.evidence.range.kd) == (100.0, 2.0)
     with pytest.raises(Exception, match="as many of each"):
         ModelError.from_json({"frequency": [1.0, 2.0], "size": [0.1], "loop": [1.0]})
+
+
+def test_the_gain_of_a_loop_that_integrates_is_the_textbook_s():
+    spec, kv = PDSpec(kp=12.0, settling_time=0.6, controller="cascade", kiv=100.0, sample_time=2e-4), 14.0
+    frequency = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+    s = 2j * np.pi * frequency
+    loop = GAIN * (kv + spec.kiv / s) * (spec.kp + s) / (s * (s + DAMPING))
+    assert closed_loop_gain(MODEL, spec, kv, frequency) == pytest.approx(np.abs(loop / (1.0 + loop)), rel=0.02)
+    spec, kd = PDSpec(kp=100.0, ki=150.0, settling_time=0.6, setpoint_weight=0.5, sample_time=2e-4), 6.0
+    loop = GAIN * (spec.kp + spec.ki / s + kd * s) / (s * (s + DAMPING))
+    assert closed_loop_gain(MODEL, spec, kd, frequency) == pytest.approx(np.abs(loop / (1.0 + loop)), rel=0.03)

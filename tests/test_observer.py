@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+import servolens
 from servolens import lab
 from servolens.effects import CoulombFriction
-from servolens.identification.effects_fit import fit_effects
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observer import observer_of
@@ -110,7 +110,7 @@ def test_friction_of_a_shaken_axis_is_fitted_beside_what_shakes_it():
     truth = lab.Truth(gain=2.0, damping=8.0, effects={"coulomb_friction": {"level": 0.3}})
     around = lab.surroundings("shaken", 7301, rate=11.0, damping=12.0)
     runs = [lab.step_record(truth, kp=kp, surroundings=around, seed=kp) for kp in (40, 90)]
-    fit = fit_effects(runs, [CoulombFriction(level=0.4)])
+    fit = servolens.fit([CoulombFriction(level=0.4)], runs)
     assert fit.driven == "voltage"
     assert fit.noise_model.rate > 0.0
     assert "above_noise" not in [finding.code for finding in fit.findings]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import servolens
 from servolens.effects import CoulombFriction, Saturation
 from servolens.errors import InputError
-from servolens.identification import fit_effects
 from servolens.lab import LM1, NLM1, Truth, step_record, table_one
 from servolens.plant import Plant
 from servolens.prediction import predict, prediction_error
@@ -55,7 +55,7 @@ def test_table_has_a_row_a_record_and_a_column_a_model() -> None:
 def test_coulomb_friction_is_recovered_within_three_standard_errors(kd: float) -> None:
     cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     records = [step_record(cart, kp, kd, noise=1e-5, seed=int(kp)) for kp in (60.0, 100.0)]
-    found = fit_effects(records, [CoulombFriction(level=1.0)])
+    found = servolens.fit([CoulombFriction(level=1.0)], records)
     for name, true in (("gain", 1.9), ("damping", 6.0), ("coulomb_friction.level", 0.4)):
         quantity = found.quantities[name]
         assert quantity.stderr is not None
@@ -66,17 +66,17 @@ def test_coulomb_friction_is_recovered_within_three_standard_errors(kd: float) -
 def test_friction_is_found_from_the_voltage_alone() -> None:
     cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     record = step_record(cart, 60.0, noise=1e-5, seed=1).with_({"reference": None, "controller": None})
-    level = fit_effects(record, [CoulombFriction(level=1.0)]).plant.effect("coulomb_friction")
+    level = servolens.fit([CoulombFriction(level=1.0)], record).plant.effect("coulomb_friction")
     assert level.level == pytest.approx(0.4, rel=0.05)  # type: ignore[union-attr]  # it was asked for
 
 
 def test_saturation_is_found_where_it_binds() -> None:
     cart = Truth(gain=1.9, damping=6.0, effects={"saturation": {"limit": 4.0}})
     records = [step_record(cart, kp, noise=1e-5, seed=int(kp)) for kp in (60.0, 100.0)]
-    found = fit_effects(records, [Saturation(limit=6.0)]).plant.effect("saturation")
+    found = servolens.fit([Saturation(limit=6.0)], records).plant.effect("saturation")
     assert found.limit == pytest.approx(4.0, rel=1e-2)  # type: ignore[union-attr]  # it was asked for
 
 
 def test_a_fit_of_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="no record was given"):
-        fit_effects([], [CoulombFriction(level=1.0)])
+        servolens.fit([CoulombFriction(level=1.0)], [])

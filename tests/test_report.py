@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from base64 import b64encode
+from hashlib import sha256
 from html.parser import HTMLParser
 
 import numpy as np
@@ -18,13 +20,16 @@ from servolens.effects import CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.report import write_report
-from servolens.report.content import Drawing, Section
+from servolens.report.content import Drawing, Key, Picture, Section
 from servolens.report.curves import curve
+from servolens.report.drawing import drawing
+from servolens.report.figure_data import Line, Panel, Scale, encoded, panels_of
 from servolens.report.figures import damping_at, plant_formula
-from servolens.report.page import render_page
+from servolens.report.page import render_page, write_page
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
 from servolens.report.plots_design import Mark, plot_settling_times, plot_step_responses
-from servolens.report.style import new_figure
+from servolens.report.printing import chromium
+from servolens.report.style import new_figure, panel_figure
 from servolens.report.svg import svg
 from servolens.report.wording import shown
 
@@ -37,11 +42,27 @@ class Page(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.tags, self.addresses, self.anchors, self.ids = [], [], [], []
+        self.tags, self.addresses, self.anchors, self.ids, self.scripts, self.policy = [], [], [], [], [], ""
+        self._script = None
         self.feed(text)
+
+    def handle_data(self, data):
+        if self._script is not None:
+            self._script += data
+
+    def handle_endtag(self, tag):
+        if tag == "script":
+            self.scripts += [] if self._script is None else [self._script]
+            self._script = None
 
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
+        given = dict(attrs)
+        if tag == "script":
+            self._script = "" if "type" not in given else None
+            assert given.get("type", "application/json") == "application/json"
+        if given.get("http-equiv") == "Content-Security-Policy":
+            self.policy = given["content"]
         for name, value in attrs:
             if name in ("src", "href", "xlink:href", "srcset", "data", "action"):
                 (self.anchors if value.startswith("#") else self.addresses).append(value)
@@ -53,8 +74,16 @@ class Page(HTMLParser):
 def assert_self_contained(text):
     page = Page(text)
     assert page.addresses == []
-    assert {"script", "iframe", "object", "embed", "link", "img", "base"} & set(page.tags) == set()
+    assert {"iframe", "object", "embed", "link", "img", "base"} & set(page.tags) == set()
+    assert page.policy.startswith("default-src 'none'; style-src 'unsafe-inline'; script-src ")
+    hashes = [b64encode(sha256(script.encode()).digest()).decode() for script in page.scripts]
+    assert re.findall(r"'sha256-([^']+)'", page.policy) == hashes
+    outside = text
+    for script in page.scripts:
+        outside = outside.replace(script, "")
+        assert not re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|\beval\(|new Function|\bimport\b", script)
     assert "http" not in text
+    assert not re.search(r"//[a-z]", outside)
     assert "@import" not in text
     assert len(page.ids) == len(set(page.ids))
     used = set(re.findall(r"url\(#([^)]+)\)", text)) | {anchor[1:] for anchor in page.anchors}
@@ -156,11 +185,84 @@ def test_formula_names_every_parameter_in_words():
 
 
 def test_page_escapes_whatever_it_is_given():
-    drawing = Drawing(svg="<svg></svg>", caption=HOSTILE)
+    line = Line(label=HOSTILE, colour="#000000", x=np.array([0.0, 1.0]), y=np.array([0.0, np.nan]))
+    scale = Scale(label=HOSTILE, low=0.0, high=1.0, kind="linear")
+    panel = Panel(title=HOSTILE, box=(0.0, 0.0, 1.0, 1.0), x=scale, y=scale, lines=(line,))
+    picture = Picture(svg="<svg></svg>", panels=(panel,))
+    drawing = Drawing(pictures=(picture,), caption=HOSTILE, legend=(Key(label=HOSTILE, svg="<svg></svg>"),))
     text = render_page(HOSTILE, HOSTILE, [HOSTILE], [Section(key="a", title=HOSTILE, blocks=(HOSTILE, drawing))])
-    assert "<script" not in text
+    assert "<script>alert" not in text
     assert "{{ 7*7 }}" in text
+    (told,) = re.findall(r'<script type="application/json" class="numbers">(.*?)</script>', text)
+    assert json.loads(told)["pictures"][0][0]["lines"][0]["label"] == HOSTILE
     assert_self_contained(text)
+
+
+@given(signal, st.integers(0, 3))
+def test_numbers_in_a_page_are_those_of_the_figure(values, gaps):
+    values = values.copy()
+    values[:gaps] = np.nan
+    code = encoded(values)
+    steps = [code["from"] + round(i * code["step"]) for i in range(code["n"])] if "n" in code else None
+    whole = np.cumsum([0 if d is None else d for d in code.get("d", [])]) if steps is None else np.array(steps)
+    known = np.isfinite(values)
+    if "d" in code:
+        assert [d is not None for d in code["d"]] == known.tolist()
+    if known.any():
+        size = (
+            max(float(np.ptp(values[known])), 1e-300) if np.ptp(values[known]) else float(np.abs(values[known]).max())
+        )
+        assert np.abs(whole * 10.0 ** code["e"] - values)[known].max() <= 1.1e-4 * size
+
+
+def test_panels_tell_where_they_are_and_what_is_in_them():
+    figure, ax = panel_figure(2.0, 4.0)
+    plot_curves([curve("a", [0, 1, 2], [0, 5, 9], "first")], xlabel="Time [s]", ylabel="Position [m]", title="T", ax=ax)
+    drawn = drawing("key", figure, "caption")
+    (panel,) = drawn.pictures[0].panels
+    left, top, width, height = panel.box
+    assert (panel.title, panel.x.label, panel.y.label, panel.x.kind) == ("T", "Time [s]", "Position [m]", "linear")
+    assert [line.label for line in panel.lines] == ["a"]
+    path = re.search(
+        r'class="panel-0".*?d="(M[^"]*)" clip-path="[^"]*" style="fill: none; stroke: var\(--blue\)',
+        drawn.pictures[0].svg,
+    )
+    first = [float(number) for number in re.findall(r"-?[\d.]+", path[1])[:2]]
+    share = (0.0 - panel.x.low) / (panel.x.high - panel.x.low), (0.0 - panel.y.low) / (panel.y.high - panel.y.low)
+    assert first == pytest.approx([left + share[0] * width, top + (1 - share[1]) * height], abs=0.02)
+    assert panels_of(figure)[0].box == panel.box
+
+
+@pytest.mark.parametrize("name", ["page.docx", "page", "page.html.txt"])
+def test_page_of_another_kind_is_refused(name, runs, tmp_path):
+    with pytest.raises(InputError, match=r"written as \.html or \.pdf"):
+        write_report(tmp_path / name, runs[:1])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pdf_without_a_browser_is_refused_at_once(runs, tmp_path, monkeypatch):
+    monkeypatch.setenv("SERVOLENS_CHROMIUM", "no-such-browser")
+    with pytest.raises(InputError, match="needs Chromium or Chrome, and none was found"):
+        write_report(tmp_path / "page.pdf", runs[:1])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_browser_that_prints_nothing_is_refused(tmp_path, monkeypatch):
+    idle = tmp_path / "idle"
+    idle.write_text("#!/bin/sh\nexit 0\n", encoding="utf-8")
+    idle.chmod(0o755)
+    monkeypatch.setenv("SERVOLENS_CHROMIUM", str(idle))
+    with pytest.raises(InputError, match="idle did not print the page"):
+        write_page(tmp_path / "page.pdf", "Title", "Lead.", [], [])
+    assert [path.name for path in tmp_path.iterdir()] == ["idle"]
+
+
+@pytest.mark.skipif(chromium() is None, reason="no Chromium or Chrome is here to print")
+def test_pdf_is_a_pdf(tmp_path):
+    write_page(tmp_path / "page.PDF", "Title", "Lead.", [], [Section(key="a", title="Part", blocks=("Text.",))])
+    content = (tmp_path / "page.PDF").read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert b"%%EOF" in content[-32:]
 
 
 def test_long_names_are_cut():
@@ -188,7 +290,7 @@ def test_report_takes_any_single_record(runs, tmp_path, change, tells):
     body = write_report(page, [runs[5].with_(change)])
     text = page.read_text(encoding="utf-8")
     assert body["diagnosis"]["verdict"] == "explained"
-    assert "What the simulation gets wrong" in text
+    assert "Measured against predicted" in text
     assert_self_contained(text)
     assert tells in text
     json.dumps(body, allow_nan=False)
@@ -224,7 +326,7 @@ def test_long_record_makes_a_small_page(tmp_path):
     page = tmp_path / "report.html"
     write_report(page, [record])
     assert "the first 3 are drawn" in page.read_text(encoding="utf-8")
-    assert "What the simulation gets wrong" in page.read_text(encoding="utf-8")
+    assert "Where the error lives" in page.read_text(encoding="utf-8")
     assert page.stat().st_size < 1_000_000
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from servolens import PDSpec, Plant, diagnose, fit_effects, identify, lab, study_records, tune
+import servolens
+from servolens import PDSpec, Plant, diagnose, identify, lab, study_records, tune
 from servolens import design as designing
 from servolens.design import settling_time
 from servolens.effects import CoulombFriction, Saturation
@@ -206,7 +207,7 @@ def test_unknown_requests_are_refused_before_any_work(cart):
     with pytest.raises(InputError, match="effort must be one of"):
         study_records(cart.records, SPEC, effort="endless")
     with pytest.raises(InputError, match="prior on 'mass' is not possible"):
-        study_records(cart.records, SPEC, priors={"mass": None})
+        study_records(cart.records, SPEC, priors={"mass": (1.0, 0.1)})
     with pytest.raises(InputError, match="very samples of"):
         study_records(cart.records, SPEC, heldout=cart.records[:1])
 
@@ -245,7 +246,7 @@ def test_suggested_spec_can_be_met(cart):
 
 def test_tune_takes_whatever_has_a_model(cart):
     records, plant = list(cart.records), Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
-    fit = fit_effects(records, [CoulombFriction(level=0.2)])
+    fit = servolens.fit([CoulombFriction(level=0.2)], records)
     wanted = designing.tune(plant, SPEC).kd
     sources = {
         "plant": plant,
@@ -295,7 +296,7 @@ def test_tune_reads_a_model(tmp_path):
 
 
 def test_gains_of_records_cannot_be_given_for_what_has_them_already(cart):
-    with pytest.raises(InputError, match="kp cannot be given for records that are read already"):
+    with pytest.raises(InputError, match=r"kp is for tables and files; .* is a Record"):
         tune(cart.records[0], SPEC, kp=80.0)
     with pytest.raises(InputError, match="kp cannot be given for plants and models"):
         tune(Plant(gain=1.9, damping=6.0), SPEC, kp=80.0)

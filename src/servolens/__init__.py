@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from servolens import bridge, design, effects, lab, simulation
     from servolens.bridge import (
         ResponseWarning,
         check_response,
@@ -30,43 +32,14 @@ if TYPE_CHECKING:
     )
     from servolens.design.confidence import trust
     from servolens.diagnosis import Diagnosis, diagnose
-    from servolens.effects import (
-        ActuatorLag,
-        AsymmetricDamping,
-        AsymmetricFriction,
-        Backlash,
-        Cogging,
-        ConstantForce,
-        CoulombFriction,
-        DeadZone,
-        Delay,
-        EndStop,
-        FlexibleCoupling,
-        ForceLimit,
-        FrictionMap,
-        GainDrift,
-        HardeningSpring,
-        LoadFriction,
-        PendulumGravity,
-        PeriodicDisturbance,
-        PositionFriction,
-        Presliding,
-        QuadraticDrag,
-        ReturnSpring,
-        Saturation,
-        SensorLag,
-        SpeedServo,
-        StribeckFriction,
-        VelocityDecayDamping,
-    )
+    from servolens.effects import *  # noqa: F403 - what the catalogue holds
     from servolens.errors import InputError, NumericalError, ServolensError
     from servolens.identification import (
-        EffectsFit,
-        FitOptions,
+        Fit,
         Identification,
         Prior,
         bootstrap,
-        fit_effects,
+        fit,
         identify,
         profile,
     )
@@ -89,7 +62,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
+_HOMES: dict[str, tuple[str, ...]] = {
     "bridge": (
         "ResponseWarning",
         "check_response",
@@ -114,43 +87,13 @@ _HOMES = {
     ),
     "design.confidence": ("trust",),
     "diagnosis": ("Diagnosis", "diagnose"),
-    "effects": (
-        "ActuatorLag",
-        "AsymmetricDamping",
-        "AsymmetricFriction",
-        "Backlash",
-        "Cogging",
-        "ConstantForce",
-        "CoulombFriction",
-        "DeadZone",
-        "Delay",
-        "EndStop",
-        "FlexibleCoupling",
-        "ForceLimit",
-        "FrictionMap",
-        "GainDrift",
-        "HardeningSpring",
-        "LoadFriction",
-        "PendulumGravity",
-        "PeriodicDisturbance",
-        "PositionFriction",
-        "Presliding",
-        "QuadraticDrag",
-        "ReturnSpring",
-        "Saturation",
-        "SensorLag",
-        "SpeedServo",
-        "StribeckFriction",
-        "VelocityDecayDamping",
-    ),
     "errors": ("InputError", "NumericalError", "ServolensError"),
     "identification": (
-        "EffectsFit",
-        "FitOptions",
+        "Fit",
         "Identification",
         "Prior",
         "bootstrap",
-        "fit_effects",
+        "fit",
         "identify",
         "profile",
     ),
@@ -171,59 +114,40 @@ _HOMES = {
     ),
     "study": ("Study", "study_records", "tune"),
 }
+_OTHERS = ("base", "kinds")
+_HOMES["effects"] = tuple(
+    file.stem.title().replace("_", "")
+    for file in sorted(Path(__file__).with_name("effects").glob("[!_]*.py"))
+    if file.stem not in _OTHERS
+)
+"""A class for each file of the catalogue."""
+_ROOMS = ("bridge", "design", "effects", "lab", "simulation")
+"""Subpackages that scripts use by their names."""
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "ActuatorLag",
-    "AsymmetricDamping",
-    "AsymmetricFriction",
-    "Backlash",
-    "Cogging",
     "Comparison",
-    "ConstantForce",
     "Controller",
-    "CoulombFriction",
-    "DeadZone",
-    "Delay",
     "Design",
     "Diagnosis",
-    "EffectsFit",
-    "EndStop",
-    "FitOptions",
-    "FlexibleCoupling",
-    "ForceLimit",
-    "FrictionMap",
-    "GainDrift",
+    "Fit",
     "GainMap",
     "GainWishes",
-    "HardeningSpring",
     "Identification",
     "InputError",
     "Light",
-    "LoadFriction",
     "Model",
     "NumericalError",
     "PDSpec",
-    "PendulumGravity",
-    "PeriodicDisturbance",
     "Plant",
-    "PositionFriction",
     "Prediction",
-    "Presliding",
     "Prior",
-    "QuadraticDrag",
     "Quantity",
     "Record",
     "ResponseWarning",
-    "ReturnSpring",
-    "Saturation",
-    "SensorLag",
     "ServolensError",
     "Simulation",
-    "SpeedServo",
-    "StribeckFriction",
     "Study",
-    "VelocityDecayDamping",
     "__version__",
     "assess",
     "bootstrap",
@@ -234,7 +158,7 @@ __all__ = [
     "diagnose",
     "digital_controller",
     "feedforward",
-    "fit_effects",
+    "fit",
     "gain_map",
     "held_response",
     "identify",
@@ -257,11 +181,19 @@ __all__ = [
     "tune",
     "tune_gains",
     "write_report",
+    "bridge",
+    "design",
+    "effects",
+    "lab",
+    "simulation",
+    *_HOMES["effects"],
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for when it is asked for, so that ``import servolens`` stays quick."""
+    if name in _ROOMS:
+        return importlib.import_module(f"servolens.{name}")
     if name not in _HOME_OF:
         raise AttributeError(f"module 'servolens' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"servolens.{_HOME_OF[name]}"), name)

@@ -12,8 +12,8 @@ import click
 
 from servolens import __version__
 from servolens.commands import COMMANDS
-from servolens.commands.terminal import escaped
 from servolens.errors import ServolensError
+from servolens.rendering import escaped
 
 __all__ = ["group", "main"]
 

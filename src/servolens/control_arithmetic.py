@@ -16,12 +16,12 @@ if TYPE_CHECKING:
 
     Signal = NDArray[np.float64]
 
-__all__ = ["Answer", "Seen", "answer", "samples_a_period"]
+__all__ = ["Answer", "LoopSignals", "answer", "samples_a_period"]
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Seen:
+class LoopSignals:
     """What a loop was given, sample by sample.
 
     Attributes
@@ -73,7 +73,7 @@ class Answer:
     remembered: Signal
 
 
-def answer(controller: Controller, seen: Seen) -> Answer:
+def answer(controller: Controller, seen: LoopSignals) -> Answer:
     """Return what `controller` makes of `seen`.
 
     A difference across lost samples is divided by the time that really passed.
@@ -128,7 +128,7 @@ def samples_a_period(controller: Controller, sample_time: float) -> int:
     return round(ratio)
 
 
-def _ticks(controller: Controller, seen: Seen) -> NDArray[np.intp] | None:
+def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None:
     """Return the samples at which a slow loop runs, the first included; None for a loop that runs at every sample."""
     count = samples_a_period(controller, seen.sample_time)
     if count == 1:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, final
+from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
 from servolens.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 __all__ = ["AntiWindup", "Controller"]
 
@@ -205,6 +208,27 @@ class Controller:
             square = self.kd / self.ki
             return math.copysign(math.sqrt(abs(square)), square) if self.kd != 0 else self.kp / self.ki
         return 1.0 / self.integral_rate if self.integral_rate > 0 else math.inf
+
+    def reference_path(self, frequency: NDArray[np.float64], period: float) -> NDArray[np.complex128]:
+        """Return the law from reference to voltage, within its limits, at each `frequency` [Hz].
+
+        Parameters
+        ----------
+        frequency : ndarray, shape (n,)
+            Positive, below half the sampling frequency where the law integrates.
+        period : float
+            Of the loop [s], where the law has none of its own.
+        """
+        period = self.control_period or period
+        back = np.exp(-2j * np.pi * period * np.asarray(frequency))
+        change = (1.0 - back) / period
+        proportional = self.kp * self.setpoint_weight + self.velocity_feedforward * change
+        if self.derivative_on == "error":
+            window, share = self.derivative_window, self.derivative_filter
+            raw = (1.0 - back**window) / (window * period)
+            proportional = proportional + self.kd * share * raw / (1.0 - (1.0 - share) * back)
+        slope = self.ki + self.integral_rate * proportional
+        return np.asarray(proportional + (slope / change if self.integrates else 0.0), dtype=np.complex128)
 
     def scaled(self, factor: float) -> Controller:
         """Return the loop whose whole command is multiplied by `factor`, as by an amplifier's gain."""

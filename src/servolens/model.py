@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.decoding import read_fields
 from servolens.errors import InputError
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -24,6 +26,8 @@ __all__ = ["Model", "Quantity", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
+HOLDERS = ("servolens.fit/1", "servolens.diagnosis/1", "servolens.identification/1")
+"""Results whose files hold a model."""
 OPTIONAL = ("inertia", "free_damping")
 """Numbers of a plant that stand in its file where they are known."""
 
@@ -57,6 +61,28 @@ class Quantity:
             return None
         return (self.value - NORMAL_95 * self.stderr, self.value + NORMAL_95 * self.stderr)
 
+    def __float__(self) -> float:
+        return self.value
+
+    def __format__(self, spec: str) -> str:
+        """Return the value as `spec` has it; without one, value ± standard error and unit."""
+        return format(self.value, spec) if spec else str(self)
+
+    def __str__(self) -> str:
+        error = "" if self.stderr is None else f" ± {self.stderr:.2g}"
+        return f"{self.value:.6g}{error} {self.unit}".rstrip()
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Quantity:
+        """Build the quantity from what :meth:`to_json` returned.
+
+        Raises
+        ------
+        InputError
+            If a field is no number or the value is missing.
+        """
+        return read_fields(cls, data)
+
     def to_json(self) -> dict[str, Any]:
         """Return ``{"value", "stderr", "interval", "unit"}``, and ``"reason"`` where the error is not known."""
         interval = self.interval
@@ -72,7 +98,7 @@ class Quantity:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Model:
     """A plant, how well its parameters are known, and what it was identified from.
 
@@ -95,6 +121,10 @@ class Model:
     identified_from: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     evidence: Evidence | None = None
+
+    def __repr__(self) -> str:
+        """Return one line: every parameter with its error."""
+        return f"<Model: {', '.join(f'{name} {quantity}' for name, quantity in self.quantities.items())}>"
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -172,12 +202,12 @@ class Model:
         return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
 
 
-def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
-    """Read a ``servolens.model/1`` file.
+def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] = ()) -> Model:
+    """Read a ``servolens.model/1`` file, or the model of a fit, a diagnosis or an identification.
 
     Parameters
     ----------
-    path : Path
+    path : str or path
         The file.
     effects : sequence of type
         Classes of effects beside those of the catalogue and of installed packages.
@@ -187,6 +217,9 @@ def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
     InputError
         If the file cannot be read or is none.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"the path of a model's file is needed; got {type(path).__name__}")
+    path = Path(path)
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: is a folder or a device; give a file that `servolens identify --out` wrote")
@@ -198,12 +231,22 @@ def read_model(path: Path, *, effects: Sequence[type[Effect]] = ()) -> Model:
     except (ValueError, RecursionError):
         raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
     schema = data.get("schema") if isinstance(data, dict) else None
-    if schema != SCHEMA:
+    if schema not in (SCHEMA, *HOLDERS):
         raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
     try:
-        return Model.from_json(data, effects)
+        return Model.from_json(data if schema == SCHEMA else _held(data), effects)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the model that a result's file holds; of an identification the richest."""
+    models = data.get("models")
+    among = [models.get("velocity"), models.get("constant")] if isinstance(models, dict) else [data.get("model")]
+    found = next((model for model in among if isinstance(model, dict)), None)
+    if found is None:
+        raise InputError("holds no model of a plant")
+    return found
 
 
 def _value(quantity: Mapping[str, Any]) -> float:

@@ -118,6 +118,11 @@ class Plant:
         return dict(_named(self.structure))
 
     @property
+    def named(self) -> dict[str, float]:
+        """All parameters, SI, by qualified name."""
+        return dict(zip(self.parameters, self.values, strict=True))
+
+    @property
     def derived(self) -> tuple[str, ...]:
         """Names of the parameters that follow from others: the gain, where a drive sets it."""
         return ("gain",) if any(isinstance(effect, Drive) for effect in self.effects) else ()
@@ -145,6 +150,10 @@ class Plant:
             effects.append(type(effect)(**vars(type(effect).symbols(rest[:count]))))
             rest = rest[count:]
         return replace(self, gain=gain, damping=damping, effects=tuple(effects))
+
+    def with_named(self, values: Mapping[str, float]) -> Plant:
+        """Return the same structure with other numbers for the parameters that `values` names."""
+        return self.with_values([values.get(name, value) for name, value in self.named.items()])
 
     def scaled(self, ratio: float) -> Plant:
         """Return the plant with 1/`ratio` times the moving mass, of the same shares of motor and load.

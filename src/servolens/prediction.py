@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import TYPE_CHECKING, Any, final
+from itertools import pairwise, product
+from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
 import numpy as np
 
+from servolens.decoding import json_of, read_fields
 from servolens.effects import Sensor
+from servolens.errors import InputError
+from servolens.inputs import as_model, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion
+from servolens.result import Result, late
 from servolens.simulation import simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    import os
+    from collections.abc import Sequence
 
+    import pandas as pd
     from numpy.typing import NDArray
 
+    from servolens.inputs import Plants, Records, RecordSettings
+    from servolens.model import Model
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -53,11 +62,16 @@ class RecordError:
         """Return the fields; ``null`` for a percentage of nothing."""
         return {name: _finite(getattr(self, name)) for name in self.__slots__}
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> RecordError:
+        """Build the errors from what :meth:`to_json` returned; a number that is null was not finite."""
+        return read_fields(cls, data)
+
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prediction:
-    """Errors of several models on several records.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Prediction(Result):
+    """What several models make of several records, and how far they are off.
 
     Attributes
     ----------
@@ -65,15 +79,78 @@ class Prediction:
         Names, in the table's order of columns.
     errors : tuple of tuple of RecordError
         ``errors[i][j]``: record i, model j.
+    records : tuple of Record
+        What was simulated; none where the errors were read from a file.
+    plants : tuple of Plant
+        Of the models.
+    positions : tuple of tuple of ndarray, shape (n,)
+        ``positions[i][j]``: simulated at the samples of record i by model j [m or rad].
+    identified_from : tuple of str
+        Names of the records that the models were identified from; all others are held out. Empty where that is not
+        known, as of a bare plant.
     """
+
+    kind: ClassVar[str] = "prediction"
 
     models: tuple[str, ...]
     errors: tuple[tuple[RecordError, ...], ...]
+    records: tuple[Record, ...] = ()
+    plants: tuple[Plant, ...] = ()
+    positions: tuple[tuple[NDArray[np.float64], ...], ...] = ()
+    identified_from: tuple[str, ...] = ()
+
+    @property
+    def plant(self) -> Plant:
+        """The plant of the first model."""
+        if not self.plants:
+            raise InputError("this prediction was read from a file, which holds no plants; predict again")
+        return self.plants[0]
+
+    def is_held_out(self, record: str) -> bool | None:
+        """Tell whether no model was identified from the `record` of this name; None where that is not known."""
+        return record not in self.identified_from if self.identified_from else None
 
     @property
     def average_percent(self) -> tuple[float, ...]:
         """Mean percent error of each model over the records: Table I's last row."""
         return tuple(float(np.mean([row[j].percent_error for row in self.errors])) for j in range(len(self.models)))
+
+    def residuals(self, records: Records = None, **settings: Unpack[RecordSettings]) -> tuple[NDArray[np.float64], ...]:
+        """Return simulated minus measured position of the first model [m or rad], an array for each of the records."""
+        if records is not None:
+            return predict(self, records, **settings).residuals()
+        if not self.records:
+            raise InputError("this prediction was read from a file, which holds no records; pass them")
+        return tuple(row[0] - record.position for record, row in zip(self.records, self.positions, strict=True))
+
+    def trajectories(self) -> pd.DataFrame:
+        """Return measured and simulated positions; see :func:`servolens.summaries.frames.trajectories`."""
+        frame: pd.DataFrame = late("summaries.frames", "trajectories")(self)
+        return frame
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields of ``servolens.prediction/1``: the first model's errors, then all by name."""
+        rows = [
+            {
+                **row[0].to_json(),
+                "held_out": self.is_held_out(row[0].name),
+                "by_model": {m: e.to_json() for m, e in zip(self.models, row, strict=True)},
+            }
+            for row in self.errors
+        ]
+        return {"models": list(self.models), "records": rows, "identified_from": list(self.identified_from)}
+
+    @classmethod
+    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Prediction:
+        """See :meth:`servolens.result.Result.from_json`."""
+        data = json_of(source)
+        models = tuple(data.get("models") or ("the model",))
+        rows = [row.get("by_model") or {models[0]: row} for row in data.get("records", ())]
+        return cls(
+            models=models,
+            errors=tuple(tuple(RecordError.from_json(row[m]) for m in models) for row in rows),
+            identified_from=tuple(str(name) for name in data.get("identified_from", ())),
+        )
 
 
 def prediction_error(plant: Plant, record: Record) -> RecordError:
@@ -137,12 +214,61 @@ def _from(plant: Plant, record: Record, velocity: float) -> NDArray[np.float64]:
     return np.asarray(shown - record.position)
 
 
-def predict(models: Mapping[str, Plant], records: Sequence[Record]) -> Prediction:
-    """Return the errors of every model on every record."""
+def predict(
+    models: Plants | Mapping[str, Plants] | Sequence[Plants], records: Records, **settings: Unpack[RecordSettings]
+) -> Prediction:
+    """Simulate every record with every model: trajectories and errors.
+
+    Parameters
+    ----------
+    models : Plant, model, fit, diagnosis, path of a model's file, a sequence of these, or a mapping by name
+        What predicts.
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
+        Each record's reference is simulated with its own gains; one without them from its logged voltage.
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
+
+    Raises
+    ------
+    InputError
+        If there is no model or record, or their units differ.
+    NumericalError
+        If a simulated axis leaves all bounds.
+
+    Examples
+    --------
+    >>> from servolens import Plant, lab
+    >>> found = predict(Plant(gain=1.8545, damping=6.152), lab.step_record(lab.LM1, kp=60))
+    >>> found.errors[0][0].percent_error < 0.1, found.residuals()[0].shape == found.positions[0][0].shape
+    (True, True)
+    """
+    known = _named(models)
+    plants = {name: model.plant for name, model in known.items()}
+    runs = as_records(records, settings)
+    for plant, record in product(plants.values(), runs):
+        check_units(plant, record)
+    missed = [[prediction_residual(plant, record) for plant in plants.values()] for record in runs]
     return Prediction(
-        models=tuple(models),
-        errors=tuple(tuple(prediction_error(plant, record) for plant in models.values()) for record in records),
+        models=tuple(plants),
+        errors=tuple(tuple(record_error(run, one) for one in row) for run, row in zip(runs, missed, strict=True)),
+        records=runs,
+        plants=tuple(plants.values()),
+        positions=tuple(tuple(run.position + one for one in row) for run, row in zip(runs, missed, strict=True)),
+        identified_from=tuple(dict.fromkeys(name for model in known.values() for name in model.identified_from)),
     )
+
+
+def _named(models: Any) -> dict[str, Model]:
+    """Return models by name."""
+    if isinstance(models, Mapping):
+        named = {str(name): as_model(model) for name, model in models.items()}
+    else:
+        given = listed(models)
+        names = ["the model"] if len(given) == 1 else [f"model {i}" for i in range(1, len(given) + 1)]
+        named = {name: as_model(model) for name, model in zip(names, given, strict=True)}
+    if not named:
+        raise InputError("no model was given; at least one is needed")
+    return named
 
 
 def _finite(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.control_arithmetic import Seen, answer
+from servolens.control_arithmetic import LoopSignals, answer
 from servolens.controller import Controller
 from servolens.errors import InputError
 
@@ -29,7 +29,7 @@ SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward"
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Record:
     """One measured run.
 
@@ -132,6 +132,16 @@ class Record:
         )
         before = self.voltage_before
         _require(before is None or np.isfinite(before), f"{self.name}: voltage_before must be finite, got {before!r}")
+
+    def __repr__(self) -> str:
+        """Return one line: name, length, signals and the controller's gains."""
+        signals = [name for name in SIGNALS[1:] if getattr(self, name) is not None]
+        loop = (
+            "no controller is known"
+            if self.controller is None
+            else f"kp {self.controller.kp:g}, kd {self.controller.kd:g}"
+        )
+        return f"<Record {self.name}: {len(self)} samples in {self.duration:g} s, {', '.join(signals)}; {loop}>"
 
     def __len__(self) -> int:
         return self.time.size
@@ -246,7 +256,7 @@ class Record:
         """
         _require(self.reference is not None, "the control law needs the reference; log it")
         assert self.reference is not None  # noqa: S101 - required above
-        seen = Seen(
+        seen = LoopSignals(
             time=self.time,
             reference=self.reference,
             position=self.position,

@@ -55,3 +55,14 @@ class Summary:
     sentences: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
     findings: tuple[Finding, ...] = ()
+
+    def __str__(self) -> str:
+        from servolens.rendering import as_text
+
+        return as_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        from servolens.rendering import as_html
+
+        return as_html(self)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
@@ -61,7 +62,7 @@ class Equations:
         left_out = [effect for effect in plant.effects if _nothing_to_remember(effect)]
         kept = tuple(effect for effect in plant.effects if effect not in left_out)
         self.plant, self.closed, self.width = replace(plant, effects=kept), bool(gains), width
-        values = dict(zip(self.plant.parameters, self.plant.values, strict=True)) | gains
+        values = self.plant.named | gains
         self.defaults = {prefix + key: value for key, value in values.items()}
         self._names = tuple(self.defaults.items())
         self._left_out = {
@@ -96,6 +97,23 @@ class Equations:
     def at_rest(self, t: float, position: float, held: float, params: Mapping[str, float]) -> NDArray[np.float64]:
         """Return the states of an axis that has long been at rest under a held input."""
         return self._rest(t, position, held, self.numbers(params))[0]
+
+    def check(self, params: Mapping[str, float]) -> None:
+        """Refuse parameters that are none of the system's own.
+
+        Where all of its own are among them they come from an interconnected system, which hands on everything.
+
+        Raises
+        ------
+        InputError
+            With the names that are.
+        """
+        known = [*self.defaults, *self._left_out]
+        for name in () if all(own in params for own in self.defaults) else params:
+            if name not in known:
+                near = get_close_matches(name, known, 1)
+                meant = f"did you mean {near[0]!r}? " if near else ""
+                raise InputError(f"{name[:40]!r} is no parameter of this system; {meant}It has {', '.join(known)}")
 
     def numbers(self, params: Mapping[str, float]) -> list[float]:
         """Return all parameters in the order of `defaults`.

@@ -11,19 +11,21 @@ from servolens.bridge.delay import HIGHEST_ORDER
 from servolens.bridge.equations import Equations
 from servolens.effects import TimeShift
 from servolens.errors import InputError
+from servolens.inputs import as_plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
+    from servolens.inputs import Plants
     from servolens.plant import Plant
 
 __all__ = ["PlantSystem", "closed_loop", "to_control"]
 
 
 def to_control(
-    plant: Plant,
+    plant: Plants,
     *,
     name: str | None = None,
     prefix: str = "",
@@ -34,7 +36,7 @@ def to_control(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant, model, fit, diagnosis, or path of a model's file
         The axis. An effect that has states or delays, and is absent by its values (a time constant of 0), is left out:
         it would be infinitely stiff. Its parameters are then no parameters of the system.
     name : str, optional
@@ -71,11 +73,11 @@ def to_control(
     >>> to_control(Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=0.01),))).state_labels
     ['position', 'velocity', 'actuator_lag.command']
     """
-    return _system(plant, {}, name, prefix, friction_width, delay_order)
+    return _system(as_plant(plant), {}, name, prefix, friction_width, delay_order)
 
 
 def closed_loop(
-    plant: Plant,
+    plant: Plants,
     kp: float,
     kd: float = 0.0,
     *,
@@ -90,7 +92,7 @@ def closed_loop(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant, model, fit, diagnosis, or path of a model's file
         The axis.
     kp, kd : float
         Gains [V/m, V s/m], parameters of the system too.
@@ -118,12 +120,21 @@ def closed_loop(
     """
     if not np.isfinite([kp, kd]).all():
         raise InputError(f"kp and kd must be finite, got {kp!r} and {kd!r}")
-    return _system(plant, {"kp": float(kp), "kd": float(kd)}, name, prefix, friction_width, delay_order)
+    return _system(as_plant(plant), {"kp": float(kp), "kd": float(kd)}, name, prefix, friction_width, delay_order)
 
 
 @final
 class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships no types
-    """A ``NonlinearIOSystem`` that knows its derivatives; made by :func:`to_control` and :func:`closed_loop`."""
+    """A ``NonlinearIOSystem`` that knows its derivatives; made by :func:`to_control` and :func:`closed_loop`.
+
+    ``params`` that are none of its own are refused wherever python-control takes them, but for those of the whole where
+    several systems are interconnected: each is given the others' as well.
+    """
+
+    def _update_params(self, params: Mapping[str, float] | None) -> None:
+        """Take the parameters of a response; python-control's own hook."""
+        self.updfcn.check(params or {})
+        super()._update_params(params)
 
     def at_rest(
         self,
@@ -163,6 +174,7 @@ class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships 
         >>> cart.at_rest(0.1, held=2.0).tolist()
         [0.1, 0.0, 2.0]
         """
+        self.updfcn.check(params or {})
         found: NDArray[np.float64] = self.updfcn.at_rest(time, position, held, {**self.params, **(params or {})})
         return found[:, 0]
 

@@ -11,6 +11,7 @@ from servolens.commands.files import (
     about,
     check_apart,
     check_outputs,
+    check_page,
     load_records,
     priors_from,
     refusal,
@@ -40,7 +41,7 @@ __all__ = ["diagnose", "next_"]
 @prior_option
 @effort_option
 @click.option("--out", metavar="FILE", help="Write the extended model.")
-@click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
+@click.option("--report", metavar="FILE.html|.pdf", help="Write a self-contained page; PDF by Chromium.")
 @force_option
 @json_option
 def diagnose(
@@ -65,6 +66,7 @@ def diagnose(
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--out": out, "--report": report, "--json": json_file}
     check_outputs(outputs, (*recordings.paths, *heldout))
+    check_page(report)
     from servolens.diagnosis import diagnose as find
     from servolens.summaries import diagnosis_summary
 

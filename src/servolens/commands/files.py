@@ -24,6 +24,7 @@ __all__ = [
     "about",
     "check_apart",
     "check_outputs",
+    "check_page",
     "load_logs",
     "load_models",
     "load_records",
@@ -201,6 +202,20 @@ def same_file(first: str, second: str) -> bool:
         return Path(first).samefile(second)
     except OSError:
         return Path(first).absolute() == Path(second).absolute()
+
+
+def check_page(name: str | None) -> None:
+    """Refuse a page's name that promises what cannot be written.
+
+    Raises
+    ------
+    InputError
+        Naming the file.
+    """
+    if name:
+        from servolens.report.printing import checked_page
+
+        checked_page(Path(name))
 
 
 def _check_output(option: str, name: str) -> None:

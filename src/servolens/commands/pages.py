@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from servolens.commands.files import about, check_outputs, load_records, writing
+from servolens.commands.files import about, check_outputs, check_page, load_records, writing
 from servolens.commands.options import (
     Documented,
     Recordings,
@@ -59,7 +59,7 @@ def demo(out: str, json_file: str | None) -> int:
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
 @specification(required=(), of_records=True)
 @effort_option
-@click.option("--out", required=True, metavar="FILE.html", help="The page to write.")
+@click.option("--out", required=True, metavar="FILE.html|.pdf", help="The page to write; PDF by Chromium.")
 @json_option
 def report(recordings: Recordings, spec: SpecOptions, effort: str, out: str, json_file: str | None) -> int:
     """Write everything about the records into one self-contained page.
@@ -70,6 +70,7 @@ def report(recordings: Recordings, spec: SpecOptions, effort: str, out: str, jso
     recordings, wanted = _split(recordings, spec)
     outputs = {"--out": out, "--json": json_file}
     check_outputs(outputs, recordings.paths)
+    check_page(out)
     from servolens.report import write_report
     from servolens.study import completed_spec
 

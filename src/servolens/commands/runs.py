@@ -27,7 +27,7 @@ from servolens.commands.options import (
     recordings,
 )
 from servolens.commands.terminal import progress_bar, show
-from servolens.errors import InputError, NumericalError, ServolensError
+from servolens.errors import NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.model import Model
-    from servolens.plant import Plant
-    from servolens.record import Record
 
 __all__ = ["check", "identify", "predict"]
 
@@ -158,6 +156,7 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
 
     Each record's reference is simulated with its own gains; a record without them from its logged voltage.
     """
+    from servolens.inputs import check_units
     from servolens.prediction import Prediction, prediction_error
     from servolens.summaries import prediction_summary
 
@@ -165,7 +164,8 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     (model,) = load_models([model_file])
     with progress_bar() as progress:
         records = load_records(recordings, {"--json": json_file}, progress)
-        _check_units(model.plant, records, model_file)
+        for record in records:
+            check_units(model.plant, record)
         errors, failed = [], {}
         for done, record in enumerate(records):
             progress("Simulating", done, len(records))
@@ -179,28 +179,16 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
     driven = [record.name for record in records if record.reference is None or record.controller is None]
     lost = [Finding(code="not_simulated", severity="error", message=f"{m}.", record=n) for n, m in failed.items()]
     findings = together(quality_findings(records), _voltage_driven(driven), lost)
+    prediction = Prediction(
+        models=("the model",), errors=tuple((error,) for error in errors), identified_from=model.identified_from
+    )
     if json_file:
-        rows = [{**e.to_json(), "held_out": e.name not in model.identified_from} for e in errors]
+        rows = [{**e.to_json(), "held_out": prediction.is_held_out(e.name)} for e in errors]
         rows += [{**dict.fromkeys(rows[0]), "name": name, "reason": reason} for name, reason in failed.items()]
         write_json(json_file, "prediction", {"model": model_file, "records": rows}, findings)
-    prediction = Prediction(models=("the model",), errors=tuple((error,) for error in errors))
-    summary = prediction_summary(
-        prediction, trained_on=model.identified_from, voltage_driven=driven, length_unit=model.plant.length_unit
-    )
+    summary = prediction_summary(prediction, voltage_driven=driven, length_unit=model.plant.length_unit)
     show(replace(summary, findings=findings), json_file)
     return 0
-
-
-def _check_units(plant: Plant, records: Sequence[Record], model_file: str) -> None:
-    for record in records:
-        for kind in ("length_unit", "command_unit"):
-            given, wanted = getattr(record, kind), getattr(plant, kind)
-            if given != wanted:
-                what = "positions" if kind == "length_unit" else "commands"
-                raise InputError(
-                    f"{record.source or record.name}: has {what} in {given}, {model_file} in {wanted};"
-                    " predict records of the axis that was identified, in its units"
-                )
 
 
 def _voltage_driven(names: Sequence[str]) -> tuple[Finding, ...]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from servolens.commands.files import about, check_apart, check_outputs, load_records, priors_from, writing
+from servolens.commands.files import about, check_apart, check_outputs, check_page, load_records, priors_from, writing
 from servolens.commands.options import (
     Documented,
     Recordings,
@@ -35,7 +35,7 @@ __all__ = ["compare", "tune"]
 @heldout_option
 @prior_option
 @effort_option
-@click.option("--report", metavar="FILE.html", help="Write a self-contained page.")
+@click.option("--report", metavar="FILE.html|.pdf", help="Write a self-contained page; PDF by Chromium.")
 @click.option("--force", is_flag=True, help="Give the gain although its light is red.")
 @json_option
 def tune(
@@ -117,6 +117,7 @@ def _studied(
 ) -> Study:
     """Read the records and study them."""
     check_outputs(outputs, (*recordings.paths, *heldout))
+    check_page(outputs.get("--report"))
     from servolens.study import completed_spec, study_records
 
     known = priors_from(priors)

@@ -8,8 +8,8 @@ import numpy as np
 
 from servolens.demo.experiment import DELTA, SHORT_PIECE, SPEC
 from servolens.demo.story_design import design_section, paper_section
-from servolens.demo.story_hidden import hidden_section
-from servolens.report.content import Findings, Section
+from servolens.demo.story_hidden import hidden_sections, hidden_sentence
+from servolens.report.content import Findings, Lights, Section
 from servolens.report.curves import curve
 from servolens.report.figures import (
     Match,
@@ -24,8 +24,9 @@ from servolens.report.figures import (
 )
 from servolens.report.page import write_page
 from servolens.simulation import simulate
-from servolens.summaries import comparison_summary, model_table
-from servolens.summaries.wording import listed, number, percent
+from servolens.summaries import gain_sentences, model_table
+from servolens.summaries.diagnosis import verdict_sentence
+from servolens.summaries.wording import listed, number, percent, percents
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -37,40 +38,49 @@ if TYPE_CHECKING:
     from servolens.report.content import Block, Drawing
     from servolens.report.curves import Curve, Role
 
-__all__ = ["write_story"]
+__all__ = ["law_panels", "write_story"]
 
+PAPER = (
+    "N. Wongvanich, C. E. Hann and H. R. Sirisena, in “Non linear electromechanical cart characterization using minimal"
+    " modeling approach” (European Control Conference 2013)"
+)
 KP_ROLES: tuple[Role, Role, Role] = ("first", "second", "third")
 MODEL_ROLES: tuple[Role, ...] = ("constant", "constant", "constant", "velocity", "velocity", "velocity")
 
 
 def write_story(path: Path, demo: Demo) -> None:
-    """Write the page."""
-    told = comparison_summary(demo.sampled[-1]).sentences
-    average = demo.prediction.average_percent
-    more = (
-        f"On the gain pairs of the paper's Table I the models with constant damping are {percent(min(average[:3]))} to"
-        f" {percent(max(average[:3]))} of the step off on average, those with damping that depends on speed"
-        f" {percent(min(average[3:]))} to {percent(max(average[3:]))}; each model knows one of the eight records.",
-        "Everything below is computed from records of a virtual cart, logged as the paper logs its real one. The cart's"
-        " physics and numerics are written separately from those that identify and simulate it; it obeys the very"
-        " law that is fitted, so the errors here are what remains when the law is right, which no real machine grants.",
-    )
+    """Write the page: the axis whose lack is hidden first, then the paper's cart."""
+    study = demo.hidden.study
+    more: list[str | Lights] = [Lights(lights=study.lights), hidden_sentence(demo.hidden)]
+    if study.diagnosis is not None:
+        more.append(verdict_sentence(study.diagnosis))
+    more.append("Below that, the same tools repeat the experiments of a paper on a virtual copy of its cart.")
     sections = (
+        *hidden_sections(demo.hidden),
         _data(demo),
         _open_questions(demo),
         _fit(demo),
         _validation(demo),
         design_section(demo),
         paper_section(demo),
-        hidden_section(demo.hidden),
     )
-    write_page(path, "From measured steps to a PD gain: the paper's cart", " ".join(told[:2]), more, sections)
+    write_page(path, "From measured steps to a gain you can trust", gain_sentences(study)[0], more, sections)
 
 
 def _data(demo: Demo) -> Section:
     gains = listed([f"{c.kp:g}/{c.kd:g}" for r in demo.records if (c := r.controller) is not None], most=8)
     record = demo.records[0]
+    average = demo.prediction.average_percent
+    constant, velocity = (percents(min(own), max(own)) for own in (average[:3], average[3:]))
     blocks: tuple[Block, ...] = (
+        f"{PAPER}, identify a cart on a rail from one step: once with constant damping, once with damping that depends"
+        " on speed. They test both on other gains, and design the least derivative gain on each. All of that is done"
+        " here on a virtual cart that obeys the paper's nonlinear model and is logged as the paper logs its real one.",
+        "The cart's physics and numerics are written separately from those that identify and simulate it; it obeys the"
+        " very law that is fitted, so the errors here are what remains when the law is right, which no real machine"
+        " grants.",
+        f"On the gain pairs of the paper's Table I the models with constant damping are {constant} of the step off on"
+        f" average, those with damping that depends on speed {velocity}; each model knows one of the eight records.",
         f"Eight steps to {SPEC['reference']:g} m with the gains Kp/Kd = {gains} (V/m, V s/m), the pairs of the"
         f" paper's Table I: {len(record)} samples each, every {number(1e3 * record.sample_time)} ms, encoder and noise"
         " of 10 µm each.",
@@ -83,7 +93,7 @@ def _data(demo: Demo) -> Section:
             " for below.",
         ),
     )
-    return Section(key="data", title="The data", blocks=blocks)
+    return Section(key="data", title="A paper's cart: the data", blocks=blocks)
 
 
 def _open_questions(demo: Demo) -> Section:
@@ -97,7 +107,7 @@ def _open_questions(demo: Demo) -> Section:
         blocks.append(Findings(findings=demo.findings))
     else:
         blocks.append("The checks of the identification found nothing to warn of.")
-    return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
+    return Section(key="findings", title="The cart: what the data leave open", blocks=tuple(blocks))
 
 
 def _fit(demo: Demo) -> Section:
@@ -145,7 +155,7 @@ def _fit(demo: Demo) -> Section:
         ),
         _law_figure(demo),
     )
-    return Section(key="fit", title="The models", blocks=blocks)
+    return Section(key="fit", title="The cart: the models", blocks=blocks)
 
 
 def _parameters(demo: Demo) -> Table:
@@ -217,19 +227,24 @@ def _true_damping(demo: Demo, record: Record) -> Curve:
     return curve("true", line.x, damping_at(demo.truth, line.y), "truth")
 
 
-def _law_figure(demo: Demo) -> Drawing:
+def law_panels(demo: Demo) -> list[tuple[str, list[Curve], list[Curve]]]:
+    """Return the damping laws of the three records: title, laws and points of each route to them."""
     fastest = 1.1 * max(float(fit.varying.speed.max()) for fit in demo.fits if fit.varying is not None)
     truth = law_curve("true", demo.truth, fastest, "truth")
     named = [(f"Kp {kp}", fit, role) for kp, fit, role in zip((60, 80, 100), demo.fits, KP_ROLES, strict=True)]
     pieces = [law_curve(n, f.law_from_pieces, fastest, r) for n, f, r in named if f.law_from_pieces is not None]
     direct = [law_curve(n, f.velocity.plant, fastest, r) for n, f, r in named if f.velocity is not None]
     points = [curve("", f.varying.speed, f.varying.damping, r) for n, f, r in named if f.varying is not None]
+    return [
+        ("Through the pieces (eqs. 19–22)", [truth, *pieces], points),
+        ("Directly in the integral equation", [truth, *direct], []),
+    ]
+
+
+def _law_figure(demo: Demo) -> Drawing:
     return damping_law_figure(
         "damping-law",
-        [
-            ("Through the pieces (eqs. 19–22)", [truth, *pieces], points),
-            ("Directly in the integral equation", [truth, *direct], []),
-        ],
+        law_panels(demo),
         "Damping against speed from the three records (the paper's figure 8), each identified from its own record."
         " Left: the paper's route, a curve through the damping of the pieces (markers) at their mean speeds; it"
         " falls too fast below 0.2 m/s. Right: the same law fitted in the integral equation; the three curves"
@@ -268,7 +283,7 @@ def _validation(demo: Demo) -> Section:
             " (the paper's figure 10).",
         ),
     )
-    return Section(key="validation", title="Do the models predict other gains?", blocks=blocks)
+    return Section(key="validation", title="The cart: do the models predict other gains?", blocks=blocks)
 
 
 def _table_one(demo: Demo) -> Table:

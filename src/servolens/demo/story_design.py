@@ -50,7 +50,7 @@ def design_section(demo: Demo) -> Section:
         _pairs_table(demo),
         _routes_table(demo),
     )
-    return Section(key="design", title="The PD gain, linear against nonlinear", blocks=blocks)
+    return Section(key="design", title="The cart: the PD gain, linear against nonlinear", blocks=blocks)
 
 
 def paper_section(demo: Demo) -> Section:
@@ -76,7 +76,7 @@ def paper_section(demo: Demo) -> Section:
         " spec on its own. Its conclusion stands all the same: the linear model asks for far more derivative gain, and"
         " that gain breaks the spec on the nonlinear one.",
     )
-    return Section(key="paper", title="Against the paper's printed models", blocks=blocks)
+    return Section(key="paper", title="The cart: against the paper's printed models", blocks=blocks)
 
 
 def _cart_table(demo: Demo) -> Table:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servolens.report.content import Lights, Section
-from servolens.report.figures_design import columns, settling_figure, steps_figure
-from servolens.report.figures_residuals import residuals_figure
+from servolens.report.content import Section
+from servolens.report.diagnosis_story import diagnosis_sections
+from servolens.report.figures_design import columns, settling_figure
+from servolens.report.playground import playground
 from servolens.summaries import gain_sentences
 from servolens.summaries.comparison import side_by_side
-from servolens.summaries.diagnosis import advice, verdict_sentence
 from servolens.summaries.names import spoken, spoken_parameter
 from servolens.summaries.wording import capital, number, plus_minus, unit
 from servolens.summary import Table
@@ -19,23 +19,39 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.report.content import Block
 
-__all__ = ["hidden_section"]
+__all__ = ["hidden_sections", "hidden_sentence"]
 
 
-def hidden_section(axis: HiddenAxis) -> Section:
-    """Return the section."""
-    study, campaign = axis.study, axis.campaign
+def hidden_sections(axis: HiddenAxis) -> list[Section]:
+    """Return what was found of the axis, in the order of every page: what is missed, why, and the gain."""
+    study = axis.study
+    if study.diagnosis is None:
+        reason = f"No cause was sought: {study.why_undiagnosed.rstrip('.')}."
+        return [Section(key="wrong", title="Where the error lives", blocks=(reason,)), _gain(axis)]
+    found = diagnosis_sections(study.diagnosis)
+    truth = Section(key="truth", title="What the laboratory had hidden", blocks=(_parameters(axis, study.diagnosis),))
+    return [*found, truth, _gain(axis)]
+
+
+def hidden_sentence(axis: HiddenAxis) -> str:
+    """Say what was done."""
+    campaign = axis.campaign
     hidden = " and ".join(spoken(name) for name in campaign.truth.effects)
-    blocks: list[Block] = [
-        f"The laboratory drew another axis, hid {hidden} in it, and logged {len(campaign.records)} runs to learn from"
-        f" and {len(campaign.heldout)} to test with. What follows is what `servolens tune` makes of such records; it is"
-        " not told what was hidden.",
-    ]
-    if study.diagnosis is not None:
-        blocks += [verdict_sentence(study.diagnosis), residuals_figure("hidden-residuals", study.diagnosis)]
-        blocks += [sentence for cause in study.diagnosis.causes for sentence in advice(cause, study.diagnosis)]
-        blocks.append(_parameters(axis, study.diagnosis))
-    blocks += [Lights(lights=study.lights), *gain_sentences(study)]
+    return (
+        f"The laboratory drew an axis, hid {hidden} in it, and logged {len(campaign.records)} runs to learn from and"
+        f" {len(campaign.heldout)} to test with. What follows is what `servolens tune` makes of such records; it is not"
+        " told what was hidden."
+    )
+
+
+def _gain(axis: HiddenAxis) -> Section:
+    """Return the gain, on the model and on the true axis."""
+    study = axis.study
+    blocks: list[Block] = []
+    if study.model is not None and study.design is not None:
+        blocks.append(playground("gain", study.model, study.design))
+    blocks += gain_sentences(study)
+    blocks.append(_on_axis(axis))
     if study.comparison is not None:
         models = columns(study.comparison)
         record = study.records[0]
@@ -48,15 +64,8 @@ def hidden_section(axis: HiddenAxis) -> Section:
                 "Settling time against Kd on each model of the hidden axis, with the gains that meet the spec shaded in"
                 " its colour. Cross: a gain that breaks the spec on the diagnosed model. No measured data.",
             ),
-            steps_figure(
-                "hidden-steps",
-                models,
-                "Step responses of these gains on the diagnosed model, with the band and the time it holds from"
-                " (dashed). No measured data.",
-            ),
         ]
-    blocks.append(_on_axis(axis))
-    return Section(key="hidden", title="Another axis, whose lack is not known", blocks=tuple(blocks))
+    return Section(key="gain-found", title="The gain", blocks=tuple(blocks))
 
 
 def _parameters(axis: HiddenAxis, diagnosis: Diagnosis) -> Table:

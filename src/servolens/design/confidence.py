@@ -4,41 +4,35 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from servolens.design.extrapolation import BEYOND, extrapolation
 from servolens.design.found import Light
 from servolens.design.recommended import NINE_OF_TEN
-from servolens.design.scenarios import as_models
-from servolens.design.settle import closed_loop_gain, evaluate
-from servolens.effects import Saturation
+from servolens.inputs import as_models
 from servolens.model_evidence import MATERIAL
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.design.found import Design, Response
+    from servolens.design.found import Design
+    from servolens.inputs import Plants
     from servolens.model import Model
     from servolens.model_evidence import Evidence
-    from servolens.plant import Plant
 
 __all__ = ["trust"]
 
 MISSED = 0.05
 """R.m.s. of the held-out error over the step from which on a model is not that of the axis."""
-BEYOND, FAR = 1.01, 1.5
-"""Times the largest value in the records from which on the answer is an extrapolation (a percent is the noise of a
-measured step), and from which on it is not to be given."""
 ORDER = ("green", "amber", "red")
 
 
-def trust(models: Model | Plant | Sequence[Model | Plant], design: Design | None) -> tuple[Light, Light]:
+def trust(models: Plants, design: Design | None) -> tuple[Light, Light]:
     """Judge the models by their evidence, and the gain of a design by its models, its scenarios and the data's range.
 
     The verdict of a diagnosis alone decides nothing. A red gain is to be withheld.
 
     Parameters
     ----------
-    models : Model, Plant, or sequence of them
+    models : Plant, model, fit, diagnosis, path of a model's file, or a sequence of these
         What the design was made for.
     design : Design or None
         With its recommended gain, where it was looked for; None where nothing was designed.
@@ -119,9 +113,9 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
                 f" {chosen.scenarios}, with what the model leaves unexplained as a force."
             ),
         )
-    beyond = _worst([_beyond(model, design, kd) for model in models])
-    if beyond.light != "green":
-        return beyond
+    beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
+    if beyond.ratio > BEYOND:
+        return Light(light="red" if beyond.is_far else "amber", sentence=beyond.sentence)
     missed = max((m.evidence.heldout_of_step or 0.0 for m in models if m.evidence is not None), default=0.0)
     if missed > design.spec.band:
         return Light(
@@ -145,69 +139,6 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     if chosen.interval[0] < NINE_OF_TEN:
         return Light(light="amber", sentence=f"It meets the spec in hardly nine of ten plants: {chosen.why}.")
     return Light(light="green", sentence=_sentence(chosen.why))
-
-
-def _beyond(model: Model, design: Design, kd: float) -> Light:
-    """Judge how far the answer lies beyond what the records of a model showed."""
-    if model.evidence is None:
-        return Light(light="green", sentence="")
-    return _worst([_beyond_range(model, model.evidence, design, kd), _beyond_error(model, model.evidence, design, kd)])
-
-
-def _beyond_range(model: Model, evidence: Evidence, design: Design, kd: float) -> Light:
-    """Judge voltage, speed and amplitude of the step by the largest of the records."""
-    shown, unit = evidence.range, model.plant.length_unit
-    response = evaluate(model.plant, design.spec, kd)
-    asked = {
-        "voltage": (_applied(model.plant, response), shown.voltage, model.plant.command_unit),
-        "speed": (response.peak_speed, shown.speed, f"{unit}/s"),
-        "step": (abs(design.spec.reference), shown.step, unit),
-    }
-    ratios = {name: wanted / max(known, 1e-300) for name, (wanted, known, _) in asked.items()}
-    name = max(ratios, key=ratios.__getitem__)
-    wanted, known, unit = asked[name]
-    if ratios[name] <= BEYOND:
-        return Light(light="green", sentence="")
-    far = ratios[name] > FAR
-    return Light(
-        light="red" if far else "amber",
-        sentence=(
-            f"An extrapolation: the {name} reaches {wanted:.3g} {unit}, that of the records {known:.3g}"
-            f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a larger {name}."
-        ),
-    )
-
-
-def _beyond_error(model: Model, evidence: Evidence, design: Design, kd: float) -> Light:
-    """Judge what the loop makes of the model's error at each frequency by what the loops of the records made of it.
-
-    Either the records bear it out, whose loops were stable; or the small-gain theorem does, with a reserve of `FAR`.
-    """
-    error, spec = evidence.model_error, design.spec
-    if error is None:
-        return Light(light="green", sentence="")
-    size, loop = np.array(error.size), np.array(error.loop)
-    asked = closed_loop_gain(model.plant, spec, kd, np.array(error.frequency)) * size
-    ratios = asked / np.maximum(loop * size, 1.0 / FAR)
-    worst = int(np.argmax(ratios))
-    if ratios[worst] <= BEYOND:
-        return Light(light="green", sentence="")
-    far, share = ratios[worst] > FAR, float(f"{100 * size[worst]:.2g}")
-    known = "" if evidence.range.kd is None else f" (largest so far: {evidence.range.kd:.3g})"
-    return Light(
-        light="red" if far else "amber",
-        sentence=(
-            f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {share:g} %,"
-            f" and kd = {kd:.3g} makes {ratios[worst]:.3g} times as much of that as the records prove to be stable"
-            f"{f' (more than {FAR:g} times)' if far else ''}; log a record with a kd nearer to it{known}."
-        ),
-    )
-
-
-def _applied(plant: Plant, response: Response) -> float:
-    """Return the largest voltage behind the amplifier's limit, where the plant has one."""
-    limit = plant.effect(Saturation.name)
-    return min(response.peak_voltage, limit.limit if isinstance(limit, Saturation) else np.inf)
 
 
 def _sentence(text: str) -> str:

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
 import numpy as np
 
+from servolens.decoding import decoded, fields_of, json_of, read_fields
+from servolens.design.response import Response
+from servolens.errors import InputError
+from servolens.model import Model
+from servolens.result import Result
+
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping
 
     from servolens.design.limit_cycle import Hunting
@@ -16,53 +23,16 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.plant import Plant
     from servolens.quality import RecordQuality
+    from servolens.record import Record
+    from servolens.simulation import Simulation
 
-__all__ = ["Certificate", "Comparison", "Design", "Light", "Recommended", "Relaxed", "Response"]
+__all__ = ["Certificate", "Design", "Light", "Recommended", "Relaxed"]
 
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Response:
-    """A simulated step response with one gain, measured against a spec.
-
-    Attributes
-    ----------
-    kd : float
-        Derivative gain [V s/m].
-    settling_time : float or None
-        When the error enters the band for good [s]; None if it does not within the horizon.
-    overshoot : float
-        Fraction of the step.
-    peak_voltage : float
-        Largest |V| that the controller asks for [V].
-    peak_speed : float
-        Largest |velocity| [m/s or rad/s].
-    final_error : float
-        Fraction of the step.
-    meets : bool
-        Whether all of the spec holds.
-    stable : bool
-        Whether the axis stays within all bounds; if not, overshoot, voltage, speed and error are infinite.
-    """
-
-    kd: float
-    settling_time: float | None
-    overshoot: float
-    peak_voltage: float
-    peak_speed: float
-    final_error: float
-    meets: bool
-    stable: bool = True
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields; what is not reached, or grows without bound, is null with a reason."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
-        result = {name: value if value is None or np.isfinite(value) else None for name, value in values.items()}
-        if not self.stable:
-            result["reason"] = "the loop is unstable with this gain"
-        elif self.settling_time is None:
-            result["reason"] = "the error does not stay within the band before the simulation's horizon"
-        return result
+STORED = (
+    "spec", "kd", "intervals", "certificate", "candidates", "disagreement", "conflict", "nearest", "reason",
+    "recommended", "hunting", "tracking", "lights",
+)  # fmt: skip
+"""Fields of a design that its file holds by their own names."""
 
 
 @final
@@ -118,6 +88,15 @@ class Relaxed:
         """Return the changed fields, and the gain."""
         return {**dict(self.changes), "kd": self.kd}
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Relaxed:
+        """Build it from what :meth:`to_json` returned."""
+        values = {str(name): decoded(float, value, str(name)) for name, value in data.items()}
+        kd = values.pop("kd", None)
+        if kd is None:
+            raise InputError("kd of a nearest spec is missing")
+        return cls(changes=tuple(values.items()), kd=kd)
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,6 +144,12 @@ class Recommended:
             "probability": {"value": self.probability, "interval": list(self.interval)},
         }
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Recommended:
+        """Build it from what :meth:`to_json` returned."""
+        share = data.get("probability") or {}
+        return read_fields(cls, {**data, "probability": share.get("value"), "interval": share.get("interval")})
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,12 +173,14 @@ class Light:
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Design:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Design(Result):
     """The least derivative gain that meets a spec.
 
     Attributes
     ----------
+    plants : tuple of Plant
+        What it was made for: all of them have to meet the spec.
     spec : PDSpec
         What was asked, with the end of the search.
     kd : float or None
@@ -227,9 +214,12 @@ class Design:
     check : tuple of RecordQuality
         Of the records, where it was made from these.
     diagnosis : Diagnosis or None
-        What was found from the records, where it was made from these.
+        What was found from the records, where it was made from these; files of designs keep neither it nor `check`.
     """
 
+    kind: ClassVar[str] = "design"
+
+    plants: tuple[Plant, ...]
     spec: PDSpec
     kd: float | None
     intervals: tuple[tuple[float, float], ...]
@@ -248,6 +238,21 @@ class Design:
     diagnosis: Diagnosis | None = None
 
     @property
+    def plant(self) -> Plant:
+        """The first of `plants`."""
+        return self.plants[0]
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """The records that it was made from."""
+        return () if self.diagnosis is None else self.diagnosis.records
+
+    @property
+    def gain(self) -> float | None:
+        """The gain to use: the recommended one, else the least [V s/m]."""
+        return self.kd if self.recommended is None else self.recommended.kd
+
+    @property
     def feasible(self) -> bool:
         """Whether any gain meets the spec on the models."""
         return bool(self.intervals)
@@ -261,6 +266,28 @@ class Design:
     def margin(self) -> float | None:
         """How far the gain may rise before the spec breaks [V s/m]."""
         return None if self.kd is None else self.intervals[0][1] - self.kd
+
+    def step(self, kd: float | None = None, *, duration: float | None = None) -> Simulation:
+        """Simulate the step of the spec on `plant`.
+
+        Parameters
+        ----------
+        kd : float, optional
+            Gain [V s/m]; the one to use when None.
+        duration : float, optional
+            How long [s]; three times the settling time asked for when None.
+
+        Raises
+        ------
+        InputError
+            If no gain is given, neither here nor by the design.
+        """
+        from servolens.design.settle import step_response
+
+        gain = self.gain if kd is None else kd
+        if gain is None:
+            raise InputError(f"this design gives no gain ({self.reason}); pass kd")
+        return step_response(self.plant, self.spec, gain, duration or 3.0 * self.spec.settling_time)
 
     def withhold(self, reason: str) -> Design:
         """Return the design without its gains, for a `reason` that is told; the intervals stay."""
@@ -287,6 +314,8 @@ class Design:
             "recommended": None if self.recommended is None else self.recommended.to_json(),
             "tracking": None if self.tracking is None else self.tracking.to_json(),
             "hunting": {which: None if one is None else one.to_json() for which, one in self.hunting.items()},
+            "lights": {name: light.to_json() for name, light in self.lights.items()},
+            "plants": [Model(plant=plant).to_json() for plant in self.plants],
         }
         if self.reason is not None:
             result["reason"] = self.reason
@@ -296,64 +325,17 @@ class Design:
             result["disagreement"] = self.disagreement
         return result
 
+    @classmethod
+    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Design:
+        """See :meth:`servolens.result.Result.from_json`."""
+        from servolens.design.limit_cycle import Hunting
+        from servolens.design.plant_inverse import Tracking
+        from servolens.design.spec import PDSpec
 
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Comparison:
-    """Linear, nonlinear and diagnosed recommendation side by side.
-
-    Attributes
-    ----------
-    plants : tuple of Plant
-        The linear, the nonlinear and, where there is one, the diagnosed plant.
-    linear, nonlinear : Design
-        Each designed on its own model.
-    linear_on_nonlinear : Response or None
-        The linear recommendation run on the nonlinear plant; None if there is none.
-    diagnosed : Design or None
-        Designed on the model with the causes that were found; None where none was looked for.
-    linear_on_diagnosed, nonlinear_on_diagnosed : Response or None
-        Recommendations run on the diagnosed plant; None where there is no such gain or plant.
-    """
-
-    plants: tuple[Plant, ...]
-    linear: Design
-    nonlinear: Design
-    linear_on_nonlinear: Response | None
-    diagnosed: Design | None = None
-    linear_on_diagnosed: Response | None = None
-    nonlinear_on_diagnosed: Response | None = None
-
-    @property
-    def designs(self) -> tuple[Design, ...]:
-        """The designs, that on the plant which the data support best last."""
-        return (self.linear, self.nonlinear, *(() if self.diagnosed is None else (self.diagnosed,)))
-
-    @property
-    def on_best(self) -> tuple[Response | None, ...]:
-        """Each recommendation, run on the plant that the data support best: the last one."""
-        own = next(iter(self.designs[-1].verified), None)
-        if self.diagnosed is None:
-            return self.linear_on_nonlinear, own
-        return self.linear_on_diagnosed, self.nonlinear_on_diagnosed, own
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the fields of ``servolens.comparison/1`` without the file's header."""
-        own = next(iter(self.nonlinear.verified), None)
-        return {
-            "linear": {
-                **self.linear.to_json(),
-                "on_nonlinear": _optional(self.linear_on_nonlinear),
-                "on_diagnosed": _optional(self.linear_on_diagnosed),
-            },
-            "nonlinear": {
-                **self.nonlinear.to_json(),
-                "on_nonlinear": _optional(own),
-                "on_diagnosed": _optional(self.nonlinear_on_diagnosed),
-            },
-            "diagnosed": _optional(self.diagnosed),
-        }
-
-
-def _optional(value: Response | Design | None) -> dict[str, Any] | None:
-    return None if value is None else value.to_json()
+        data = json_of(source)
+        known = {"Hunting": Hunting, "PDSpec": PDSpec, "Tracking": Tracking}
+        return cls(
+            plants=tuple(Model.from_json(one).plant for one in data.get("plants", ())),
+            verified=tuple(Response.from_json(one) for one in data.get("models", ())),
+            **fields_of(cls, data, STORED, known),
+        )

@@ -11,12 +11,14 @@ import numpy as np
 from servolens.design.cover import SPARE, last_gain
 from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
 from servolens.errors import InputError, NumericalError
+from servolens.inputs import as_models
 from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from servolens.design.spec import PDSpec
+    from servolens.inputs import Plants
     from servolens.plant import Plant
 
 __all__ = ["LEAST_KP", "MOST_KP", "GainMap", "gain_map", "map_axes", "noise_gain"]
@@ -83,12 +85,12 @@ class GainMap:
         }
 
 
-def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> GainMap:
+def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> GainMap:
     """Simulate the step of `spec` with each pair of gains.
 
     Parameters
     ----------
-    plants : Plant or sequence of Plant
+    plants : Plant, model, fit, diagnosis, path of a model's file, or a sequence of these
         One model, or several that must all meet the spec.
     spec : PDSpec
         What to reach; each of `kp` takes the place of its own.
@@ -108,7 +110,7 @@ def gain_map(plants: Plant | Sequence[Plant], spec: PDSpec, kp: ArrayLike, kd: A
     >>> found.feasible.tolist(), found.least_noise
     ([[False, False], [False, True]], (100.0, 8.0))
     """
-    models = tuple(plants) if isinstance(plants, Sequence) else (plants,)
+    models = tuple(model.plant for model in as_models(plants))
     rows, columns = np.atleast_1d(np.asarray(kp, dtype=np.float64)), np.atleast_1d(np.asarray(kd, dtype=np.float64))
     if not models or rows.ndim != 1 or columns.ndim != 1 or not rows.size * columns.size:
         raise InputError("a map needs at least one model, one kp and one kd")

@@ -89,7 +89,7 @@ def tune(
         horizon=max(horizon(model, spec) for model in models),
         end_from_plant=stated is None,
     )
-    design = Design(spec=spec, kd=None, intervals=intervals, certificate=certificate)
+    design = Design(plants=models, spec=spec, kd=None, intervals=intervals, certificate=certificate)
     if settling and not intervals:
         worst = hunting(models, spec, settling[0][0])
         design = replace(design, reason=_all_hunt(settling, spec, worst), conflict=("hunting",))

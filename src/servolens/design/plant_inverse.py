@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.control_arithmetic import Seen, answer
+from servolens.control_arithmetic import LoopSignals, answer
 from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
 from servolens.errors import InputError, NumericalError
+from servolens.inputs import as_plant
 from servolens.simulation import simulate_loop
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from servolens.design.scenarios import Scenario
     from servolens.design.spec import PDSpec
     from servolens.effects import Effect
+    from servolens.inputs import Plants
     from servolens.plant import Plant
 
 __all__ = ["Tracking", "feedforward", "smooth_move", "tracking"]
@@ -33,7 +35,7 @@ AFTER = 0.5
 
 
 def feedforward(
-    plant: Plant,
+    plant: Plants,
     time: ArrayLike,
     reference: ArrayLike,
     *,
@@ -50,7 +52,7 @@ def feedforward(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant, model, fit, diagnosis, or path of a model's file
         The axis.
     time, reference : array_like, shape (n,)
         At least 4 samples, increasing [s]; a trajectory [m or rad]. A reference that jumps asks for a pulse.
@@ -82,6 +84,7 @@ def feedforward(
     >>> feedforward(axis, [0.0, 0.1, 0.2, 0.3, 0.4], [0.0, 0.1, 0.2, 0.3, 0.4]).round(3).tolist()[1:3]  # 1 m/s
     [3.2, 3.2]
     """
+    plant = as_plant(plant)
     t, r = np.asarray(time, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if t.ndim != 1 or t.size < 4 or r.shape != t.shape or not np.all(np.diff(t) > 0):
         raise InputError("a feedforward needs time that increases and a reference of its size, at least 4 samples")
@@ -162,7 +165,9 @@ def smooth_move(size: float, duration: float, sample_time: float) -> tuple[NDArr
 def _braking(controller: Controller, t: NDArray[np.float64], r: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what a controller without its integral asks for where the axis follows the reference exactly."""
     alone = replace(controller, ki=0.0, integral_rate=0.0, integral_before=0.0)
-    seen = Seen(time=t, reference=r, position=r, sample_time=float(np.median(np.diff(t))), velocity=_motion(t, r)[1])
+    seen = LoopSignals(
+        time=t, reference=r, position=r, sample_time=float(np.median(np.diff(t))), velocity=_motion(t, r)[1]
+    )
     found = answer(alone, seen)
     return found.ahead - controller.kd * found.derivative
 

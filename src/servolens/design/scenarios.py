@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any, final
@@ -12,15 +11,17 @@ import numpy as np
 from servolens.design.settle import evaluate
 from servolens.effects import Force, parameter
 from servolens.errors import InputError
-from servolens.model import Model
 
 if TYPE_CHECKING:
-    from servolens.design.found import Response
+    from collections.abc import Sequence
+
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
     from servolens.effects import Axis
+    from servolens.model import Model
     from servolens.plant import Plant
 
-__all__ = ["Scenario", "UnexplainedForce", "as_models", "drawn"]
+__all__ = ["Scenario", "UnexplainedForce", "drawn"]
 
 TOLERANCE = 0.02
 """By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
@@ -97,12 +98,6 @@ class Scenario:
     def response(self, kd: float, duration: float | None = None) -> Response:
         """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
         return evaluate(self.plant, self.spec, self.realised * kd, back=self.back, duration=duration)
-
-
-def as_models(models: Model | Plant | Sequence[Model | Plant]) -> list[Model]:
-    """Return what a design is made for as models; of a plant alone nothing is known beside its numbers."""
-    given = models if isinstance(models, Sequence) else (models,)
-    return [model if isinstance(model, Model) else Model(plant=model) for model in given]
 
 
 def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: np.random.Generator) -> list[Scenario]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.design.found import Response
+from servolens.design.response import Response
 from servolens.effects import Saturation
 from servolens.errors import NumericalError
 from servolens.simulation import Simulation, simulate_continuous, simulate_loop
@@ -141,7 +141,8 @@ def closed_loop_gain(plant: Plant, spec: PDSpec, kd: float, frequency: NDArray[n
     """
     run = step_response(plant, spec, kd, horizon(plant, spec))
     waves = np.exp(-2j * np.pi * np.outer(frequency, run.time))
-    found: NDArray[np.float64] = np.abs(1.0 - waves @ np.diff(run.voltage, prepend=0.0) / (spec.kp * spec.reference))
+    drive = spec.reference * spec.loop(kd).reference_path(frequency, spec.sample_time)
+    found: NDArray[np.float64] = np.abs(1.0 - waves @ np.diff(run.voltage, prepend=0.0) / drive)
     return found
 
 

@@ -18,20 +18,20 @@ from servolens.design.cover import SPARE, gain_scale, last_gain
 from servolens.design.gain_plane import LEAST_KP, MOST_KP
 from servolens.design.gains_program import GAINS, WATCHED, Limits, local_gains
 from servolens.design.margins import loop_margins
-from servolens.design.scenarios import as_models
 from servolens.design.settle import evaluate
 from servolens.design.wishes import GainWishes
 from servolens.errors import InputError
+from servolens.inputs import as_models
 from servolens.processors import in_parallel
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from servolens.design.found import Response
     from servolens.design.margins import LoopMargins
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
+    from servolens.inputs import Plants
     from servolens.model import Model
-    from servolens.plant import Plant
 
 __all__ = ["GainsFound", "tune_gains"]
 
@@ -118,7 +118,7 @@ class GainsFound:
 
 
 def tune_gains(
-    models: Model | Plant | Sequence[Model | Plant],
+    models: Plants,
     spec: PDSpec,
     wishes: GainWishes | None = None,
     *,
@@ -130,7 +130,7 @@ def tune_gains(
 
     Parameters
     ----------
-    models : Model, Plant, or sequence of them
+    models : Plant, model, fit, diagnosis, path of a model's file, or a sequence of these
         The axis; several must all meet everything.
     spec : PDSpec
         What to reach. Its kp and derivative filter hold where they are not free; a free kp is sought around its kp.

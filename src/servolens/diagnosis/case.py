@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.findings import Finding
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import Prior
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -86,7 +86,6 @@ class Case:
             self.base = self.trials.base()
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
-        self._contradiction: tuple[Finding | None] | None = None
         self._simulating: Case | None = None
 
     def simulating(self) -> Case:
@@ -178,12 +177,7 @@ class Case:
 
         Explained by gain and damping, or with dry friction beside them: more effects would explain anything.
         """
-        if self._contradiction is None:
-            self._contradiction = (None,) if len(self.records) < 2 else (self._apart(),)
-        return self._contradiction[0]
-
-    def _apart(self) -> Finding | None:
-        if self.base.noise.rate == 0.0 and self.is_enough(self.base):
+        if len(self.records) < 2 or (self.base.noise.rate == 0.0 and self.is_enough(self.base)):
             return None
         rubbing = self.trials.starts(ScoreTest(self.likelihood, self.base), CoulombFriction.name)
         structures = [self.base.plant, *(start.plant for start in rubbing[:1])]

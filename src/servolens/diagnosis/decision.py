@@ -45,35 +45,55 @@ class Decision:
         Gain and damping alone, then with one cause, two …, as far as other records confirm them.
     findings : tuple of Finding
         Causes that these do not confirm.
+    contradiction : Finding or None
+        That the records are of several axes.
     """
 
     case: Case
     found: Search
     path: tuple[Hypothesis, ...]
     findings: tuple[Finding, ...]
+    contradiction: Finding | None = None
 
 
 def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
-    """Search by prediction errors and, where these show that no model is the axis, by simulations."""
-    if case.contradiction() is not None:  # no effect makes one axis of two
-        return Decision(case, Search((case.base,), (case.base,), (), ended_early=False), (case.base,), ())
+    """Search by prediction errors and, where these show that no model is the axis, by simulations.
+
+    Records of several axes are explained by none: asked where the causes of one axis are no simpler than a gain and
+    damping for each record.
+    """
     found = search(
         case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
     )
-    if found.chosen.noise.rate > 0.0:
+    if found.chosen.noise.rate > 0.0 and not case.is_enough(found.chosen):
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)
-    if case.is_enough(found.chosen):
-        first = _confirmed(case, found)
-        if case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1]):
-            return first
+    first = _explaining(case, found)
+    several = len(case.base.plant.values) * len(case.records)
+    if first is None or len(first.path[-1].plant.values) > several:
+        contradiction = case.contradiction()
+        if contradiction is not None:
+            alone = Search((case.base,), (case.base,), (), ended_early=False)
+            return Decision(case, alone, (case.base,), (), contradiction)
+    if first is not None:
+        return first
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+
+
+def _explaining(case: Case, found: Search) -> Decision | None:
+    """Return what leaves nothing that depends on the inputs, and is confirmed by records held out; else None."""
+    if not case.is_enough(found.chosen):
+        return None
+    first = _confirmed(case, found)
+    is_final = case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1])
+    return first if is_final else None
 
 
 def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
     """Return what a search finds that takes the axis for one that nothing shakes, where that is likelier.
 
-    An observer follows what two causes do before either is found, and so hides that both together leave nothing.
+    An observer follows what two causes do before either is found, and so hides that both together leave nothing. What
+    leaves something is no better than what leaves nothing.
     """
     trials = case.trials.unshaken()
     try:
@@ -82,7 +102,9 @@ def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
         return found
     best = {frozenset(h.causes): h for h in sorted((*found.judged, *other.judged), key=lambda h: -h.total)}
     judged = tuple(sorted(best.values(), key=lambda h: h.total))
-    return replace(other if other.chosen.total < found.chosen.total else found, judged=judged)
+    is_likelier = other.chosen.total < found.chosen.total
+    is_better = is_likelier and (case.is_enough(other.chosen) or not case.is_enough(found.chosen))
+    return replace(other if is_better else found, judged=judged)
 
 
 def _simplest(case: Case, found: Search) -> Search:
@@ -114,8 +136,8 @@ def _confirmed(case: Case, found: Search) -> Decision:
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
-    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must miss less than
-    that of any simpler model, too, of those with the same waves: whose phases no simulation foretells.
+    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more
+    than that of any simpler model, either, of those with the same waves: whose phases no simulation foretells.
     """
     if not case.misfit(path[-1]) < case.misfit(path[-2]):
         return False
@@ -123,7 +145,7 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
         return True
     alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
     gains = case.gains(alike)
-    return all(gains.tested(-1) < gains.tested(i) for i in range(len(alike) - 1))
+    return not any(gains.is_worse(-1, i, case.likelihood.rate) for i in range(len(alike) - 1))
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
@@ -147,7 +169,8 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)
-    again = tuple(h for h in (case.likelihood.judged(step.plant) for step in other.path) if h is not None)
+    refits = (case.likelihood.judged(step.plant, allowance=SHARE * work) for step in other.path)
+    again = tuple(h for h in refits if h is not None)
     explains = len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
         return Decision(case, replace(found, path=again), again, ())
@@ -168,7 +191,8 @@ def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:
         simulating = case.simulating()
     except NumericalError:
         return False
-    return simulating.gains([simulating.base]).tested(0) < case.gains([hypothesis]).tested(0)
+    gains, simulated = case.gains([hypothesis]), simulating.gains([simulating.base])
+    return gains.with_others(simulated).is_worse(0, -1, case.likelihood.rate)
 
 
 def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:

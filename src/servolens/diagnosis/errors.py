@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.errors import InputError, NumericalError
+from servolens.identification.score import FALSE_ALARM
 from servolens.prediction import prediction_residual
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["KEPT", "Gains", "pooled", "residual"]
+__all__ = ["KEPT", "Gains", "are_larger", "pooled", "residual"]
 
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
@@ -38,6 +39,36 @@ def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
     if not all(np.isfinite(r).all() for r in residuals):
         return float("inf")
     return float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+
+
+def are_larger(
+    these: Sequence[NDArray[np.float64]], others: Sequence[NDArray[np.float64]], blocks: Sequence[int]
+) -> bool:
+    """Tell whether residuals are larger than others of the same records by more than chance.
+
+    A paired t test of the squares, summed over blocks that are as long as a loop remembers: what shakes the axis is in
+    both.
+
+    Parameters
+    ----------
+    these, others : sequence of ndarray
+        Residuals of each record [m or rad].
+    blocks : sequence of int
+        Samples of a block of each record.
+    """
+    from scipy.stats import t
+
+    if not all(np.isfinite(r).all() for r in these):
+        return True
+    differences = np.concatenate(
+        [
+            np.add.reduceat(a**2 - b**2, np.arange(0, a.size, block))
+            for a, b, block in zip(these, others, blocks, strict=True)
+        ]
+    )
+    mean, deviation = float(differences.mean()), float(differences.std(ddof=1)) if differences.size > 1 else np.inf
+    limit = float(t.isf(FALSE_ALARM, differences.size - 1)) * deviation / float(np.sqrt(differences.size))
+    return mean > limit
 
 
 @final
@@ -69,9 +100,26 @@ class Gains:
         """Return the same where the plant was not fitted."""
         return pooled(self.held[i])
 
+    def is_worse(self, i: int, j: int, rate: float) -> bool:
+        """Tell whether plant `i` misses by more than plant `j` where neither was fitted, beyond chance.
+
+        Of loops whose time constants are 1/`rate` [s].
+        """
+        records = self.heldout or self.records
+        blocks = [max(int(2.0 / (rate * record.sample_time)), 1) for record in records]
+        return are_larger(self.held[i], self.held[j], blocks)
+
+    def with_others(self, other: Gains) -> Gains:
+        """Return these with the plants of another, on the same records, after them."""
+        return replace(self, trained=(*self.trained, *other.trained), held=(*self.held, *other.held))
+
     def errors(self, i: int) -> Errors:
         """Return both errors of plant `i`."""
         return Errors(rms_error=self.train(i), heldout_rms_error=self.tested(i))
+
+    def missed(self) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]:
+        """Return the residuals of the first and the last plant where they were not fitted, record by record."""
+        return tuple(zip(self.held[0], self.held[-1], strict=True))
 
     def by_record(self) -> tuple[RecordGain, ...]:
         """Return the errors of the first and the last plant, record by record."""

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.decoding import read_fields
 from servolens.identification.segments import applied_voltage
 from servolens.identification.smoothing import smooth
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -62,6 +63,12 @@ class Share:
             "bins": [list(b) for b in self.bins],
         }
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Share:
+        """Build the share from what :meth:`to_json` returned."""
+        low, high = data["range"]
+        return read_fields(cls, {**data, "low": low, "high": high})
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,9 +96,9 @@ class Instrument:
     goes_with: str
     correlation: float
     significance: float
-    abscissa: tuple[float, ...]
-    value: tuple[float, ...]
-    deviation: tuple[float, ...]
+    abscissa: tuple[float, ...] = ()
+    value: tuple[float, ...] = ()
+    deviation: tuple[float, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields without those for a picture."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["apart", "beyond", "is_blamed", "log_findings"]
+__all__ = ["BEYOND", "apart", "beyond", "is_blamed", "log_findings"]
 
 FAR_APART = 0.2
 """Relative difference of gains from which on two records are held to be of different axes."""

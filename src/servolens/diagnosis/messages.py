@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from servolens.diagnosis.case import Case
+    from servolens.diagnosis.decision import Decision
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
-    from servolens.diagnosis.search import Search
     from servolens.identification.likelihood import Hypothesis
     from servolens.model_evidence import Remainder
     from servolens.record import Record
@@ -35,7 +35,7 @@ NAMED = 4
 
 
 def said(
-    case: Case, found: Search, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
+    case: Case, decision: Decision, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
     told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *strangers(case, gains)]
@@ -52,7 +52,7 @@ def said(
         told.append(_shaken(case, remainder))
     if chosen.unpowered:
         told.append(_unpowered(case))
-    if found.ended_early:
+    if decision.found.ended_early:
         message = "the search ended when its effort was spent; a thorough one (--effort thorough) may find more."
         told.append(Finding(code="effort_spent", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained") and not remainder.material:
@@ -61,10 +61,10 @@ def said(
             f" {100 * remainder.of_travel:.2g} % of the travel."
         )
         told.append(Finding(code="immaterial_remainder", severity="note", message=message))
-    contradiction = case.contradiction()
-    if contradiction is None and verdict in ("partly_explained", "unexplained"):
-        contradiction = _contradiction(case, chosen)
-    return told if contradiction is None else [*told, contradiction]
+    if verdict in ("partly_explained", "unexplained"):
+        contradiction = decision.contradiction or _contradiction(case, chosen)
+        told += [contradiction] if contradiction is not None else []
+    return told
 
 
 def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:

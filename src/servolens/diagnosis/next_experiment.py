@@ -37,7 +37,7 @@ CALM = 0.5
 """Share of the step within which the last quarter of a level must stay: else the loop is too close to unstable."""
 RETURN = 1.5
 """Times what a single step separates that one with a return must, to be worth the longer experiment."""
-ALIKE = 0.3
+LEAST_SEPARATION = 0.3
 """Separation [noise] that an experiment must reach: less may come from errors of the parameters. Two that none parts so
 far do not rule the choice."""
 FINE = 8
@@ -297,7 +297,7 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 def _best(options: Sequence[_Option]) -> tuple[_Option | None, int]:
     """Return the option whose least separation is the largest, a single step if it does; and which pair that is."""
-    parted = np.max([option.apart for option in options], axis=0) >= ALIKE
+    parted = np.max([option.apart for option in options], axis=0) >= LEAST_SEPARATION
     if not parted.any():
         return None, 0
 

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from servolens.diagnosis.logged import Logged
 from servolens.diagnosis.next_experiment import next_experiment, proposed
+from servolens.diagnosis.result import Diagnosis
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.model import Model, read_model
 from servolens.record import Controller
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.plant import Plant
 
@@ -88,7 +87,7 @@ def propose(path: Path | str, *, kp: float | None = None, reference: float | Non
         return _from_model(read_model(file), kp, reference)
     if kp is not None or reference is not None:
         raise InputError("a diagnosis knows gains and steps that were logged; kp and reference are for a model alone")
-    return _from_diagnosis(_read(file))
+    return _from_diagnosis(Diagnosis.from_json(_read(file)))
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -112,27 +111,15 @@ def _schema(path: Path) -> str:
     return str(schema)
 
 
-def _from_diagnosis(data: Mapping[str, Any]) -> Proposal:
-    try:
-        plant = Model.from_json(data["model"]).plant
-        rivals = {
-            str(name): [Model.from_json(rival).plant for rival in found] for name, found in data["rival_models"].items()
-        }
-        sure = {str(cause["effect"]): float(cause["confidence"]) for cause in data["causes"]}
-        logged = [Logged.from_json(one) for one in data["experiments"]]
-        noise = float(data["noise_floor"])
-    except KeyError as error:
-        raise InputError(f"not a whole diagnosis: {str(error.args[0])[:40]!r} is missing") from None
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError("not a whole diagnosis: a field has the wrong type") from None
-    if not logged or not math.isfinite(noise):
+def _from_diagnosis(diagnosis: Diagnosis) -> Proposal:
+    if not diagnosis.experiments or not math.isfinite(diagnosis.noise_floor):
         raise InputError("not a whole diagnosis: no experiment is logged, or noise_floor is no number")
-    experiment = proposed(plant, rivals, sure, logged, noise=noise)
+    plant, rivals = diagnosis.plant, diagnosis.rival_plants
+    sure = {cause.effect: cause.confidence for cause in diagnosis.causes}
+    experiment = proposed(plant, rivals, sure, diagnosis.experiments, noise=diagnosis.noise_floor)
     if any(rivals.values()):
         reason = "no safe step like those logged would tell the rivals apart"
-    elif any(cause.get("rivals") for cause in data["causes"]):
+    elif any(cause.rivals for cause in diagnosis.causes):
         reason = (
             "the rivals that the diagnosis names give the same records whatever is done: no experiment tells them apart"
         )
@@ -195,7 +182,7 @@ def assumed_scale(plant: Plant, kp: float | None = None, reference: float | None
     kp, reference : float, optional
         Gain [V/m or V/rad] and step [m or rad] that are given; then they are returned as they are.
     """
-    values = dict(zip(plant.parameters, plant.values, strict=True))
+    values = plant.named
     shown = FULL * max(values.get("saturation.limit", 0.0), values.get("dead_zone.width", 0.0))
     most = max(USUAL_COMMAND.get(plant.command_unit, math.inf), shown)
     gain, step = _rate(plant) ** 2 / plant.gain if kp is None else kp, LARGEST_STEP if reference is None else reference

@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
+from servolens.decoding import decoded, fields_of, findings_in, json_of, read_fields
+from servolens.diagnosis.evidence import Instrument, Share
 from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
+from servolens.errors import InputError
+from servolens.model import Model, Quantity
+from servolens.result import Result
 
 if TYPE_CHECKING:
-    from servolens.diagnosis.evidence import Instrument, Share
+    import os
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.effects import Effect
     from servolens.findings import Finding
-    from servolens.model import Model, Quantity
     from servolens.model_evidence import Remainder
     from servolens.plant import Plant
     from servolens.record import Record
@@ -22,6 +31,10 @@ if TYPE_CHECKING:
 __all__ = ["Candidate", "Cause", "Diagnosis", "Errors", "RecordGain", "Verdict"]
 
 Verdict = Literal["healthy", "explained", "partly_explained", "unexplained"]
+SIMPLE = (
+    "verdict", "baseline", "extended", "noise_floor", "remainder", "instruments", "next_experiment",
+)  # fmt: skip
+"""Fields of a diagnosis that its file holds by their own names."""
 
 
 @final
@@ -88,6 +101,11 @@ class Candidate:
     error: float
     likelihood: float = 0.0
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Candidate:
+        """Build the candidate from an entry of ``candidates``."""
+        return read_fields(cls, {**data, "error": data["rms_error"]})
+
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,10 +158,19 @@ class Cause:
             "for_the_gain": self.kind.for_the_gain,
         }
 
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Cause:
+        """Build the cause from what :meth:`to_json` returned."""
+        gain = dict(data.get("gain") or {})
+        known = {**data, "quantities": data.get("parameters"), "train": gain.get("train"), "heldout": None}
+        found = fields_of(cls, known, [name for name in cls.__slots__ if name != "heldout"])
+        held = gain.get("heldout")
+        return cls(**found, heldout=None if held is None else decoded(tuple[float, float], held, "heldout"))
+
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Diagnosis:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Diagnosis(Result):
     """What the simulation gets wrong, why, and what the extended model gains.
 
     Attributes
@@ -165,6 +192,10 @@ class Diagnosis:
         What damping, gain and a free force would have to do in time, and with what that goes.
     gains : tuple of RecordGain
         Record by record.
+    missed : tuple of (ndarray, ndarray)
+        Of each record that was held out, or else of each training record, by models fitted without it: simulated minus
+        measured position [m or rad], of gain and damping alone and with the causes. Of a record that was parted, its
+        last samples; infinite where a simulation leaves all bounds.
     candidates : tuple of Candidate
         Single effects by what they leave, the best first.
     linear, model : Model
@@ -176,8 +207,12 @@ class Diagnosis:
     findings : tuple of Finding
         Warnings and notes: about the logs first.
     records, heldout : tuple of Record
-        The measurements.
+        The measurements; none where the diagnosis was read from a file.
+    remembered : tuple of (tuple of Logged)
+        What a file holds of both.
     """
+
+    kind: ClassVar[str] = "diagnosis"
 
     verdict: Verdict
     causes: tuple[Cause, ...]
@@ -188,6 +223,7 @@ class Diagnosis:
     where: tuple[Share, ...]
     instruments: tuple[Instrument, ...]
     gains: tuple[RecordGain, ...]
+    missed: tuple[tuple[NDArray[np.float64], NDArray[np.float64]], ...]
     candidates: tuple[Candidate, ...]
     linear: Model
     model: Model
@@ -196,6 +232,17 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     records: tuple[Record, ...]
     heldout: tuple[Record, ...]
+    remembered: tuple[tuple[Logged, ...], tuple[Logged, ...]] = ((), ())
+
+    @property
+    def experiments(self) -> tuple[Logged, ...]:
+        """What was done in the records."""
+        return tuple(Logged.of(record) for record in self.records) or self.remembered[0]
+
+    @property
+    def tests(self) -> tuple[Logged, ...]:
+        """What was done in the records held out."""
+        return tuple(Logged.of(record) for record in self.heldout) or self.remembered[1]
 
     @property
     def plant(self) -> Plant:
@@ -228,8 +275,45 @@ class Diagnosis:
                 name: [_model_json(plant) for plant in plants] for name, plants in self.rival_plants.items()
             },
             "next_experiment": None if self.next_experiment is None else self.next_experiment.to_json(),
-            "experiments": [Logged.of(record).to_json() for record in self.records],
+            "experiments": [logged.to_json() for logged in self.experiments],
+            "heldout_experiments": [logged.to_json() for logged in self.tests],
         }
+
+    @classmethod
+    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Diagnosis:
+        """See :meth:`servolens.result.Result.from_json`; of `instruments` and `missed` files keep no picture."""
+        from servolens.diagnosis.next_experiment import Experiment
+        from servolens.model_evidence import Remainder
+
+        data = json_of(source)
+        known = {"Experiment": Experiment, "Remainder": Remainder}
+        try:
+            return cls(
+                causes=tuple(Cause.from_json(one) for one in data["causes"]),
+                where=tuple(Share.from_json(one) for one in data["where"]),
+                gains=tuple(read_fields(RecordGain, one) for one in data["records"]),
+                candidates=tuple(Candidate.from_json(one) for one in data["candidates"]),
+                linear=Model.from_json(data["linear_model"]),
+                model=Model.from_json(data["model"]),
+                rival_plants={
+                    str(name): tuple(Model.from_json(one).plant for one in found)
+                    for name, found in data["rival_models"].items()
+                },
+                findings=findings_in(data),
+                missed=(),
+                records=(),
+                heldout=(),
+                remembered=(
+                    tuple(Logged.from_json(one) for one in data["experiments"]),
+                    tuple(Logged.from_json(one) for one in data.get("heldout_experiments", ())),
+                ),
+                **fields_of(cls, data, SIMPLE, known),
+            )
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
+            if isinstance(error, InputError):
+                raise
+            missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
+            raise InputError(f"not a whole diagnosis: {missing}") from None
 
 
 def _model_json(plant: Plant) -> dict[str, Any]:

@@ -35,7 +35,7 @@ PROMISING = 0.5
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
-"""Starts of an effect with a shape, from which it is fitted."""
+"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.5
 """Of the effort, what the search without last resorts may take."""
 SHARE, SPENT = 0.25, 0.25
@@ -138,9 +138,11 @@ def search(
         Tells whether a hypothesis leaves nothing that depends on the inputs; else effects that are a last resort are
         tried as well.
     """
-    explorer = _Explorer(trials, effort, tell, known)
+    explorer = _Explorer(trials, effort, tell, known, is_enough)
     path, early = explorer.walked(base, SIMPLE * effort.work)
-    if not is_enough(path[-1]):
+    if is_enough(path[-1]):
+        early = False
+    else:
         explorer.with_last_resorts = True
         path, early = explorer.walked(base, effort.work)
     chosen = explorer.settled(path[-1])
@@ -154,9 +156,14 @@ class _Explorer:
     """Fits hypotheses and remembers them."""
 
     def __init__(
-        self, trials: Trials, effort: Effort, tell: Callable[[str, float], None], known: Sequence[Hypothesis]
+        self,
+        trials: Trials,
+        effort: Effort,
+        tell: Callable[[str, float], None],
+        known: Sequence[Hypothesis],
+        is_enough: Callable[[Hypothesis], bool],
     ) -> None:
-        self.trials, self.effort, self.tell = trials, effort, tell
+        self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self.likelihood = trials.likelihood
         self.begun = self.likelihood.work
         self.judged: list[Hypothesis] = [*known]
@@ -189,19 +196,27 @@ class _Explorer:
         return path, False
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
-        found: list[Hypothesis] = []
+        """Return the best extensions of the hypotheses in `beam` by one effect, the best first.
+
+        What seems to be shaken is first taken for an axis that nothing shakes, for an observer is slow and hides what
+        it follows; one effect that then leaves nothing is all that is looked for.
+        """
+        unshaken: list[Hypothesis] = []
         if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
         elif not self.likelihood.simulates:
-            beam = [*beam, *self._unobserved(beam[0])]
+            unshaken = self._unobserved(beam[0])
+        members = [*unshaken, *beam]
+        found: list[Hypothesis] = []
         first: list[Hypothesis] = []
-        for place, hypothesis in enumerate(beam):
-            extensions = self._fitted(hypothesis, (number + place / len(beam)) / self.effort.causes)
+        for place, hypothesis in enumerate(members):
+            extensions = self._fitted(hypothesis, (number + place / len(members)) / self.effort.causes)
             first += sorted(extensions, key=_total)[:1]
             found += extensions
+            if place < len(unshaken) and self._leaves_nothing(first, beam[0]):
+                break
         found.sort(key=_total)
         if number == 0:
             self.singles += _distinct(found)
@@ -212,6 +227,11 @@ class _Explorer:
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=_total)
+
+    def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
+        """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
+        best = self._judged([(h.plant, h) for h in found])[:1]
+        return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
 
     def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
@@ -279,9 +299,10 @@ class _Explorer:
     ) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        each = allowance / several
+        tried = [s for place, s in enumerate(starts) if place < several or (several > 1 and s.is_guess)]
         led = [
-            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=each) for s in starts[:several]
+            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=allowance / len(tried))
+            for s in tried
         ]
         return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 

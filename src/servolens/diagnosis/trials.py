@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.effects import Effect
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import Prior
     from servolens.identification.ranking import Proposals
     from servolens.identification.score import ScoreTest
     from servolens.plant import Plant
@@ -49,10 +49,13 @@ class Start:
         With the effect.
     gain : float
         By how much −2 log-likelihood falls to first order, all sizes free: the score statistic.
+    is_guess : bool
+        Whether it is what the effect, or the integral equation, proposes first.
     """
 
     plant: Plant
     gain: float
+    is_guess: bool = False
 
     @property
     def effect(self) -> str:
@@ -151,7 +154,8 @@ class Trials:
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.
 
-        None where the two do not go together.
+        Of each shape one, such as a pitch, before any has a second one, which differs in size only. None where the two
+        do not go together.
         """
         plant, cls = test.hypothesis.plant, effect_class(name)
         if any(name in type(effect).generalises or effect.name == name for effect in plant.effects):
@@ -166,11 +170,11 @@ class Trials:
         except (InputError, NumericalError):
             return []
         whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))
-        found = [Start(p, test.gain(p)) for p in whole]
+        found = [Start(p, test.gain(p), place == 0) for place, p in enumerate(whole)]
         for general in cls.generalised(parts, self.seen) if parts else ():
             same = plant.with_effect(general)
             found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))
-        return sorted(found, key=lambda start: -start.gain)
+        return _of_each_shape(sorted(found, key=lambda start: -start.gain))
 
     def _proposed(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
         """Return the plants with the effect that the integral equation, or the effect itself, proposes."""
@@ -225,6 +229,16 @@ class Trials:
             level = share * abs(plant.gain) * self.standing
             found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
+
+
+def _of_each_shape(starts: Sequence[Start]) -> list[Start]:
+    """Return the first of each shape, then the others."""
+    first: dict[tuple[float, ...], Start] = {}
+    for start in starts:
+        effect = start.plant.effects[-1]
+        shapes = set(regressor(type(effect)).shapes) - set(effect.wave or ())
+        first.setdefault(tuple(getattr(effect, name) for name in sorted(shapes)), start)
+    return [*first.values(), *(start for start in starts if start not in first.values())]
 
 
 def _range(prior: Prior) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -21,21 +21,23 @@ from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
-from servolens.identification.door import together
 from servolens.identification.fitted import fitted
+from servolens.identification.options import as_priors
+from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.findings import Finding
-    from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.options import Priors
+    from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
@@ -43,12 +45,13 @@ __all__ = ["check_request", "diagnose"]
 
 @single_threaded_blas
 def diagnose(
-    records: Record | Sequence[Record],
+    records: Records,
     *,
-    heldout: Record | Sequence[Record] = (),
-    priors: Mapping[str, Prior] | None = None,
+    heldout: Records = (),
+    priors: Priors | None = None,
     effort: str = "normal",
     progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    **settings: Unpack[RecordSettings],
 ) -> Diagnosis:
     """Find what the model of gain and damping lacks, extend it, and measure the gain on held-out data.
 
@@ -58,17 +61,19 @@ def diagnose(
 
     Parameters
     ----------
-    records : Record or sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of one axis, from which model and causes are found.
-    heldout : Record or sequence of Record
+    heldout : the same
         Other runs of it, on which they are tested. Without any, each record in turn is left out of the fit; a single
         one is parted in time.
-    priors : mapping of str to Prior, optional
+    priors : mapping of str to Prior or (value, standard deviation), optional
         Knowledge from elsewhere, by qualified parameter name.
     effort : {"quick", "normal", "thorough"}
         How far the search goes; bounds its time by the number of samples that it simulates.
     progress : callable
         Is told (what, done, total).
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Raises
     ------
@@ -87,14 +92,13 @@ def diagnose(
     >>> diagnosis.verdict, [cause.effect for cause in diagnosis.causes]
     ('explained', ['coulomb_friction'])
     """
-    runs = together(records)
-    others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
-    together((*runs, *others))
-    check_request(runs, others, priors or {}, effort)
+    runs, others = as_groups(records, heldout, settings)
+    known = as_priors(priors)
+    check_request(runs, others, known, effort)
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case(runs, others, dict(priors or {}), len(catalogue())), effort, findings, progress)
+        return _diagnosed(Case(runs, others, known, len(catalogue())), effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise
@@ -115,14 +119,14 @@ def _diagnosed(
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("measuring the gain", 90, 100)
     gains = case.gains(path)
-    verdict = _verdict(case, path, gains)
+    verdict = "unexplained" if decision.contradiction is not None else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path = path[:1]
         gains = case.gains(path)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     remainder = remainder_of(case, path[-1], gains)
     told = (*findings, *decision.findings, *fits[-1].findings)
-    told = (*told, *said(case, found, path[-1], gains, verdict, remainder))
+    told = (*told, *said(case, decision, path[-1], gains, verdict, remainder))
     model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
@@ -137,6 +141,7 @@ def _diagnosed(
         where=error_shares(case.records, [residual(fits[0].plant, record) for record in case.records]),
         instruments=instruments(case.trials.screen, fits[0].plant),
         gains=gains.by_record(),
+        missed=gains.missed(),
         candidates=_candidates(case, found),
         linear=fits[0].model,
         model=model,
@@ -185,8 +190,6 @@ def _check_priors(names: Iterable[str]) -> None:
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     """Judge what is left in the training records, and whether those held out are of the same axis."""
-    if case.contradiction() is not None:
-        return "unexplained"
     chosen = path[-1]
     fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
     if case.is_enough(chosen) and not fails:

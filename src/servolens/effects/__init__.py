@@ -10,22 +10,7 @@ from functools import lru_cache
 from importlib.metadata import entry_points
 
 from servolens.effects._admission import check_admissible
-from servolens.effects.actuator_lag import ActuatorLag
-from servolens.effects.asymmetric_damping import AsymmetricDamping
-from servolens.effects.asymmetric_friction import AsymmetricFriction
-from servolens.effects.backlash import Backlash
 from servolens.effects.base import Axis, Effect, Parameter, Seen, State, parameter
-from servolens.effects.cogging import Cogging
-from servolens.effects.constant_force import ConstantForce
-from servolens.effects.coulomb_friction import CoulombFriction
-from servolens.effects.dead_zone import DeadZone
-from servolens.effects.delay import Delay
-from servolens.effects.end_stop import EndStop
-from servolens.effects.flexible_coupling import FlexibleCoupling
-from servolens.effects.force_limit import ForceLimit
-from servolens.effects.friction_map import FrictionMap
-from servolens.effects.gain_drift import GainDrift
-from servolens.effects.hardening_spring import HardeningSpring
 from servolens.effects.kinds import (
     Actuator,
     Drive,
@@ -36,101 +21,67 @@ from servolens.effects.kinds import (
     TimeShift,
     Transmission,
 )
-from servolens.effects.load_friction import LoadFriction
-from servolens.effects.pendulum_gravity import PendulumGravity
-from servolens.effects.periodic_disturbance import PeriodicDisturbance
-from servolens.effects.position_friction import PositionFriction
-from servolens.effects.presliding import Presliding
-from servolens.effects.quadratic_drag import QuadraticDrag
-from servolens.effects.return_spring import ReturnSpring
-from servolens.effects.saturation import Saturation
-from servolens.effects.sensor_lag import SensorLag
-from servolens.effects.speed_servo import SpeedServo
-from servolens.effects.stribeck_friction import StribeckFriction
-from servolens.effects.velocity_decay_damping import VelocityDecayDamping
 from servolens.errors import InputError
+
+# The catalogue, a line each. The names are exported as they stand: that is what `as` says to type checkers.
+# isort: off
+from servolens.effects.actuator_lag import ActuatorLag as ActuatorLag
+from servolens.effects.asymmetric_damping import AsymmetricDamping as AsymmetricDamping
+from servolens.effects.asymmetric_friction import AsymmetricFriction as AsymmetricFriction
+from servolens.effects.backlash import Backlash as Backlash
+from servolens.effects.cogging import Cogging as Cogging
+from servolens.effects.constant_force import ConstantForce as ConstantForce
+from servolens.effects.coulomb_friction import CoulombFriction as CoulombFriction
+from servolens.effects.dead_zone import DeadZone as DeadZone
+from servolens.effects.delay import Delay as Delay
+from servolens.effects.end_stop import EndStop as EndStop
+from servolens.effects.flexible_coupling import FlexibleCoupling as FlexibleCoupling
+from servolens.effects.force_limit import ForceLimit as ForceLimit
+from servolens.effects.friction_map import FrictionMap as FrictionMap
+from servolens.effects.gain_drift import GainDrift as GainDrift
+from servolens.effects.hardening_spring import HardeningSpring as HardeningSpring
+from servolens.effects.load_friction import LoadFriction as LoadFriction
+from servolens.effects.pendulum_gravity import PendulumGravity as PendulumGravity
+from servolens.effects.periodic_disturbance import PeriodicDisturbance as PeriodicDisturbance
+from servolens.effects.position_friction import PositionFriction as PositionFriction
+from servolens.effects.presliding import Presliding as Presliding
+from servolens.effects.quadratic_drag import QuadraticDrag as QuadraticDrag
+from servolens.effects.return_spring import ReturnSpring as ReturnSpring
+from servolens.effects.saturation import Saturation as Saturation
+from servolens.effects.sensor_lag import SensorLag as SensorLag
+from servolens.effects.speed_servo import SpeedServo as SpeedServo
+from servolens.effects.stribeck_friction import StribeckFriction as StribeckFriction
+from servolens.effects.velocity_decay_damping import VelocityDecayDamping as VelocityDecayDamping
+# isort: on
+
+GROUP = "servolens.effects"
+CATALOGUE: dict[str, type[Effect]] = {
+    one.name: one
+    for one in tuple(globals().values())
+    if isinstance(one, type) and issubclass(one, Effect) and one.__module__ not in (Effect.__module__, Force.__module__)
+}
 
 __all__ = [
     "CATALOGUE",
     "Actuator",
-    "ActuatorLag",
-    "AsymmetricDamping",
-    "AsymmetricFriction",
     "Axis",
-    "Backlash",
-    "Cogging",
-    "ConstantForce",
-    "CoulombFriction",
-    "DeadZone",
-    "Delay",
     "Drive",
     "DryFriction",
     "Effect",
-    "EndStop",
-    "FlexibleCoupling",
     "Force",
-    "ForceLimit",
-    "FrictionMap",
-    "GainDrift",
-    "HardeningSpring",
-    "LoadFriction",
     "MotorForce",
     "Parameter",
-    "PendulumGravity",
-    "PeriodicDisturbance",
-    "PositionFriction",
-    "Presliding",
-    "QuadraticDrag",
-    "ReturnSpring",
-    "Saturation",
     "Seen",
     "Sensor",
-    "SensorLag",
-    "SpeedServo",
     "State",
-    "StribeckFriction",
     "TimeShift",
     "Transmission",
-    "VelocityDecayDamping",
     "catalogue",
     "check_effect",
     "effect_class",
     "parameter",
 ]
-
-GROUP = "servolens.effects"
-CATALOGUE: dict[str, type[Effect]] = {
-    effect.name: effect
-    for effect in (
-        ActuatorLag,
-        AsymmetricDamping,
-        AsymmetricFriction,
-        Backlash,
-        Cogging,
-        ConstantForce,
-        CoulombFriction,
-        DeadZone,
-        Delay,
-        EndStop,
-        FlexibleCoupling,
-        ForceLimit,
-        FrictionMap,
-        GainDrift,
-        HardeningSpring,
-        LoadFriction,
-        PendulumGravity,
-        PeriodicDisturbance,
-        PositionFriction,
-        Presliding,
-        QuadraticDrag,
-        ReturnSpring,
-        Saturation,
-        SensorLag,
-        SpeedServo,
-        StribeckFriction,
-        VelocityDecayDamping,
-    )
-}
+__all__ += [effect.__name__ for effect in CATALOGUE.values()]
 
 
 def catalogue() -> dict[str, type[Effect]]:

@@ -23,6 +23,7 @@ class ActuatorLag(Actuator):
     """The motor's force follows the command as a first-order filter."""
 
     name = "actuator_lag"
+    spoken = "a lag of the actuator"
     sentence = "The motor's force follows the command as a first-order filter."
     latex = r"\tau\,\dot a = V - a"
     stage = 40
@@ -31,6 +32,7 @@ class ActuatorLag(Actuator):
     linear = True
     twin = "sensor_lag"
     passes_for_damping = True
+    typical: ClassVar[dict[str, float]] = {"time_constant": 0.006}
     looks_like = (
         "The acceleration after a step of the command begins gently, not at once, and the loop rings more "
         "than its gains suggest, more so the higher they are."

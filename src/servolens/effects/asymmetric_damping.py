@@ -23,9 +23,11 @@ class AsymmetricDamping(Force):
     """Viscous damping is larger in one direction of motion than in the other."""
 
     name = "asymmetric_damping"
+    spoken = "damping that differs by direction"
     sentence = "Viscous damping is larger in one direction of motion than in the other."
     latex = r"\frac{Δ}{2}\,|v|"
     absent_at: ClassVar[dict[str, float]] = {"damping_difference": 0.0}
+    typical: ClassVar[dict[str, float]] = {"damping_difference": 1.2}
     looks_like = "Moves up and moves down of the same size differ in speed and overshoot, but both end at the target."
     remedy = (
         "Look for a one-way flow (a hydraulic or pneumatic throttle), a brush or a drive with different gains by sign. "

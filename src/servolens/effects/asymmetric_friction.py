@@ -23,11 +23,13 @@ class AsymmetricFriction(DryFriction):
     """Dry friction has one level when the axis moves up and another when it moves down."""
 
     name = "asymmetric_friction"
+    spoken = "friction that differs by direction"
     sentence = "Dry friction has one level when the axis moves up and another when it moves down."
     latex = r"\left(\frac{F_+ + F_-}{2}\,\operatorname{sgn} v + \frac{F_+ - F_-}{2}\right)"
     absent_at: ClassVar[dict[str, float]] = {"level_positive": 0.0, "level_negative": 0.0}
     generalises = ("coulomb_friction",)
     unites = ("coulomb_friction", "constant_force")
+    typical: ClassVar[dict[str, float]] = {"level_positive": 0.35, "level_negative": 0.2}
     looks_like = (
         "The axis stops short of its target on both sides, but by a different distance after moves up and moves down."
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
@@ -29,6 +29,7 @@ class Backlash(Transmission):
     sentence = "Between motor and measured load there is play; they touch only at its ends."
     latex = r"\max(0,\ k\delta + d\dot\delta)\,\operatorname{sgn}(x - y),\ \delta = |x - y| - g/2"
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
+    typical: ClassVar[dict[str, float]] = {"gap": 0.0012, "load_share": 0.35}
     looks_like = (
         "After each reversal the load waits while the motor crosses the gap, then is hit; "
         "at the target it may hunt in a small steady swing about as wide as the gap."

@@ -165,6 +165,10 @@ class Effect(ABC):
     ----------
     name, sentence, latex : str
         For code and JSON, for people, for the equation.
+    spoken : str
+        What people call it, in the middle of a sentence; the name with spaces where it is empty.
+    typical : dict of str to float
+        Values on an axis of the laboratory's size (gain 1.9, damping 6, steps of 0.1 m): what tests and examples take.
     absent_at : dict of str to float
         Parameter values at which the effect changes nothing; empty if it always changes something.
     wave : tuple of str, optional
@@ -200,6 +204,8 @@ class Effect(ABC):
     name: ClassVar[str]
     sentence: ClassVar[str]
     latex: ClassVar[str]
+    spoken: ClassVar[str] = ""
+    typical: ClassVar[dict[str, float]] = {}
     absent_at: ClassVar[dict[str, float]] = {}
     states: ClassVar[tuple[State, ...]] = ()
     wave: ClassVar[tuple[str, str] | None] = None

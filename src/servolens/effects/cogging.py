@@ -31,6 +31,7 @@ class Cogging(Force):
     latex = r"A\,\sin(2\pi\,y/p + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
     wave = ("amplitude", "phase")
+    typical: ClassVar[dict[str, float]] = {"amplitude": 0.25, "pitch": 0.024, "phase": 0.7}
     looks_like = (
         "The speed ripples in step with the position, at slow moves most; "
         "targets a fraction of a pitch apart end with errors of different size and sign."

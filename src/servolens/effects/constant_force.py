@@ -23,10 +23,12 @@ class ConstantForce(Force):
     """A constant force pushes the axis one way: tilt, gravity, or an offset of the amplifier."""
 
     name = "constant_force"
+    spoken = "a constant force"
     sentence = "A constant force pushes the axis one way: tilt, gravity, or an offset of the amplifier."
     latex = r"g"
     absent_at: ClassVar[dict[str, float]] = {"acceleration": 0.0}
     linear = True
+    typical: ClassVar[dict[str, float]] = {"acceleration": 0.3}
     looks_like = "The axis rests beside its target by the same distance and to the same side, wherever the target is."
     remedy = (
         "Level the axis, balance the weight or null the amplifier; or add the constant voltage acceleration / gain."

@@ -23,9 +23,11 @@ class CoulombFriction(DryFriction):
     """Dry friction of constant size opposes the motion; the axis sticks where the push is smaller."""
 
     name = "coulomb_friction"
+    spoken = "Coulomb friction"
     sentence = "Dry friction of constant size opposes the motion; the axis sticks where the push is smaller."
     latex = r"F\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = {"level": 0.0}
+    typical: ClassVar[dict[str, float]] = {"level": 0.35}
     looks_like = (
         "The axis stops short of its target and stays there: anywhere within level / (gain kp), "
         "most of it after small steps; it does not move until the command passes a threshold."

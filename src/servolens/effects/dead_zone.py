@@ -23,10 +23,12 @@ class DeadZone(Actuator):
     """Commands smaller than the dead zone move nothing, and larger ones lose its width."""
 
     name = "dead_zone"
+    spoken = "a dead zone"
     sentence = "Commands smaller than the dead zone move nothing, and larger ones lose its width."
     latex = r"a = \operatorname{sgn}(V)\,\max(|V| - w,\ 0)"
     stage = 20
     absent_at: ClassVar[dict[str, float]] = {"width": 0.0}
+    typical: ClassVar[dict[str, float]] = {"width": 0.25}
     looks_like = (
         "Near the target the motor gets a voltage but does not push: the axis coasts to a stop anywhere "
         "within width / kp, without sticking."

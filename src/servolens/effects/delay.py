@@ -23,10 +23,12 @@ class Delay(TimeShift):
     """The command acts later than it was given."""
 
     name = "delay"
+    spoken = "a delay"
     sentence = "The command acts later than it was given."
     latex = r"a(t)=V(t-\tau)"
     absent_at: ClassVar[dict[str, float]] = {"time": 0.0}
     linear = True
+    typical: ClassVar[dict[str, float]] = {"time": 0.0035}
     looks_like = (
         "Everything happens as expected but a few samples late; the loop rings at high gains, and with more kd too."
     )

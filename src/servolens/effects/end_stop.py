@@ -38,10 +38,12 @@ class EndStop(Force):
     """
 
     name = "end_stop"
+    spoken = "an end stop"
     sentence = "The axis runs into a hard limit of its travel."
     latex = r"\max(0,\ k\delta + d\dot\delta)\ \mathrm{inwards},\ \delta = \mathrm{depth\ in\ the\ stop}"
     absent_at: ClassVar[dict[str, float]] = {"low": -1e12, "high": 1e12}
     contact_rate = CONTACT_RATE
+    typical: ClassVar[dict[str, float]] = {"low": -0.05, "high": 0.04}
     looks_like = (
         "Moves end abruptly always at the same position, whatever the reference asks; "
         "there the command stays large and the axis stands still."
@@ -78,15 +80,15 @@ class EndStop(Force):
     def starts(cls, seen: Seen) -> Iterator[EndStop]:
         """See :meth:`servolens.effects.base.Effect.starts`: where the positions end, at one side or at both.
 
-        A little inside, for a stop that the axis does not reach changes nothing; the other one is far away.
+        At the ends, and inside, for a stop that the axis does not reach changes nothing; the other one is far away.
         """
         low, high = seen.low, max(seen.low + seen.travel, nextafter(seen.low, inf))
-        for inside in (0.001, NEAR):
+        for inside in (0.0, NEAR):
             room = min(inside * seen.travel + NOISES * seen.noise, 0.25 * seen.travel)
             for first, last in (
+                (low + room, high - room),
                 (low - seen.travel, high - room),
                 (low + room, high + seen.travel),
-                (low + room, high - room),
             ):
                 if first < last:
                     yield within(cls, low=first, high=last)

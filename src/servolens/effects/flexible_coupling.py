@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import pi
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
@@ -24,11 +24,13 @@ class FlexibleCoupling(Transmission):
     """The measured load is coupled to the motor by a spring and a damper."""
 
     name = "flexible_coupling"
+    spoken = "a flexible coupling"
     sentence = "The measured load is coupled to the motor by a spring and a damper."
     latex = r"k(x-y)+d(\dot x-\dot y)"
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
     linear = True
     same_structure = ("second_order_actuator",)
+    typical: ClassVar[dict[str, float]] = {"frequency": 14.0, "damping_ratio": 0.04, "load_ratio": 0.35}
     looks_like = (
         "The load swings on after the motor has stopped, at one frequency that the gains hardly move; "
         "with higher gains it grows into a hum."

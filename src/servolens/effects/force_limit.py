@@ -23,9 +23,11 @@ class ForceLimit(MotorForce):
     """The motor's force, its current, stops growing at a limit, whatever the voltage."""
 
     name = "force_limit"
+    spoken = "a limit of force"
     sentence = "The motor's force, its current, stops growing at a limit, whatever the voltage."
     latex = r"\operatorname{clip}(\beta a - c v,\ \pm a_\mathrm{max})"
     absent_at: ClassVar[dict[str, float]] = {"acceleration": 1e12}
+    typical: ClassVar[dict[str, float]] = {"acceleration": 5.0}
     looks_like = (
         "Large steps start and brake with the same constant acceleration, whatever kp; "
         "unlike a voltage limit, braking is limited too and the top speed is not."

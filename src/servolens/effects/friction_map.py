@@ -40,12 +40,18 @@ class FrictionMap(DryFriction):
     """
 
     name = "friction_map"
+    spoken = "friction that differs over the travel"
     sentence = "Dry friction differs from place to place along the travel, and by direction."
     latex = r"F_\pm(y)\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = dict.fromkeys((*POSITIVE, *NEGATIVE), 0.0)
     generalises = ("coulomb_friction", "asymmetric_friction", "position_friction")
     is_last_resort = True
     found_last = ("low", "high")
+    typical: ClassVar[dict[str, float]] = {
+        **{f"{way}_{i}": 0.3 + 0.05 * i for way in ("positive", "negative") for i in range(5)},
+        "low": -0.05,
+        "high": 0.1,
+    }
     looks_like = (
         "How far from its target the axis stops depends on the place and on the direction of approach; "
         "moves over the same stretch repeat well."

@@ -23,10 +23,12 @@ class GainDrift(Actuator):
     """The same command pushes less, or more, as the record goes on, by heating or a sagging supply."""
 
     name = "gain_drift"
+    spoken = "a gain that drifts"
     sentence = "The same command pushes less, or more, as the record goes on, by heating or a sagging supply."
     latex = r"a = V\,(1 + r\,t)"
     stage = 50
     absent_at: ClassVar[dict[str, float]] = {"rate": 0.0}
+    typical: ClassVar[dict[str, float]] = {"rate": 0.03}
     looks_like = "The first moves of a record fit, later ones are slower or faster; after a pause it begins anew."
     remedy = (
         "Warm the machine up before measuring, stiffen the supply, or let the drive control current, not voltage. "

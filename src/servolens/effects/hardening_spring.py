@@ -23,9 +23,11 @@ class HardeningSpring(Force):
     """A spring pulls back that gets stiffer with the distance."""
 
     name = "hardening_spring"
+    spoken = "a hardening spring"
     sentence = "A spring pulls back that gets stiffer with the distance."
     latex = r"k_3\,y^3"
     absent_at: ClassVar[dict[str, float]] = {"cubic_stiffness": 0.0}
+    typical: ClassVar[dict[str, float]] = {"cubic_stiffness": 600.0}
     looks_like = (
         "Small moves look free; far from the middle the axis falls short, more than in proportion to the distance."
     )

@@ -27,9 +27,11 @@ class LoadFriction(DryFriction):
     """
 
     name = "load_friction"
+    spoken = "friction that grows with the load"
     sentence = "Dry friction grows with the force that the gear transmits."
     latex = r"\rho\,|\beta\,a(V) + f(y, t)|\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = {"share": 0.0}
+    typical: ClassVar[dict[str, float]] = {"share": 0.2}
     looks_like = (
         "Friction is small without load and large under load: the axis starts easily, "
         "yet with a weight or a large command it needs more force to lift than to lower."

@@ -28,11 +28,13 @@ class PendulumGravity(Force):
     """The weight of an unbalanced arm pulls with the sine of its angle."""
 
     name = "pendulum_gravity"
+    spoken = "gravity on a pendulum"
     sentence = "The weight of an unbalanced arm pulls with the sine of its angle."
     latex = r"A\,\sin(y + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
     wave = ("amplitude", "phase")
     is_rotary = True
+    typical: ClassVar[dict[str, float]] = {"amplitude": 1.2, "phase": 0.4}
     looks_like = (
         "The error at rest depends on the angle: none where the arm hangs or stands, largest where it is level."
     )

@@ -29,11 +29,13 @@ class PeriodicDisturbance(Force):
     """A force that swings with time at a fixed frequency shakes the axis, whatever it does."""
 
     name = "periodic_disturbance"
+    spoken = "a periodic disturbance"
     sentence = "A force that swings with time at a fixed frequency shakes the axis, whatever it does."
     latex = r"A\,\sin(2\pi f t + \phi)"
     absent_at: ClassVar[dict[str, float]] = {"amplitude": 0.0}
     wave = ("amplitude", "phase")
     phase_per_record = True
+    typical: ClassVar[dict[str, float]] = {"amplitude": 0.25, "frequency": 3.3, "phase": 0.4}
     looks_like = "The position swings at one frequency even at rest, no matter where the axis is or how fast it moves."
     remedy = (
         "Find what turns at that frequency (a pump, fan or neighbouring axis, 50 or 100 Hz of the mains) "

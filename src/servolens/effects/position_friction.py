@@ -23,9 +23,11 @@ class PositionFriction(DryFriction):
     """Dry friction is higher around one place of the travel, a tight spot."""
 
     name = "position_friction"
+    spoken = "a tight spot"
     sentence = "Dry friction is higher around one place of the travel, a tight spot."
     latex = r"L\,e^{-((y - y_0)/w)^2}\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = {"level": 0.0}
+    typical: ClassVar[dict[str, float]] = {"level": 0.6, "centre": 0.045, "width": 0.022}
     looks_like = (
         "The axis slows down or stops short always at the same place, in both directions; elsewhere it runs free."
     )

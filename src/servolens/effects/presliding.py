@@ -23,11 +23,13 @@ class Presliding(Force):
     """Friction builds up elastically over a short travel before the axis slips (Dahl's model)."""
 
     name = "presliding"
+    spoken = "presliding friction"
     sentence = "Friction builds up elastically over a short travel before the axis slips (Dahl's model)."
     latex = r"f,\ \dot f = \sigma v\,(1 - \frac{f}{F}\operatorname{sgn} v)"
     absent_at: ClassVar[dict[str, float]] = {"level": 0.0}
     states = (State("force", "{x}/s^2", relaxes=True),)
     generalises = ("coulomb_friction",)
+    typical: ClassVar[dict[str, float]] = {"stiffness": 1800.0, "level": 0.35}
     looks_like = (
         "At rest the axis gives way elastically by a small travel and springs back; "
         "small steps ring or end short, and reversals show a rounded corner instead of a stop."

@@ -26,6 +26,7 @@ class QuadraticDrag(Force):
     sentence = "A resistance grows with the square of the speed, as in air or liquid."
     latex = r"d\,v\,|v|"
     absent_at: ClassVar[dict[str, float]] = {"drag": 0.0}
+    typical: ClassVar[dict[str, float]] = {"drag": 2.5}
     looks_like = (
         "The top speed stays behind what slow moves promise; slow moves fit well, fast ones are too quick in the model."
     )

@@ -1,4 +1,4 @@
-"""Return spring: a tether or a cable pulls back."""
+"""Return spring: a spring or a cable pulls back."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ __all__ = ["ReturnSpring"]
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReturnSpring(Force):
-    """A spring, tether or cable pulls the axis back in proportion to the position."""
+    """A spring or a cable pulls the axis back in proportion to the position."""
 
     name = "return_spring"
-    sentence = "A spring, tether or cable pulls the axis back in proportion to the position."
+    spoken = "a spring"
+    sentence = "A spring or a cable pulls the axis back in proportion to the position."
     latex = r"k\,y"
     absent_at: ClassVar[dict[str, float]] = {"stiffness": 0.0}
     linear = True
+    typical: ClassVar[dict[str, float]] = {"stiffness": 6.0}
     looks_like = (
         "The axis rests short of its target by an error that grows with the distance from one place, "
         "and the motor must push to stay there."

@@ -27,6 +27,7 @@ class Saturation(Actuator):
     latex = r"\operatorname{clip}(V, \pm V_\mathrm{max})"
     stage = 10
     absent_at: ClassVar[dict[str, float]] = {"limit": 1e12}
+    typical: ClassVar[dict[str, float]] = {"limit": 3.2}
     looks_like = (
         "Large steps all begin with the same slope whatever kp, and the axis reaches the same top speed; "
         "small steps fit."

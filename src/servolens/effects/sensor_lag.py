@@ -23,12 +23,14 @@ class SensorLag(Sensor):
     """The position shown is filtered and lags behind the true one."""
 
     name = "sensor_lag"
+    spoken = "a lag of the sensor"
     sentence = "The position shown is filtered and lags behind the true one."
     latex = r"\tau\,\dot y_m = y - y_m"
     absent_at: ClassVar[dict[str, float]] = {"time_constant": 0.0}
     states = (State("lag", "{x}", relaxes=True),)
     linear = True
     twin = "actuator_lag"
+    typical: ClassVar[dict[str, float]] = {"time_constant": 0.006}
     looks_like = (
         "The measured position starts after the motor and the loop rings more than its gains suggest; "
         "with voltage and position alone it looks the same as a lag of the actuator."

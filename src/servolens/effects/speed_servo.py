@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
@@ -24,10 +24,12 @@ class SpeedServo(Drive):
     """The drive runs a PI speed loop of its own and takes the voltage as the speed to hold."""
 
     name = "speed_servo"
+    spoken = "a speed loop in the drive"
     sentence = "The drive runs a PI speed loop of its own and takes the voltage as the speed to hold."
     latex = r"p\,(s\,V - v) + i\int(s\,V - v)\,dt"
     states = (State("position_error", "{x}"),)
     linear = True
+    typical: ClassVar[dict[str, float]] = {"speed_per_volt": 0.1, "proportional": 38.0, "integral": 280.0}
     looks_like = (
         "A constant voltage gives a constant speed that load and friction hardly change; "
         "steps end with little error even at low kp, and a hand cannot push the axis away."

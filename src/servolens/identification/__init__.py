@@ -1,20 +1,20 @@
 """Identification by the integral method, and its refinement."""
 
-from servolens.identification.effects_fit import EffectsFit, fit_effects
-from servolens.identification.integral import Prior
-from servolens.identification.options import FitOptions
+from servolens.identification.options import Prior, Priors, as_priors
+from servolens.identification.plant_fit import Fit, fit
 from servolens.identification.resampling import Bootstrap, Profile, bootstrap, profile
 from servolens.identification.workflow import Identification, identify
 
 __all__ = [
     "Bootstrap",
-    "EffectsFit",
-    "FitOptions",
+    "Fit",
     "Identification",
     "Prior",
+    "Priors",
     "Profile",
+    "as_priors",
     "bootstrap",
-    "fit_effects",
+    "fit",
     "identify",
     "profile",
 ]

@@ -36,7 +36,7 @@ class Candidates:
     Parameters
     ----------
     wanted : Plant
-        With the effects as given.
+        With gain, damping and effects as given.
     screen : Screen
         The records' motion, for the integral equation.
     likelihood : Likelihood
@@ -46,9 +46,7 @@ class Candidates:
     """
 
     def __init__(self, wanted: Plant, screen: Screen, likelihood: Likelihood, options: FitOptions) -> None:
-        bare, _ = screen.solve(())
-        self._given = replace(wanted, gain=bare.gain, damping=max(bare.damping, 0.0))
-        self._screen, self._likelihood, self._options = screen, likelihood, options
+        self._given, self._screen, self._likelihood, self._options = wanted, screen, likelihood, options
 
     def found(self) -> list[Hypothesis]:
         """Return where the starts lead, the likeliest first; no further ones once the noise alone is left.
@@ -79,10 +77,9 @@ class Candidates:
         """Return the plant with its effects as given, as the integral equation has them, and as priors have them."""
         given = self._given
         starts = [given, *_solved(given, self._screen)]
-        names = list(given.parameters)
         known = {name: prior.value for name, prior in self._options.priors.items()}
         if known:
-            starts += [s.with_values([known.get(n, v) for n, v in zip(names, s.values, strict=True)]) for s in starts]
+            starts += [s.with_named(known) for s in starts]
         return starts
 
     def _one_by_one(self, _: Sequence[Hypothesis]) -> list[Plant]:
@@ -142,9 +139,7 @@ class Candidates:
 
     def _held(self, start: Plant) -> Plant:
         """Return `start` with parameters that are held as they are given."""
-        given = dict(zip(self._given.parameters, self._given.values, strict=True))
-        pairs = zip(start.parameters, start.values, strict=True)
-        return start.with_values([given[n] if n in self._options.held else v for n, v in pairs])
+        return start.with_named({n: v for n, v in self._given.named.items() if n in self._options.held})
 
 
 def _solved(plant: Plant, screen: Screen) -> list[Plant]:

@@ -9,7 +9,9 @@ import numpy as np
 
 from servolens.findings import Finding
 from servolens.identification.explained import Explained, excerpt_of, explained
-from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.fitted import AT_BOUND, GIVEN
+from servolens.identification.integral import Pieces, assemble, constraints_on, solve_integral
+from servolens.identification.options import FitOptions
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.uncertainty import LinearEstimate
 from servolens.identification.velocity import law_left
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import Prior
     from servolens.identification.segments import Segment
 
 __all__ = ["ConstantFit", "fit_constant"]
@@ -41,8 +43,8 @@ class ConstantFit:
     findings: tuple[Finding, ...]
 
 
-def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> ConstantFit:
-    """Fit gain and damping to all `segments`; `priors` are combined with that by their variances.
+def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFit:
+    """Fit gain and damping to all `segments`; priors are combined with that by their variances.
 
     Where something shakes the axis, or the controller answers to its noise, the fit by simulation is the answer.
 
@@ -50,47 +52,56 @@ def fit_constant(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Co
     ----------
     segments : sequence of Segment
         Stretches of motion.
-    priors : mapping of str to Prior
-        Knowledge from elsewhere; that of parameters other than gain and damping is not used.
+    options : FitOptions
+        What is fixed or bounded, and priors; what is asked of parameters other than gain and damping is not used.
     """
+    options = options.of(NAMES)
     shares = [Pieces.whole(s.time.size) for s in segments]
-    estimate = solve_integral(assemble(segments, shares)).x
+    constraints = constraints_on(NAMES, options)
+    solution = solve_integral(assemble(segments, shares), constraints=constraints)
+    estimate, known = solution.x, options.priors
     first = segments[0].record
-    known = {name: priors[name] for name in NAMES if name in priors}
 
     def plant(values: NDArray[np.float64]) -> Plant:
         damping, gain = (float(v) for v in values)
         return Plant(gain=gain, damping=damping, length_unit=first.length_unit, command_unit=first.command_unit)
 
-    left = explained(plant(estimate), excerpt_of(segments)[0])
-    covariance = LinearEstimate.of(segments, shares).covariance(estimate[:-1], left.noise)
-    if left.is_enough and (left.loop is not None or left.noise.rate > 0.0):
+    stopped = {k for c in constraints if c.name in solution.active for k in c.coefficients}
+    free, held = np.array([k not in stopped for k in range(2)]), tuple(NAMES[k] for k in sorted(stopped))
+    left = explained(plant(estimate), excerpt_of(segments)[0], FitOptions(held=held))
+    covariance = LinearEstimate.of(segments, shares, free=free).covariance(estimate[:-1], left.noise)
+    if left.is_enough and free.any() and (left.loop is not None or left.noise.rate > 0.0):
         refined = left.optimum(left.likelihood.records)
-        simulated = np.array(refined.plant.values)[::-1]
-        if _agree(simulated - estimate, covariance) and not _is_law_likelier(left, segments):
-            estimate, covariance = simulated, refined.covariance[::-1, ::-1]
+        simulated, spread = np.array(refined.plant.values)[::-1], np.nan_to_num(refined.covariance[::-1, ::-1])
+        if _agree((simulated - estimate)[free], covariance[np.ix_(free, free)]) and not _is_law_likelier(
+            left, segments
+        ):
+            estimate, covariance = simulated, spread
         else:
             left = replace(left, is_enough=False)
-    free = Model(plant=plant(estimate), covariance=covariance[::-1, ::-1])
+    alone = Model(plant=plant(estimate), covariance=covariance[::-1, ::-1])
     if known and not left.is_enough:
-        refined = law_left(segments, {}).optimum(left.likelihood.records)
-        free = Model(plant=refined.plant, covariance=refined.covariance)
+        refined = law_left(segments, FitOptions()).optimum(left.likelihood.records)
+        alone = Model(plant=refined.plant, covariance=refined.covariance)
     for index, name in enumerate(NAMES):
         if name in known:
             weight = covariance[:, index] / (covariance[index, index] + known[name].deviation ** 2)
             estimate = estimate + weight * (known[name].value - estimate[index])
             covariance = covariance - np.outer(weight, covariance[index])
+    estimate = np.clip(estimate, *np.array([options.range_of(name) for name in NAMES]).T)
+    covariance[~free], covariance[:, ~free] = np.nan, np.nan
     model = Model(
         plant=plant(estimate),
         covariance=covariance[::-1, ::-1],
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
+        reasons=dict.fromkeys(held, AT_BOUND) | dict.fromkeys(options.held, GIVEN),
     )
-    return ConstantFit(model, left, _contradicted(free, known))
+    return ConstantFit(model, left, _contradicted(alone, known))
 
 
 def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:
     """Tell whether damping against speed makes the records likelier: then what seems to shake the axis is its law."""
-    law = law_left(segments, {})
+    law = law_left(segments, FitOptions())
     if law.hypothesis is None or left.hypothesis is None:
         return law.hypothesis is not None
     added = len(law.hypothesis.plant.values) - len(left.hypothesis.plant.values)

@@ -13,28 +13,26 @@ import numpy as np
 
 from servolens.effects import VelocityDecayDamping
 from servolens.errors import InputError
-from servolens.identification.integral import assemble, solve_integral
+from servolens.identification.integral import assemble, constraints_on, solve_integral
 from servolens.identification.regressors import regressor
 from servolens.identification.smoothing import smooth
 from servolens.plant import Plant
-from servolens.solving import Constraint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import FitOptions
     from servolens.identification.segments import Segment
     from servolens.identification.varying import VaryingDamping
 
-__all__ = ["fit_law", "law_from_pieces"]
+__all__ = ["SHAPE", "SIZE", "fit_law", "law_from_pieces"]
 
 SLOWEST_DECAY, FASTEST_DECAY = 0.3, 300.0
 """Range of α₂ times the highest speed: below, the law is a straight line; above, it acts at standstill only."""
 GRID = 24
-NOT_NEGATIVE = (
-    Constraint(name="γ ≥ 0", coefficients={0: 1.0}, lower=0.0),
-    Constraint(name="α₁ ≥ 0", coefficients={2: 1.0}, lower=0.0),
-)
+SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
+UNKNOWNS = ("damping", "gain", SIZE)
+NOT_NEGATIVE = {"damping": 0.0, SIZE: 0.0}
 """Damping is not negative at any speed, and falls with it or does not depend on it."""
 
 
@@ -60,12 +58,13 @@ def law_from_pieces(varying: VaryingDamping) -> Plant:
             alpha1, gamma = 0.0, varying.damping.mean()
         return float(np.sum((basis @ [alpha1, gamma] - varying.damping) ** 2)), float(alpha1), float(gamma)
 
-    alpha2 = _search(lambda a: solve(a)[0], float(varying.speed.max()))
+    fastest = max(float(varying.speed.max()), 1e-12)
+    alpha2 = _search(lambda a: solve(a)[0], SLOWEST_DECAY / fastest, FASTEST_DECAY / fastest)
     _, alpha1, gamma = solve(alpha2)
     return Plant(gain=varying.gain, damping=gamma, effects=(VelocityDecayDamping(alpha1=alpha1, alpha2=alpha2),))
 
 
-def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior] | None = None) -> Plant:
+def fit_law(segments: Sequence[Segment], window: int, options: FitOptions) -> Plant:
     """Fit the law in the integral equation of all `segments` at once.
 
     Parameters
@@ -74,9 +73,11 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
         Stretches of motion.
     window : int
         Samples of the smoothing derivative that gives |v|.
-    priors : mapping of int to Prior, optional
-        By unknown: 0 is γ, 1 is β.
+    options : FitOptions
+        What is fixed or bounded; priors on γ and β.
     """
+    priors = {index: options.priors[name] for index, name in enumerate(UNKNOWNS[:2]) if name in options.priors}
+    constraints = constraints_on(UNKNOWNS, options, NOT_NEGATIVE)
     velocities = [smooth(s.time, s.position, window)[1] for s in segments]
     law = regressor(VelocityDecayDamping)
 
@@ -84,22 +85,24 @@ def fit_law(segments: Sequence[Segment], window: int, priors: Mapping[int, Prior
         forces = [law.columns(s.time, s.position, v, alpha2) for s, v in zip(segments, velocities, strict=True)]
         factor = assemble(segments, forces=forces)
         noise = abs(float(factor[-1, -1])) / np.sqrt(sum(s.time.size for s in segments))
-        solution = solve_integral(factor, priors, noise, NOT_NEGATIVE)
+        solution = solve_integral(factor, priors, noise, constraints)
         misfit = np.linalg.norm(factor[:-1, :-1] @ solution.x - factor[:-1, -1]) ** 2 + factor[-1, -1] ** 2
         return float(misfit), [float(v) for v in solution.x]
 
-    fastest = max(float(np.abs(v).max()) for v in velocities)
-    alpha2 = _search(lambda a: solve(a)[0], fastest)
+    fastest = max(*(float(np.abs(v).max()) for v in velocities), 1e-12)
+    alpha2 = _search(lambda a: solve(a)[0], *options.range_of(SHAPE, SLOWEST_DECAY / fastest, FASTEST_DECAY / fastest))
     gamma, gain, alpha1 = solve(alpha2)[1]
     law_found = VelocityDecayDamping(alpha1=max(alpha1, 0.0), alpha2=alpha2)  # 0 is met to rounding
     return Plant(gain=gain, damping=max(gamma, 0.0), effects=(law_found,))
 
 
-def _search(cost: Callable[[float], float], fastest: float) -> float:
+def _search(cost: Callable[[float], float], slowest: float, quickest: float) -> float:
     """Minimise over α₂: a logarithmic grid, then Brent's method around its best point."""
     from scipy.optimize import minimize_scalar
 
-    grid = np.geomspace(SLOWEST_DECAY, FASTEST_DECAY, GRID) / max(fastest, 1e-12)
+    if slowest >= quickest:
+        return slowest
+    grid = np.geomspace(slowest, quickest, GRID)
     values = [cost(float(a)) for a in grid]
     best = int(np.argmin(values))
     low, high = np.log(grid[max(best - 1, 0)]), np.log(grid[min(best + 1, GRID - 1)])

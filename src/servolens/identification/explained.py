@@ -11,15 +11,15 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.closed_loop import fit_loop
 from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
+from servolens.identification.noise import NEGLIGIBLE
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import depends_on_inputs, is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
-    from servolens.identification.integral import Prior
     from servolens.identification.likelihood import Hypothesis
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
@@ -31,8 +31,6 @@ __all__ = ["Explained", "excerpt_of", "explained"]
 
 MOST_JUDGED = 4_000
 """Samples of an excerpt from which the noise is estimated: its spread is then known to about 1 %."""
-NEGLIGIBLE = 2e-5
-"""Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 
 
 @final
@@ -96,9 +94,8 @@ class Explained:
 def explained(
     plant: Plant,
     excerpt: Sequence[Record],
+    options: FitOptions | None = None,
     *,
-    held: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     like: Explained | None = None,
 ) -> Explained:
     """Fit `plant` and the noise in turn, and judge what is left.
@@ -109,14 +106,12 @@ def explained(
         Start and structure.
     excerpt : sequence of Record
         See :func:`excerpt_of`.
-    held : sequence of str
-        Qualified names of parameters that stay as they are.
-    priors : mapping of str to Prior, optional
-        Knowledge from elsewhere, by qualified name.
+    options : FitOptions, optional
+        What is held or bounded, and priors.
     like : Explained, optional
         Whose noise to begin with.
     """
-    options = FitOptions(held=tuple(held), priors=priors or {})
+    options = options or FitOptions()
     likelihood = Likelihood(excerpt, plant, options)
     try:
         found = likelihood.judged(plant, None if like is None else like.hypothesis)
@@ -177,8 +172,7 @@ def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothes
 
 
 def _is_enough(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
-    travel = max(float(np.ptp(signals.measured)) for signals in likelihood.signals)
-    if hypothesis.noise.rate == 0.0 and hypothesis.noise.spread <= NEGLIGIBLE * travel:
+    if hypothesis.noise.rate == 0.0 and hypothesis.noise.spread <= NEGLIGIBLE * likelihood.travel:
         return True
     try:
         return not depends_on_inputs(ScoreTest(likelihood, hypothesis))

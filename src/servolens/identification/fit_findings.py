@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["above_noise", "findings_of"]
 
-ALIKE = 0.98
+HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
 
 
@@ -87,7 +87,7 @@ def _alike(refined: Refinement) -> list[Finding]:
     groups: dict[frozenset[str], list[tuple[int, int]]] = {}
     for i in range(len(names)):
         for k in range(i):
-            if abs(refined.correlation[i, k]) > ALIKE:
+            if abs(refined.correlation[i, k]) > HARDLY_APART:
                 groups.setdefault(frozenset(names[n].rpartition(".")[0] for n in (i, k)), []).append((k, i))
     found = []
     for pairs in groups.values():

@@ -12,11 +12,17 @@ from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import Model
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servolens.findings import Finding
     from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.plant import Plant
+    from servolens.record import Record
 
-__all__ = ["Fitted", "fitted"]
+__all__ = ["AT_BOUND", "GIVEN", "Fitted", "fitted", "model_of"]
+
+AT_BOUND, GIVEN = "it ended at the end of its range", "given, not estimated"
+"""Why a parameter has no standard error."""
 
 
 @final
@@ -56,13 +62,20 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         local_minima=plant.has_contacts,
         allowance=allowance,
     )
-    names = dict.fromkeys(refined.undetermined, "the data do not determine it")
-    names |= dict.fromkeys(refined.at_bound, "it ended at the end of its range")
-    names |= dict.fromkeys(likelihood.options(plant).held, "it is held")
-    model = Model(
-        plant=refined.plant,
+    held = likelihood.options(plant).held
+    return Fitted(model_of(refined, likelihood.records, held), refined, findings_of(refined))
+
+
+def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]) -> Model:
+    """Return the model that a search ended with, and why parameters have no error bar: those `held` were given."""
+    plant = refined.plant
+    reasons = dict.fromkeys(plant.parameters, "its error could not be estimated")
+    reasons |= dict.fromkeys(refined.undetermined, "the data do not determine it")
+    reasons |= dict.fromkeys(refined.at_bound, AT_BOUND)
+    reasons |= dict.fromkeys(plant.derived, "it follows from other parameters")
+    return Model(
+        plant=plant,
         covariance=refined.covariance,
-        identified_from=tuple(record.name for record in likelihood.records),
-        reasons=names,
+        identified_from=tuple(dict.fromkeys(record.name for record in records)),
+        reasons=reasons | dict.fromkeys(held, GIVEN),
     )
-    return Fitted(model, refined, findings_of(refined))

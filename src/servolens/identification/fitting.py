@@ -19,7 +19,7 @@ from servolens.identification.structure import is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -172,7 +172,7 @@ def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: Fi
     ends: list[tuple[float, Plant]] = []
     for plant in (*plants[:2], *(plants[0].scaled(share) for share in INERTIAS)):
         with suppress(InputError, NumericalError):
-            held = _with(plant, {n: v for n, v in _values(plants[0]).items() if n in options.held})
+            held = plant.with_named({n: v for n, v in plants[0].named.items() if n in options.held})
             end, misfit = followed(held, runs, options, noise=1.0, iterations=SOME)
             ends.append((misfit, end))
             if misfit <= enough:
@@ -180,14 +180,6 @@ def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: Fi
     if not ends:
         raise NumericalError("no start of this model can be simulated in closed loop on these records")
     return min(ends, key=lambda pair: pair[0])[1]
-
-
-def _values(plant: Plant) -> dict[str, float]:
-    return dict(zip(plant.parameters, plant.values, strict=True))
-
-
-def _with(plant: Plant, values: Mapping[str, float]) -> Plant:
-    return plant.with_values(list({**_values(plant), **values}.values()))
 
 
 def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:

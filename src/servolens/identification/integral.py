@@ -10,34 +10,27 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.identification.factors import LONGEST_PIECE, segment_factor
 from servolens.identification.smoothing import value_weights
-from servolens.solving import ConstrainedLeastSquares, constrained_least_squares
+from servolens.solving import ConstrainedLeastSquares, Constraint, constrained_least_squares
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from servolens.identification.options import FitOptions, Prior
     from servolens.identification.segments import Segment
-    from servolens.solving import Constraint
 
-__all__ = ["Pieces", "Prior", "assemble", "held_twice_integrated", "segment_factors", "solve_integral", "stacked"]
+__all__ = [
+    "Pieces",
+    "assemble",
+    "constraints_on",
+    "held_twice_integrated",
+    "segment_factors",
+    "solve_integral",
+    "stacked",
+]
 
 _NO_FORCES: NDArray[np.float64] = np.empty((0, 0))
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prior:
-    """Knowledge from elsewhere, e.g. a data sheet: `value` with standard deviation `deviation`, SI."""
-
-    value: float
-    deviation: float
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.value) and np.isfinite(self.deviation) and self.deviation > 0):
-            raise InputError(
-                f"a prior needs a finite value and a positive standard deviation, got {self.value} and {self.deviation}"
-            )
 
 
 @final
@@ -139,3 +132,32 @@ def solve_integral(
             row[index], row[-1] = weight, weight * prior.value
         factor = stacked([factor, rows])
     return constrained_least_squares(factor, constraints)
+
+
+def constraints_on(
+    unknowns: Sequence[str], options: FitOptions, lowest: Mapping[str, float] | None = None
+) -> tuple[Constraint, ...]:
+    """Return what holds the `unknowns` at their fixed values and within their bounds, by their index.
+
+    Parameters
+    ----------
+    unknowns : sequence of str
+        Qualified names, in the order of the unknowns.
+    options : FitOptions
+        With fixed values and bounds.
+    lowest : mapping of str to float, optional
+        What an unknown must not fall below in any case.
+    """
+    found = []
+    for index, name in enumerate(unknowns):
+        low, high = options.range_of(name, (lowest or {}).get(name, -np.inf))
+        if np.isfinite(low) or np.isfinite(high):
+            words = (
+                f"{name} = {low:g}"
+                if low == high
+                else " and ".join(
+                    f"{name} {sign} {end:g}" for sign, end in (("≥", low), ("≤", high)) if np.isfinite(end)
+                )
+            )
+            found.append(Constraint(name=words, coefficients={index: 1.0}, lower=low, upper=high))
+    return tuple(found)

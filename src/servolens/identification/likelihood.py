@@ -87,10 +87,7 @@ class Hypothesis:
         """Return the plant of one record, with the parameters of its own."""
         if not self.local:
             return self.plant
-        values = dict(zip(self.plant.parameters, self.plant.values, strict=True))
-        return self.plant.with_values(
-            [float(self.local[n][group]) if n in self.local else v for n, v in values.items()]
-        )
+        return self.plant.with_named({name: float(found[group]) for name, found in self.local.items()})
 
 
 @final
@@ -189,16 +186,9 @@ class Likelihood:
 
         Roughly, without the parameters that are found last.
         """
-        names, asked = plant.parameters, self._options
-        held = found_last(plant) if is_rough else ()
+        asked = self._options.of(plant.parameters).holding(*(found_last(plant) if is_rough else ()))
         local = own_phases(plant) if self._are_phases_own else ()
-        return replace(
-            asked,
-            held=tuple(dict.fromkeys([*(name for name in asked.held if name in names), *held])),
-            local=tuple(dict.fromkeys([*(name for name in asked.local if name in names), *local])),
-            priors={name: prior for name, prior in asked.priors.items() if name in names},
-            bounds={name: bound for name, bound in asked.bounds.items() if name in names},
-        )
+        return replace(asked, local=tuple(dict.fromkeys([*asked.local, *local])))
 
     def judged(
         self, plant: Plant, like: Hypothesis | None = None, iterations: int = FULL, *, allowance: float = np.inf

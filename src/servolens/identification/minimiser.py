@@ -29,7 +29,7 @@ LOWEST, APART, LOOKS, SHORT = 3, 0.1, 3, 20
 looked along; iterations of the first descents."""
 BESIDE = (-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1)
 """How far beside the end of a search its neighbours are looked for, in sizes of the parameter that changes most."""
-ALIKE, DEEPER = 1.02, 1.0 - 1e-3
+AS_DEEP, DEEPER = 1.02, 1.0 - 1e-3
 """Times the least error up to which a local minimum explains as much, for no simulation of contacts is more exact;
 below which it explains more."""
 
@@ -99,7 +99,7 @@ def beside(
         if lowest.cost > DEEPER**2 * point.cost:
             break
         point, converged = by_way_of(problem, lowest, ((FINE, iterations),))
-    return point, converged, [minimum.values for minimum in seen if minimum.cost <= ALIKE**2 * point.cost]
+    return point, converged, [minimum.values for minimum in seen if minimum.cost <= AS_DEEP**2 * point.cost]
 
 
 def by_way_of(

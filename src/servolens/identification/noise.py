@@ -30,6 +30,8 @@ REWEIGHTED, LEAST = 8, 1e-4
 WANDERS = 12.0
 """Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
 constant is 290 samples."""
+NEGLIGIBLE = 2e-5
+"""Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.noise import NoiseModel, instants
+from servolens.identification.noise import NEGLIGIBLE, NoiseModel, instants
 from servolens.identification.rounding import dominates
 from servolens.simulation.rates import substeps_for
 
@@ -119,7 +119,7 @@ class NoiseTrials:
             self._left = missed
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
-        if noise.wanders:
+        if noise.wanders and noise.spread > NEGLIGIBLE * likelihood.travel:
             noise = replace(first.scaled(missed), is_model_error=True)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf

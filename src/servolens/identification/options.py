@@ -1,34 +1,73 @@
-"""What is wanted of a fit."""
+"""What is wanted of a fit: what is fixed, bounded or known, and how runs are simulated and compared."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping  # noqa: TC003 - dataclass fields are looked at by tools
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, final, get_args
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
+
+import numpy as np
 
 from servolens.errors import InputError
+from servolens.inputs import described
 
 if TYPE_CHECKING:
-    from servolens.identification.integral import Prior
+    from collections.abc import Iterable
 
-__all__ = ["FitOptions"]
+__all__ = [
+    "Begin",
+    "Bounds",
+    "Compared",
+    "Driven",
+    "FitOptions",
+    "Fixed",
+    "Loss",
+    "Prior",
+    "Priors",
+    "as_priors",
+    "wanted",
+]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prior:
+    """Knowledge from elsewhere, e.g. a data sheet: `value` with standard deviation `deviation`, SI."""
+
+    value: float
+    deviation: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.value) and np.isfinite(self.deviation) and self.deviation > 0):
+            raise InputError(
+                f"a prior needs a finite value and a positive standard deviation, got {self.value} and {self.deviation}"
+            )
+
 
 Loss = Literal["squares", "huber"]
 Driven = Literal["auto", "closed_loop", "voltage"]
 Compared = Literal["position", "voltage"]
 Begin = Literal["rest", "motion"]
 CHOICES = {"loss": Loss, "driven": Driven, "compared": Compared, "begin": Begin}
+Fixed = str | Sequence[str] | Mapping[str, float]
+"""Names of parameters that stay as they are, or names with their values."""
+Bounds = Mapping[str, tuple[float | None, float | None]]
+"""Least and largest value by name; None for no bound."""
+Priors = Mapping[str, Prior | tuple[float, float]]
+"""Value and standard deviation by name."""
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
-    """How a plant is fitted.
+    """How a plant is fitted, checked and in one form.
 
     Parameters
     ----------
     held : tuple of str
         Qualified names of parameters that stay as given.
+    values : mapping of str to float
+        Of parameters that are held, where no plant gives them.
     local : tuple of str
         Parameters that each record has of its own, e.g. ``"periodic_disturbance.phase"``.
     priors : mapping of str to Prior
@@ -56,6 +95,7 @@ class FitOptions:
     """
 
     held: tuple[str, ...] = ()
+    values: Mapping[str, float] = field(default_factory=dict)
     local: tuple[str, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -69,9 +109,6 @@ class FitOptions:
             value, known = getattr(self, name), get_args(choices)
             if value not in known:
                 raise InputError(f"{name} must be one of {', '.join(known)}; got {value!r}")
-        for name in ("held", "local"):
-            if isinstance(getattr(self, name), str):
-                raise InputError(f"{name} must be a tuple of names; write ({getattr(self, name)!r},)")
         for name, (low, high) in self.bounds.items():
             if not low < high:
                 raise InputError(f"the bounds of {name} must be a least and a larger value; got {low} and {high}")
@@ -79,3 +116,107 @@ class FitOptions:
             raise InputError(
                 "a run that is driven by the voltage cannot be compared by it; choose driven='closed_loop'"
             )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Every parameter that something is asked of."""
+        return tuple(dict.fromkeys((*self.held, *self.local, *self.priors, *self.bounds)))
+
+    def check(self, parameters: Iterable[str]) -> None:
+        """Refuse what is asked of no parameter of the model.
+
+        Raises
+        ------
+        InputError
+            With the names that are.
+        """
+        known = list(parameters)
+        for name in self.names:
+            if name not in known:
+                raise InputError(f"{name[:40]!r} is no parameter of this model; those are {', '.join(known)}")
+
+    def of(self, parameters: Iterable[str]) -> FitOptions:
+        """Return the options without what is asked of other parameters than these."""
+        names = set(parameters)
+        return replace(
+            self,
+            held=tuple(name for name in self.held if name in names),
+            values={name: value for name, value in self.values.items() if name in names},
+            local=tuple(name for name in self.local if name in names),
+            priors={name: prior for name, prior in self.priors.items() if name in names},
+            bounds={name: bound for name, bound in self.bounds.items() if name in names},
+        )
+
+    def holding(self, *names: str) -> FitOptions:
+        """Return the options with further parameters held."""
+        return replace(self, held=tuple(dict.fromkeys([*self.held, *names])))
+
+    def range_of(self, name: str, low: float = -np.inf, high: float = np.inf) -> tuple[float, float]:
+        """Return where a parameter may lie: its fixed value, or its bounds within `low` and `high`."""
+        if name in self.values:
+            return self.values[name], self.values[name]
+        least, most = self.bounds.get(name, (-np.inf, np.inf))
+        return max(low, least), min(high, most)
+
+
+def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices: Any) -> FitOptions:
+    """Return what public functions were asked for as options.
+
+    Raises
+    ------
+    InputError
+        If something is not of the form that it must have.
+    """
+    held: Sequence[str] = (fixed,) if isinstance(fixed, str) else tuple(fixed)
+    values = {name: _number(name, value) for name, value in fixed.items()} if isinstance(fixed, Mapping) else {}
+    local = choices.pop("local", ())
+    return FitOptions(
+        held=tuple(held),
+        values=values,
+        local=(local,) if isinstance(local, str) else tuple(local),
+        bounds={name: _bounds(name, bound) for name, bound in (bounds or {}).items()},
+        priors=as_priors(priors),
+        **choices,
+    )
+
+
+def as_priors(priors: Priors | None) -> dict[str, Prior]:
+    """Return priors by name, of values with their standard deviations too."""
+    if not isinstance(priors, Mapping | None):
+        raise InputError(f"priors must go by name, such as {{'gain': (1.9, 0.1)}}; got {described(priors)}")
+    return {name: _prior(name, prior) for name, prior in (priors or {}).items()}
+
+
+def _number(name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = np.nan
+    if not np.isfinite(number):
+        raise InputError(f"{name} must be fixed at a finite number, got {described(value)}")
+    return number
+
+
+def _bounds(name: str, bound: Any) -> tuple[float, float]:
+    try:
+        low, high = bound
+        return (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
+    except (TypeError, ValueError):
+        raise InputError(
+            f"the bounds of {name} must be a least and a larger value, such as (1.0, 3.0); got {described(bound)}"
+        ) from None
+
+
+def _prior(name: str, prior: Any) -> Prior:
+    if isinstance(prior, Prior):
+        return prior
+    try:
+        value, deviation = prior
+        return Prior(value=float(value), deviation=float(deviation))
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"the prior on {name} must be a value and its standard deviation, such as (1.9, 0.1); "
+            f"got {described(prior)}"
+        ) from None

@@ -52,7 +52,7 @@ class Thinned:
         Time about its mean in each stretch, scaled to length one there.
     time, position, velocity : ndarray, shape (n,)
         As in the records.
-    swept, pushed : ndarray, shape (n,)
+    position_integral, voltage_integral : ndarray, shape (n,)
         Position integrated once over time, voltage twice, in each stretch.
     stride : int
         Every how many samples one is kept.
@@ -65,8 +65,8 @@ class Thinned:
     time: NDArray[np.float64]
     position: NDArray[np.float64]
     velocity: NDArray[np.float64]
-    swept: NDArray[np.float64]
-    pushed: NDArray[np.float64]
+    position_integral: NDArray[np.float64]
+    voltage_integral: NDArray[np.float64]
     stride: int
 
     @classmethod
@@ -83,14 +83,14 @@ class Thinned:
             time=np.concatenate([s.record.time[s.first : s.first + s.time.size : stride] for s in segments]),
             position=np.concatenate([s.position[::stride] for s in segments]),
             velocity=np.concatenate([v[::stride] for v in velocity]),
-            swept=np.concatenate([_swept(s)[::stride] for s in segments]),
-            pushed=_pushed(segments, stride),
+            position_integral=np.concatenate([_position_integral(s)[::stride] for s in segments]),
+            voltage_integral=_voltage_integral(segments, stride),
             stride=stride,
         )
 
     def pushed_by(self, segments: Sequence[Segment]) -> Thinned:
         """Return the samples with the voltages of `segments`, which are the same stretches."""
-        return replace(self, pushed=_pushed(segments, self.stride))
+        return replace(self, voltage_integral=_voltage_integral(segments, self.stride))
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
@@ -101,7 +101,7 @@ class Thinned:
 
         All sizes are solved for, of `others` too.
         """
-        known = np.concatenate((self.swept[None], self.pushed[None], self._forces(others)))
+        known = np.concatenate((self.position_integral[None], self.voltage_integral[None], self._forces(others)))
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
@@ -142,11 +142,11 @@ class Thinned:
         return np.repeat(values, np.diff(self.first, append=self.time.size), axis=1)
 
 
-def _pushed(segments: Sequence[Segment], stride: int) -> NDArray[np.float64]:
+def _voltage_integral(segments: Sequence[Segment], stride: int) -> NDArray[np.float64]:
     return np.concatenate([held_twice_integrated(s.time, s.voltage)[::stride] for s in segments])
 
 
-def _swept(segment: Segment) -> NDArray[np.float64]:
+def _position_integral(segment: Segment) -> NDArray[np.float64]:
     from scipy.integrate import cumulative_simpson
 
     return np.asarray(cumulative_simpson(segment.position, x=segment.time, initial=0.0))

@@ -11,7 +11,6 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.options import FitOptions
 from servolens.identification.rounding import DRAWS, dominates, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.error_problem import Block
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import FitOptions
     from servolens.identification.runs import Run
     from servolens.identification.segments import Segment
     from servolens.plant import Plant
@@ -129,17 +128,14 @@ class Refinement:
 
     def plant_of(self, group: int) -> Plant:
         """Return the plant of one record, with the parameters of its own."""
-        values = dict(zip(self.plant.parameters, self.plant.values, strict=True))
-        own = {name: float(found[group]) for name, found in self.local.items()}
-        return self.plant.with_values(list({**values, **own}.values()))
+        return self.plant.with_named({name: float(found[group]) for name, found in self.local.items()})
 
 
 def refine(
     plant: Plant,
     segments: Sequence[Segment],
+    options: FitOptions,
     *,
-    held: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
     window: int = 21,
 ) -> Refinement:
     """Refine `plant` on stretches of motion, each driven by its voltage from an initial state of its own.
@@ -150,31 +146,27 @@ def refine(
         Start and structure.
     segments : sequence of Segment
         Stretches of motion.
-    held : sequence of str
-        Qualified names of parameters that stay as they are.
-    priors : mapping of str to Prior, optional
-        Knowledge from elsewhere, by qualified name.
+    options : FitOptions
+        What is held or bounded, and priors.
     window : int
         Samples of the smoothing derivative that gives the initial velocities.
     """
     runs: list[Run] = [VoltageRun(segment, 0, window) for segment in segments]
-    options = FitOptions(held=tuple(held), priors=priors or {})
     return minimise_error(plant, runs, options, noise=max(s.noise for s in segments))
 
 
 def refine_closed_loop(
     plant: Plant,
     records: Sequence[Record],
+    options: FitOptions,
     *,
     noise: float,
-    held: Sequence[str] = (),
-    priors: Mapping[str, Prior] | None = None,
 ) -> Refinement:
     """Refine `plant` on whole steps in closed loop, each from rest at its first measured position.
 
     Parameters
     ----------
-    plant, held, priors
+    plant, options
         As :func:`refine`.
     records : sequence of Record
         With reference and controller.
@@ -183,7 +175,7 @@ def refine_closed_loop(
     """
     steps = [step for record in records for step in settled_steps(record)]
     runs: list[Run] = [ClosedRun(step, 0) for step in steps]
-    return minimise_error(plant, runs, FitOptions(held=tuple(held), priors=priors or {}), noise=noise)
+    return minimise_error(plant, runs, options, noise=noise)
 
 
 def minimise_error(

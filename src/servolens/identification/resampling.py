@@ -11,6 +11,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.fitting import runs_of
 from servolens.identification.refine import minimise_error
 from servolens.identification.runs import Resampled
+from servolens.inputs import described
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.effects_fit import EffectsFit
+    from servolens.identification.plant_fit import Fit
     from servolens.identification.refine import Refinement
     from servolens.identification.runs import Run
     from servolens.plant import Plant
@@ -85,7 +86,7 @@ class Bootstrap:
         return np.asarray(np.percentile(self.values, [2.5, 97.5], axis=0).T)
 
 
-def profile(fit: EffectsFit, name: str) -> Profile:
+def profile(fit: Fit, name: str) -> Profile:
     """Follow the likelihood of one parameter to both sides until it leaves the 95 % interval.
 
     What is followed is what the fit minimised: the whitened residual, or its robust loss, with the priors. It counts in
@@ -94,7 +95,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
 
     Parameters
     ----------
-    fit : EffectsFit
+    fit : Fit
         The fit; its data are used again.
     name : str
         Qualified name of a parameter that was fitted, e.g. ``"saturation.limit"``.
@@ -106,8 +107,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
     NumericalError
         If the fit itself cannot be repeated.
     """
-    index = _fitted(fit, name)
-    runs = _runs(fit)
+    runs, index = _runs(fit), _fitted(fit, name)
     best = fit.plant.values[index]
     width = np.sqrt(fit.model.covariance[index, index]) if fit.model.covariance is not None else np.nan
     width = float(width) if np.isfinite(width) and width > 0 else 0.05 * max(abs(best), 1e-3)
@@ -117,7 +117,7 @@ def profile(fit: EffectsFit, name: str) -> Profile:
     return Profile(name=name, values=values, excess=excess, interval=(ends[0], ends[1]))
 
 
-def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
+def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
     """Fit data made of the fitted response and innovations like its own, `repeats` times.
 
     Innovations are the residual whitened by the fit's noise model; they are drawn in blocks, which keep what colour is
@@ -126,7 +126,7 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
 
     Parameters
     ----------
-    fit : EffectsFit
+    fit : Fit
         The fit.
     repeats : int
         At least 2.
@@ -160,18 +160,22 @@ def bootstrap(fit: EffectsFit, *, repeats: int = 100, seed: int) -> Bootstrap:
     return Bootstrap(names=tuple(names), values=np.array(found), failed=failed)
 
 
-def _runs(fit: EffectsFit) -> list[Run]:
+def _runs(fit: Fit) -> list[Run]:
+    if getattr(fit, "kind", None) != "fit":
+        raise InputError(f"what servolens.fit returns is needed; got {described(fit)}")
+    if not fit.records:
+        raise InputError("this fit was read from a file, which holds no records; fit them again")
     return runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
 
 
-def _ends(fit: EffectsFit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:
+def _ends(fit: Fit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:
     """Return plant, initial state and substeps of each run at the fit's end."""
     plants = [fit.refinement.plant_of(run.group) for run in runs]
     pairs = zip(plants, fit.refinement.starts, runs, strict=True)
     return [(plant, start, substeps_for(plant, run.sample_time)) for plant, start, run in pairs]
 
 
-def _fitted(fit: EffectsFit, name: str) -> int:
+def _fitted(fit: Fit, name: str) -> int:
     names = list(fit.plant.parameters)
     fixed = (*fit.options.held, *fit.plant.derived, *fit.options.local)
     if name not in names or name in fixed:
@@ -180,9 +184,7 @@ def _fitted(fit: EffectsFit, name: str) -> int:
     return names.index(name)
 
 
-def _followed(
-    fit: EffectsFit, runs: Sequence[Run], name: str, step: float, found: list[tuple[float, float]]
-) -> float | None:
+def _followed(fit: Fit, runs: Sequence[Run], name: str, step: float, found: list[tuple[float, float]]) -> float | None:
     """Follow the likelihood to one side, append what is found, and return the end of the interval if there is one.
 
     Steps grow until the end is passed; then they are halved until it lies between two values that hardly differ in
@@ -212,22 +214,24 @@ def _followed(
     return here + share * (beyond[0] - here)
 
 
-def _variance_unit(fit: EffectsFit, index: int) -> float:
+def _variance_unit(fit: Fit, index: int) -> float:
     """Return the misfit that one degree of freedom counts as."""
     refined = fit.refinement
     colour = refined.colour[index]  # NaN where the data do not determine the parameter
     return max(refined.variance * (float(colour) if np.isfinite(colour) else 1.0), 1e-300)
 
 
-def _with_value(fit: EffectsFit, runs: Sequence[Run], plant: Plant, name: str, value: float) -> Refinement | None:
-    values = list(plant.values)
-    values[list(plant.parameters).index(name)] = value
-    options = replace(fit.options, held=(*fit.options.held, name))
+def _with_value(fit: Fit, runs: Sequence[Run], plant: Plant, name: str, value: float) -> Refinement | None:
+    options = fit.options.holding(name)
     priors = dict(fit.options.priors)
     known = priors.pop(name, None)
     try:
         found = minimise_error(
-            plant.with_values(values), runs, replace(options, priors=priors), noise=1.0, like=fit.refinement.weights
+            plant.with_named({name: value}),
+            runs,
+            replace(options, priors=priors),
+            noise=1.0,
+            like=fit.refinement.weights,
         )
     except (InputError, NumericalError):
         return None

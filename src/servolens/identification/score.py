@@ -193,6 +193,6 @@ class ScoreTest:
         local = self.hypothesis.local
         if not local:
             return plant
-        values = dict(zip(plant.parameters, plant.values, strict=True))
+        values = plant.named
         own = {name: float(found[group]) for name, found in local.items() if name in values}
         return plant.with_values(list({**values, **own}.values()))

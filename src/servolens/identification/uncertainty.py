@@ -51,13 +51,19 @@ class LinearEstimate:
         segments: Sequence[Segment],
         pieces: Sequence[Pieces],
         gain: Sequence[NDArray[np.float64]] | None = None,
+        free: NDArray[np.bool_] | None = None,
     ) -> LinearEstimate:
-        """Return least squares of damping and gain [c₁ … c_d, β], or of damping beside a gain with rows of its own."""
+        """Return least squares of damping and gain [c₁ … c_d, β], or of damping beside a gain with rows of its own.
+
+        Of these only the `free` ones, if that is given; the others are fixed, and their rows 0.
+        """
         used, shares, share = _looked_at(segments, pieces)
         size = 2 + max(int(one.groups.max()) for one in shares)
         columns = [_columns(segment, one, size) for segment, one in zip(used, shares, strict=True)]
         if gain is None:
-            inverse = _inverse(columns)
+            kept = np.ones(size, dtype=bool) if free is None else free
+            inverse = np.zeros((size, size))
+            inverse[np.ix_(kept, kept)] = _inverse([x[:, kept] for x in columns])
             return cls(used, shares, tuple(x @ inverse for x in columns), share)
         inverse = _inverse([x[:, :-1] for x in columns])
         damping = [x[:, :-1] @ inverse for x in columns]

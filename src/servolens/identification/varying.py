@@ -93,6 +93,7 @@ def fit_varying(
     constraints: Sequence[Constraint] = (),
     delta: float | None = None,
     bounds: tuple[float, float] | None = None,
+    gain: tuple[float, float] = (-np.inf, np.inf),
     noise: NoiseModel | None = None,
 ) -> VaryingDamping:
     """Fit piecewise-constant damping with continuous position and velocity.
@@ -109,6 +110,8 @@ def fit_varying(
         δ of eq. 18: damping may fall by at most δ [1/s] from piece to piece.
     bounds : tuple of float, optional
         Least and largest damping of a piece [1/s].
+    gain : tuple of float
+        Least and largest β; both the same where it is fixed.
     noise : NoiseModel, optional
         Of the records; white, as third differences show it, when None.
 
@@ -126,7 +129,7 @@ def fit_varying(
     shares, edges = _pieces(segments, length)
     count = edges.size - 1
     window = smoothing_window(length, _sample_time(segments))
-    settled = _settled_gain(segments, 0.5 * length, window)
+    settled = _settled_gain(segments, 0.5 * length, window, gain)
     wanted = [
         *constraints,
         *(() if settled is None else (settled.constraint(count),)),
@@ -150,10 +153,10 @@ def fit_varying(
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _SettledGain:
-    """β as the mean of that of two ways to place the nodes, the middle ones of several."""
+    """β as the mean of that of two ways to place the nodes, the middle ones of several; without these it is given."""
 
     value: float
-    middle: tuple[list[Pieces], list[Pieces]]
+    middle: tuple[list[Pieces], list[Pieces]] | None
 
     def constraint(self, count: int) -> Constraint:
         """Return the constraint that holds β behind `count` dampings."""
@@ -161,16 +164,22 @@ class _SettledGain:
 
     def rows(self, segments: Sequence[Segment]) -> list[NDArray[np.float64]]:
         """Return the weights with which errors of the equation enter β, an array a segment."""
+        if self.middle is None:
+            return [np.zeros(segment.time.size) for segment in segments]
         one, other = (LinearEstimate.of(segments, pieces).rows for pieces in self.middle)
         return [0.5 * (a[:, -1] + b[:, -1]) for a, b in zip(one, other, strict=True)]
 
 
-def _settled_gain(segments: Sequence[Segment], length: float, window: int) -> _SettledGain | None:
+def _settled_gain(
+    segments: Sequence[Segment], length: float, window: int, within: tuple[float, float]
+) -> _SettledGain | None:
     """Return β as its median over eight positions of the nodes, with pieces of half the length.
 
     Damping that changes within a piece moves β by a percent or more, one way or the other with where the nodes fall;
     the median over their positions does not hang on that choice. None where fewer than five positions can be fitted.
     """
+    if within[0] == within[1]:
+        return _SettledGain(within[0], None)
     found: list[tuple[float, list[Pieces]]] = []
     for position in NODE_POSITIONS:
         try:
@@ -182,7 +191,10 @@ def _settled_gain(segments: Sequence[Segment], length: float, window: int) -> _S
         return None
     found.sort(key=lambda fit: fit[0])
     low, high = found[(len(found) - 1) // 2], found[len(found) // 2]
-    return _SettledGain(0.5 * (low[0] + high[0]), (low[1], high[1]))
+    value = 0.5 * (low[0] + high[0])
+    if not within[0] <= value <= within[1]:
+        return _SettledGain(float(np.clip(value, *within)), None)
+    return _SettledGain(value, (low[1], high[1]))
 
 
 def fit_pieces(

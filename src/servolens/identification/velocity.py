@@ -9,26 +9,26 @@ import numpy as np
 
 from servolens.effects import VelocityDecayDamping
 from servolens.findings import Finding
-from servolens.identification.damping_law import fit_law
+from servolens.identification.damping_law import SHAPE, SIZE, fit_law
 from servolens.identification.explained import Explained, excerpt_of, explained
+from servolens.identification.fitted import model_of
 from servolens.identification.refine import refine, refine_closed_loop
 from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
-from servolens.model import Model
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
-    from servolens.identification.integral import Prior
+    from servolens.identification.options import FitOptions
     from servolens.identification.refine import Refinement
     from servolens.identification.segments import Segment
+    from servolens.model import Model
     from servolens.plant import Plant
     from servolens.record import Record
 
 __all__ = ["SHAPE", "SIZE", "VelocityFit", "fit_velocity", "law_left"]
 
-SIZE, SHAPE = (f"{VelocityDecayDamping.name}.{name}" for name in ("alpha1", "alpha2"))
 SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
 MOST_SAMPLES, MOST_CLOSED, FEWEST = 64_000, 20_000, 20
@@ -50,7 +50,7 @@ class VelocityFit:
     findings: tuple[Finding, ...]
 
 
-def fit_velocity(segments: Sequence[Segment], priors: Mapping[str, Prior], constant: Plant) -> VelocityFit:
+def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Plant) -> VelocityFit:
     """Fit the law of eq. 20 by the likelihood of the records, from its solution in the integral equation.
 
     Where it does not explain the records, it is fitted to the closed loop as a whole: then it describes them as well as
@@ -60,77 +60,75 @@ def fit_velocity(segments: Sequence[Segment], priors: Mapping[str, Prior], const
     ----------
     segments : sequence of Segment
         Stretches of motion.
-    priors : mapping of str to Prior
-        Knowledge from elsewhere.
+    options : FitOptions
+        What is fixed or bounded, and priors.
     constant : Plant
         The axis with constant damping.
     """
     used, is_all = _first_samples(segments)
-    start = _start(used, priors)
-    left, refined = _by_likelihood(start, used, priors)
-    reasons = dict.fromkeys(start.parameters, "the data do not determine it")
+    start = _start(used, options)
+    left, refined = _by_likelihood(start, used, options)
     depends = _depends_on_speed(refined)
-    if not depends:
-        reasons[SHAPE] = NO_DEPENDENCE
     findings = [] if is_all else [_shortened(used)]
     if not left.is_enough and all(s.record.reference is not None and s.record.controller is not None for s in used):
-        refined = _in_closed_loop((constant, start, refined.plant), used, priors)
+        refined = _in_closed_loop((constant, start, refined.plant), used, options)
     elif not depends:
         findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{NO_DEPENDENCE}."))
     if not refined.converged:
         findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
-    names = tuple(dict.fromkeys(s.record.name for s in segments))
-    model = Model(plant=refined.plant, covariance=refined.covariance, identified_from=names, reasons=reasons)
+    model = model_of(refined, [s.record for s in segments], options.held)
+    if SHAPE not in options.held:
+        why = "the data do not determine it" if depends else NO_DEPENDENCE
+        model = replace(model, reasons={**model.reasons, SHAPE: why})
     return VelocityFit(model, used, left, tuple(findings))
 
 
-def law_left(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Explained:
+def law_left(segments: Sequence[Segment], options: FitOptions) -> Explained:
     """Return what the law leaves of the records, without error bars."""
     used, _ = _first_samples(segments)
-    return explained(_start(used, priors), excerpt_of(used)[0], priors=priors)
+    return explained(_start(used, options), excerpt_of(used)[0], options)
 
 
-def _start(segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Plant:
+def _start(segments: Sequence[Segment], options: FitOptions) -> Plant:
     """Return the law as it solves the integral equation."""
     window = smoothing_window(piece_duration(segments), min(s.record.sample_time for s in segments))
-    known = {index: priors[name] for index, name in enumerate(("damping", "gain")) if name in priors}
-    return fit_law(segments, window, known)
+    return fit_law(segments, window, options)
 
 
-def _by_likelihood(
-    start: Plant, segments: Sequence[Segment], priors: Mapping[str, Prior]
-) -> tuple[Explained, Refinement]:
+def _by_likelihood(start: Plant, segments: Sequence[Segment], options: FitOptions) -> tuple[Explained, Refinement]:
     """Return what the law leaves and its optimum; its rate of decay is free if damping depends on speed at all."""
     excerpt, _ = excerpt_of(segments)
-    held = explained(start, excerpt, held=[SHAPE], priors=priors)
-    refined = _optimum(held, start, segments)
-    if held.is_enough and not _depends_on_speed(refined):
+    held = explained(start, excerpt, options.holding(SHAPE))
+    refined = _optimum(held, start, segments, options)
+    if SHAPE in options.held or (held.is_enough and not _depends_on_speed(refined)):
         return held, refined
-    free = explained(refined.plant, excerpt, priors=priors, like=held)
-    found = _optimum(free, refined.plant, segments)
+    free = explained(refined.plant, excerpt, options, like=held)
+    found = _optimum(free, refined.plant, segments, options)
     return (free, found) if _depends_on_speed(found) else (held, refined)
 
 
-def _optimum(left: Explained, start: Plant, segments: Sequence[Segment]) -> Refinement:
+def _optimum(left: Explained, start: Plant, segments: Sequence[Segment], options: FitOptions) -> Refinement:
     """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
     if left.hypothesis is None and left.loop is None:
-        return refine(start, segments, held=[SHAPE])
+        return refine(start, segments, options.holding(SHAPE))
     return left.optimum(tuple({id(s.record): s.record for s in segments}.values()))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
     index = list(refined.plant.parameters).index(SIZE)
-    return bool(refined.plant.values[index] > SIGNIFICANT * np.sqrt(refined.covariance[index, index]))
+    spread = np.nan_to_num(np.sqrt(refined.covariance[index, index]))  # none of what is fixed
+    return bool(refined.plant.values[index] > SIGNIFICANT * spread)
 
 
-def _in_closed_loop(starts: tuple[Plant, ...], segments: Sequence[Segment], priors: Mapping[str, Prior]) -> Refinement:
+def _in_closed_loop(starts: tuple[Plant, ...], segments: Sequence[Segment], options: FitOptions) -> Refinement:
     """Fit the law to whole steps in closed loop, from where it errs least."""
     records = _first_steps({id(s.record): s.record for s in segments}.values())
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
     steep = VelocityDecayDamping(alpha1=EXTRA * abs(starts[0].damping), alpha2=DECAY / max(fastest, 1e-12))
     trials = [*starts[1:], replace(starts[0], damping=abs(starts[0].damping), effects=(steep,))]
-    found = [refine_closed_loop(trial, records, noise=noise, priors=priors) for trial in trials]
+    trials = [trial.with_named(options.values) for trial in trials]
+    found = [refine_closed_loop(trial, records, options, noise=noise) for trial in trials]
     return min(found, key=lambda refined: refined.rms_error)
 
 

@@ -4,37 +4,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Unpack, final
 
 import numpy as np
 
+from servolens.decoding import findings_in, json_of, read_fields
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
-from servolens.identification.damping_law import law_from_pieces
+from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
 from servolens.identification.data_range import data_range
-from servolens.identification.door import check_priors, together
 from servolens.identification.model_error import model_error
+from servolens.identification.options import wanted
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
-from servolens.identification.varying import fit_varying
-from servolens.identification.velocity import SHAPE, SIZE, fit_velocity, law_left
+from servolens.identification.varying import VaryingDamping, fit_varying
+from servolens.identification.velocity import fit_velocity, law_left
+from servolens.inputs import as_records
 from servolens.model import Model, Quantity
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
 from servolens.processors import single_threaded_blas
+from servolens.result import Result
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.integral import Prior
     from servolens.identification.noise import NoiseModel
+    from servolens.identification.options import Bounds, FitOptions, Priors
     from servolens.identification.segments import Segment
-    from servolens.identification.varying import VaryingDamping
     from servolens.identification.velocity import VelocityFit
+    from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
 __all__ = ["Identification", "identify"]
@@ -53,14 +57,14 @@ BEYOND_THE_LAW = Finding(
 
 
 @final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Identification:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class Identification(Result):
     """What the records say about the axis.
 
     Attributes
     ----------
     records : tuple of Record
-        What was used.
+        What was used; none where the identification was read from a file.
     constant, velocity : Model or None
         Constant damping; damping against speed (the law of eq. 20 in the integral equation, refined).
     varying : VaryingDamping or None
@@ -72,6 +76,8 @@ class Identification:
     findings : tuple of Finding
         Warnings and notes.
     """
+
+    kind: ClassVar[str] = "identification"
 
     records: tuple[Record, ...]
     constant: Model | None = None
@@ -90,11 +96,37 @@ class Identification:
         InputError
             If only the time-varying model was asked for, which holds for its own step alone.
         """
+        chosen = self._chosen
+        if not self.records:
+            return chosen
+        error = model_error(chosen.plant, self.records)
+        return replace(chosen, evidence=Evidence(range=data_range(self.records), model_error=error))
+
+    @property
+    def plant(self) -> Plant:
+        """The plant of `model`."""
+        return self._chosen.plant
+
+    @property
+    def gain_unit(self) -> str:
+        """Of the gain, e.g. ``"m/s^2/V"``."""
+        about = self.records[0] if self.records else self.plant
+        one = Plant(gain=1.0, damping=0.0, length_unit=about.length_unit, command_unit=about.command_unit)
+        return one.unit("gain")
+
+    @property
+    def _chosen(self) -> Model:
         chosen = self.velocity or self.constant
         if chosen is None:
             raise InputError("time-varying damping predicts no other step; identify 'constant' or 'velocity' as well")
-        error = model_error(chosen.plant, self.records)
-        return replace(chosen, evidence=Evidence(range=data_range(self.records), model_error=error))
+        return chosen
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the records that were used."""
+        told = next(iter(self.errors.values()), ())
+        known = tuple(record.name for record in self.records) or tuple(error.name for error in told)
+        return known or self._chosen.identified_from
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.identification/1`` without the file's header."""
@@ -104,13 +136,36 @@ class Identification:
             if model is not None:
                 models[name] = {**model.to_json(), "fit": self._fit(name)}
         if self.varying is not None:
-            models["varying"] = {**_varying_json(self.varying, self.records[0]), "fit": self._fit("varying")}
+            models["varying"] = {**_varying_json(self.varying, self.gain_unit), "fit": self._fit("varying")}
         if self.law_from_pieces is not None:
             models["velocity"]["law_from_pieces"] = Model(plant=self.law_from_pieces).to_json()
         return {
             "models": models,
-            "records": [record.name for record in self.records],
+            "records": list(self.names),
         }
+
+    @classmethod
+    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Identification:
+        """See :meth:`servolens.result.Result.from_json`; of the pieces' errors the correlations are not kept."""
+        data = json_of(source)
+        models = data.get("models")
+        if not isinstance(models, dict):
+            raise InputError("not an identification: 'models' is missing")
+        constant, velocity = (Model.from_json(models[n]) if n in models else None for n in ("constant", "velocity"))
+        pieces = (models.get("velocity") or {}).get("law_from_pieces")
+        return cls(
+            records=(),
+            constant=constant,
+            velocity=velocity,
+            varying=_varying_from(models["varying"]) if "varying" in models else None,
+            law_from_pieces=None if pieces is None else Model.from_json(pieces).plant,
+            errors={
+                name: tuple(RecordError.from_json(one) for one in model["fit"]["records"])
+                for name, model in models.items()
+                if "records" in (model.get("fit") or {})
+            },
+            findings=findings_in(data),
+        )
 
     def _fit(self, name: str) -> dict[str, Any]:
         errors = self.errors.get(name, ())
@@ -129,19 +184,21 @@ class Identification:
 
 @single_threaded_blas
 def identify(
-    records: Record | Sequence[Record],
+    records: Records,
     *,
     model: ModelName = "all",
     delta: float | None = None,
     piece: float | None = None,
-    bounds: tuple[float, float] = (0.0, np.inf),
-    priors: Mapping[str, Prior] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    bounds: Bounds | None = None,
+    priors: Priors | None = None,
+    **settings: Unpack[RecordSettings],
 ) -> Identification:
     """Identify the axis from measured steps by the integral method.
 
     Parameters
     ----------
-    records : Record or sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of the same axis, in the same units.
     model : {"all", "constant", "varying", "velocity"}
         What to fit.
@@ -149,11 +206,15 @@ def identify(
         δ of eq. 18 [1/s] for the time-varying damping; unconstrained when None.
     piece : float, optional
         Length of its pieces [s]; half the smallest interval between velocity zeros when None.
-    bounds : tuple of float
-        Least and largest damping of a piece [1/s].
-    priors : mapping of str to Prior, optional
-        Data-sheet knowledge by parameter name, e.g. ``{"gain": Prior(value=45.0, deviation=2.0)}``; for the constant
-        and the velocity model.
+    fixed : mapping of str to float, optional
+        Values of parameters that are known: ``"gain"``, ``"damping"``, ``"velocity_decay_damping.alpha1"`` and
+        ``"velocity_decay_damping.alpha2"``.
+    bounds : mapping of str to (least, largest), optional
+        Of the same parameters; that of damping, which is not negative, holds for each piece too.
+    priors : mapping of str to Prior or (value, standard deviation), optional
+        Data-sheet knowledge by parameter name, e.g. ``{"gain": (45.0, 2.0)}``; for the constant and the velocity model.
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Returns
     -------
@@ -173,22 +234,22 @@ def identify(
     >>> round(fit.velocity.plant.gain, 2)
     1.91
     """
-    runs = together(records)
+    runs = as_records(records, settings)
     _check(model, delta)
-    check_priors(priors or {}, ("gain", "damping", SIZE, SHAPE))
+    options = _wanted(fixed, bounds, priors)
     segments = motion_segments(runs)
-    constant = fit_constant(segments, priors or {})
+    constant = fit_constant(segments, options)
     result = Identification(records=runs, findings=(*_reconstructed(runs), *constant.findings))
     left = constant.left
-    law = fit_velocity(segments, priors or {}, constant.model.plant) if model in ("all", "velocity") else None
+    law = fit_velocity(segments, options, constant.model.plant) if model in ("all", "velocity") else None
     if law is not None:
         left = law.left
     elif model == "varying" and not left.is_enough:
-        left = law_left(segments, priors or {})
+        left = law_left(segments, options)
     if model in ("all", "constant"):
         result = replace(result, constant=constant.model)
     if model in ("all", "varying"):
-        result = _with_varying(result, segments, (piece, delta, bounds), left.noise, wanted=model == "varying")
+        result = _with_varying(result, segments, (piece, delta, options), left.noise, is_asked=model == "varying")
     if law is not None:
         result = _with_velocity(result, law)
     if not left.is_enough:
@@ -203,20 +264,31 @@ def _check(model: str, delta: float | None) -> None:
         raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
 
 
+def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Priors | None) -> FitOptions:
+    options = wanted(fixed or {}, bounds, priors)
+    options.check(("gain", "damping", SIZE, SHAPE))
+    if set(options.held) - set(options.values):
+        raise InputError(f"fixed must give values, such as {{{options.held[0]!r}: 1.9}}: nothing else gives them here")
+    return options
+
+
 def _with_varying(
     result: Identification,
     segments: Sequence[Segment],
-    options: tuple[float | None, float | None, tuple[float, float]],
+    request: tuple[float | None, float | None, FitOptions],
     noise: NoiseModel,
     *,
-    wanted: bool,
+    is_asked: bool,
 ) -> Identification:
     """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
-    piece, delta, bounds = options
+    piece, delta, options = request
+    within, gain = options.range_of("damping", low=0.0), options.range_of("gain")
     try:
-        varying = fit_varying(segments, duration=piece, delta=delta, bounds=bounds, noise=noise)
+        if "damping" in options.values:
+            raise InputError("damping is fixed, so it cannot vary; leave it free, or bound it")
+        varying = fit_varying(segments, duration=piece, delta=delta, bounds=within, gain=gain, noise=noise)
     except ServolensError as error:
-        if wanted or piece is not None or delta is not None:
+        if is_asked or piece is not None or delta is not None:
             raise
         finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
         return replace(result, findings=(*result.findings, finding))
@@ -288,17 +360,24 @@ def _reconstructed(runs: tuple[Record, ...]) -> tuple[Finding, ...]:
     )
 
 
-def _varying_json(varying: VaryingDamping, record: Record) -> dict[str, Any]:
+def _varying_json(varying: VaryingDamping, gain_unit: str) -> dict[str, Any]:
     errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
-    unit = Plant(gain=1.0, damping=0.0, length_unit=record.length_unit, command_unit=record.command_unit).unit("gain")
     pieces = [
         Quantity(value=float(c), stderr=float(e), unit="1/s") for c, e in zip(varying.damping, errors, strict=False)
     ]
     return {
-        "gain": Quantity(value=varying.gain, stderr=float(errors[-1]), unit=unit).to_json(),
+        "gain": Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit).to_json(),
         "edges": varying.edges.tolist(),
         "damping": varying.damping.tolist(),
         "pieces": [q.to_json() for q in pieces],
         "speed": varying.speed.tolist(),
         "active": list(varying.active),
     }
+
+
+def _varying_from(data: Mapping[str, Any]) -> VaryingDamping:
+    gain = Quantity.from_json(data.get("gain") or {})
+    pieces = [Quantity.from_json(one) for one in data.get("pieces") or ()]
+    errors = [np.nan if one.stderr is None else one.stderr for one in (*pieces, gain)]
+    known = {**data, "gain": gain.value, "covariance": np.diag(np.square(errors)).tolist()}
+    return read_fields(VaryingDamping, known)

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.lab.disturbances import Drawn, SensorNoise, Surroundings
-from servolens.lab.loop import Bench, Run, run_many, run_one
+from servolens.lab.loop import Bench, BenchRun, run_many, run_one
 from servolens.record import Controller, Record
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ surroundings, derivative_filter, controller, voltage_limit, log_reference, log_v
     bench = settings.bench()
     each = [settings.around.drawn(bench.time, stream) for stream in np.random.default_rng(seed).spawn(repeats)]
     if settings.around.jitter is None:
-        runs = [Run(*signals) for signals in zip(*run_many(truth, bench, _together(each)), strict=True)]
+        runs = [BenchRun(*signals) for signals in zip(*run_many(truth, bench, _together(each)), strict=True)]
     else:  # every run has instants of its own
         runs = [run_one(truth, bench, drawn) for drawn in each]
     return tuple(
@@ -281,7 +281,7 @@ class _Settings:
             voltage_limit=self.voltage_limit,
         )
 
-    def record(self, bench: Bench, run: Run, name: str, drawn: Drawn) -> Record:
+    def record(self, bench: Bench, run: BenchRun, name: str, drawn: Drawn) -> Record:
         """Return what is logged of a run."""
         for signal in run:
             signal.flags.writeable = False

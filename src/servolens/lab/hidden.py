@@ -19,7 +19,7 @@ from servolens.lab.disturbances import Drawn
 from servolens.lab.foreign import FOREIGN
 from servolens.lab.loop import Bench, run_one
 from servolens.lab.scene import NOISES, draw_scene
-from servolens.lab.search import Search, heard, law, missed, sane_run
+from servolens.lab.search import SizeSearch, heard, law, missed, sane_run
 from servolens.lab.sizes import SIZES
 from servolens.lab.truth import Truth
 from servolens.lab.worlds import Usual, checked_world, draw_surroundings
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from servolens.lab.disturbances import Surroundings
-    from servolens.lab.loop import Run
+    from servolens.lab.loop import BenchRun
     from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
     from servolens.lab.search import Found
@@ -93,7 +93,7 @@ class HiddenCampaign:
     seed: int
     laws: Callable[[int], Oddity | None] = field(repr=False)
 
-    def tried(self, controller: Controller, levels: Sequence[float], duration: float, sample_time: float) -> Run:
+    def tried(self, controller: Controller, levels: Sequence[float], duration: float, sample_time: float) -> BenchRun:
         """Run the hidden axis, foreign law included, in another loop: from rest at 0, without noise or encoder.
 
         Parameters
@@ -204,7 +204,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
         scene = draw_scene(rng, records=records, heldout=heldout, noise=noise, length_unit=unit, smooth=smooth)
         site = _site(scene, world, (seed, attempt), logged, shortened=records is None)
         wanted = [site.wanted(share) if visibility is None else float(visibility) for share in shares]
-        found = Search(site.scene, site.key, log_reference).hide(names, [one * site.loudness for one in wanted])
+        found = SizeSearch(site.scene, site.key, log_reference).hide(names, [one * site.loudness for one in wanted])
         if found is not None and (best is None or found.distance < best[0]):
             campaign = site.measured(found, foreign)
             best = best if campaign is None else (found.distance, campaign)
@@ -248,7 +248,7 @@ class _Site:
             bench, drawn = self.bench(i), self.drawn(i, repeat)
             number = _number(i, repeat)
             if self.world == "white" and i < count:
-                run: Run | None = found.look.runs[i]
+                run: BenchRun | None = found.look.runs[i]
             else:
                 run = sane_run(heard(truth, self.key, number), bench, drawn, odd(number), self.scene.step)
             if run is None:
@@ -284,7 +284,7 @@ class _Site:
         dice = np.random.default_rng([*self.key, 2, _number(i, repeat)])
         return self.surroundings.drawn(self.bench(i).time, dice)
 
-    def record(self, bench: Bench, run: Run, drawn: Drawn, which: tuple[int, int]) -> Record:
+    def record(self, bench: Bench, run: BenchRun, drawn: Drawn, which: tuple[int, int]) -> Record:
         """Return what is logged of a run."""
         for signal in run:
             signal.flags.writeable = False

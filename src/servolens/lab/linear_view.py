@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["Seen", "linear_error", "linear_response"]
+__all__ = ["LoggedLoop", "linear_error", "linear_response"]
 
 
-class Seen(NamedTuple):
+class LoggedLoop(NamedTuple):
     """One run as it is logged: its controller, its sample time [s], position, and what drives the simulation.
 
     With `closed`, `drive` is the reference, else the voltage.
@@ -36,7 +36,7 @@ class Seen(NamedTuple):
     closed: bool
 
 
-def linear_error(runs: Sequence[Seen], gain: float, damping: float) -> tuple[float, float, float]:
+def linear_error(runs: Sequence[LoggedLoop], gain: float, damping: float) -> tuple[float, float, float]:
     """Return the least r.m.s. position error that gain and damping alone leave in all runs, and those two.
 
     The search starts from `gain` and `damping`.
@@ -56,7 +56,7 @@ def linear_error(runs: Sequence[Seen], gain: float, damping: float) -> tuple[flo
     return rms, gain * float(found.x[0]), scale * float(found.x[1])
 
 
-def linear_response(run: Seen, gain: float, damping: float) -> Array:
+def linear_response(run: LoggedLoop, gain: float, damping: float) -> Array:
     """Return the position of ``ÿ = gain·V − damping·ẏ`` from rest at the first sample, at each sample.
 
     The pulse transfer function of the held voltage is ``P = (b₁z⁻¹ + b₂z⁻²)/((1 − z⁻¹)(1 − a z⁻¹))``, the controller's

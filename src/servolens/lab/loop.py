@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.lab.oddity import Oddity
     from servolens.record import Controller
 
-__all__ = ["Bench", "Run", "run_many", "run_one"]
+__all__ = ["Bench", "BenchRun", "run_many", "run_one"]
 
 SUBSTEP = 2.5e-4
 """Longest integration step [s]; what it costs in accuracy is in the tests."""
@@ -53,7 +53,7 @@ class Bench:
     angle: float | None = None
 
 
-class Run(NamedTuple):
+class BenchRun(NamedTuple):
     """Measured position, asked voltage and true velocity of the load; shape (n,), or (runs, n) for many runs."""
 
     position: NDArray[np.float64]
@@ -61,23 +61,23 @@ class Run(NamedTuple):
     velocity: NDArray[np.float64]
 
 
-def run_one(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None = None) -> Run:
+def run_one(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None = None) -> BenchRun:
     """Return one run; what is drawn has shape (n,). An oddity is what no effect of the truth does."""
     noises, shaking, instants = drawn
     plain = None if shaking is None else shaking.tolist()
     each = _Each(noises.tolist(), plain, (bench.time if instants is None else instants).tolist())
     signals = _close(truth, bench, each, bench.start, FLOATS, advance_one, oddity)
-    return Run(*(np.array(signal) for signal in signals))
+    return BenchRun(*(np.array(signal) for signal in signals))
 
 
-def run_many(truth: Truth, bench: Bench, drawn: Drawn) -> Run:
+def run_many(truth: Truth, bench: Bench, drawn: Drawn) -> BenchRun:
     """Return all runs; noise and shaking of shape (n, runs), all at the nominal instants."""
     noises, shaking, _ = drawn
     start = np.full(noises.shape[1], bench.start)
     each = _Each(noises, shaking, bench.time.tolist())
     with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away is named below
         signals = _close(truth, bench, each, start, ARRAYS, advance_many)
-    return Run(*(np.stack(signal, axis=1) for signal in signals))
+    return BenchRun(*(np.stack(signal, axis=1) for signal in signals))
 
 
 class _Each(NamedTuple):

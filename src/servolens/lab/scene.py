@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.lab.linear_view import Seen, linear_response
+from servolens.lab.linear_view import LoggedLoop, linear_response
 from servolens.lab.loop import Bench
 from servolens.record import Controller
 
@@ -199,7 +199,7 @@ def _peaks(benches: Sequence[Bench], gain: float, damping: float, h: float) -> t
     speed = volts = 0.0
     for bench in benches:
         still = np.array([bench.start])
-        response = linear_response(Seen(bench.controller, h, still, bench.reference, closed=True), gain, damping)
+        response = linear_response(LoggedLoop(bench.controller, h, still, bench.reference, closed=True), gain, damping)
         speed = max(speed, float(np.abs(np.diff(response)).max()) / h)
         volts = max(volts, float(np.abs(bench.controller.kp * (bench.reference - response)).max()))
     return speed, abs(gain) * volts, volts

@@ -11,7 +11,7 @@ import numpy as np
 from servolens.errors import NumericalError
 from servolens.lab.disturbances import SensorNoise, Surroundings
 from servolens.lab.foreign import FOREIGN
-from servolens.lab.linear_view import Seen, linear_error
+from servolens.lab.linear_view import LoggedLoop, linear_error
 from servolens.lab.loop import run_one
 from servolens.lab.sizes import SIZES, dice_number
 from servolens.lab.truth import Truth
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from servolens.lab.disturbances import Drawn
-    from servolens.lab.loop import Bench, Run
+    from servolens.lab.loop import Bench, BenchRun
     from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
 
-__all__ = ["Found", "Look", "Search", "heard", "law", "missed", "sane_run"]
+__all__ = ["Found", "Look", "SizeSearch", "heard", "law", "missed", "sane_run"]
 
 CLOSE = 0.12
 """Distance of the logarithm of visibility at which the search for a size ends."""
@@ -41,7 +41,7 @@ class Look(NamedTuple):
 
     sizes: dict[str, float]
     visibility: float
-    runs: tuple[Run, ...]
+    runs: tuple[BenchRun, ...]
 
 
 class Found(NamedTuple):
@@ -53,7 +53,7 @@ class Found(NamedTuple):
 
 
 @final
-class Search:
+class SizeSearch:
     """The search for the sizes of effects on one scene, each by itself."""
 
     def __init__(self, scene: Scene, key: tuple[int, int], closed: bool) -> None:
@@ -113,10 +113,12 @@ class Search:
         return Look(sizes, math.sqrt(max(rms**2 - scene.floor**2, 0.0)) / scene.floor, tuple(runs))
 
 
-def missed(scene: Scene, measured: Iterable[tuple[Bench, Run]], closed: bool) -> float:
+def missed(scene: Scene, measured: Iterable[tuple[Bench, BenchRun]], closed: bool) -> float:
     """Return the r.m.s. error that the best model of gain and damping leaves in some runs."""
     seen = [
-        Seen(bench.controller, scene.sample_time, run.position, bench.reference if closed else run.voltage, closed)
+        LoggedLoop(
+            bench.controller, scene.sample_time, run.position, bench.reference if closed else run.voltage, closed
+        )
         for bench, run in measured
     ]
     return linear_error(seen, scene.gain, scene.damping)[0]
@@ -169,7 +171,7 @@ def heard(truth: Truth, key: tuple[int, int], i: int) -> Truth:
     return replace(truth, effects={**truth.effects, "periodic_disturbance": {**own, "phase": phase}})
 
 
-def sane_run(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None, step: float) -> Run | None:
+def sane_run(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None, step: float) -> BenchRun | None:
     """Return a run of an axis that moved, rested before each new level if it steps, and did not run away; else None."""
     try:
         run = run_one(truth, bench, drawn, oddity)

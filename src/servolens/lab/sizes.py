@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servolens.lab.laws import KNOTS
-from servolens.lab.linear_view import Seen, linear_response
+from servolens.lab.linear_view import LoggedLoop, linear_response
 from servolens.lab.scene import log_uniform
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def _reach(scene: Scene, *, reference: bool = False) -> tuple[float, float]:
     """Return the ends of the travel of the linear axis, or of its references, in the training runs."""
     ends = []
     for bench in scene.training:
-        seen = Seen(bench.controller, scene.sample_time, np.array([bench.start]), bench.reference, closed=True)
+        seen = LoggedLoop(bench.controller, scene.sample_time, np.array([bench.start]), bench.reference, closed=True)
         run = bench.reference if reference else linear_response(seen, scene.gain, scene.damping)
         ends += [float(np.min(run)), float(np.max(run))]
     return min(ends), max(ends)

@@ -7,8 +7,9 @@ in the record itself, so that clean logs raise none.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Unpack, final
 
+from servolens.inputs import as_record, as_records
 from servolens.quality.beginning import beginning_findings
 from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from servolens.findings import Finding
+    from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
 __all__ = ["RecordQuality", "assess", "check", "fatal"]
@@ -89,8 +91,10 @@ class RecordQuality:
         }
 
 
-def assess(record: Record) -> RecordQuality:
+def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality:
     """Measure the record's quality and say what is wrong with it.
+
+    A path, a DataFrame or a TimeResponseData will do, with ``kp``, ``kd`` … as keywords.
 
     Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
     ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
@@ -107,6 +111,7 @@ def assess(record: Record) -> RecordQuality:
     >>> quality.usable, quality.findings
     (True, ())
     """
+    record = as_record(record, settings)
     sampling = measure(record)
     fit, findings = _loop(record, sampling)
     told = any(finding.code in FATAL for finding in findings)
@@ -123,8 +128,8 @@ def assess(record: Record) -> RecordQuality:
     return _quality(record, sampling, fit, findings)
 
 
-def check(record: Record) -> tuple[Finding, ...]:
-    """Return the findings of :func:`assess`.
+def check(records: Records, **settings: Unpack[RecordSettings]) -> tuple[Finding, ...]:
+    """Return the findings of :func:`assess` on each of the records.
 
     Examples
     --------
@@ -134,7 +139,7 @@ def check(record: Record) -> tuple[Finding, ...]:
     >>> [finding.code for finding in check(still) if finding.severity == "error"]
     ['constant_position']
     """
-    return assess(record).findings
+    return tuple(finding for record in as_records(records, settings) for finding in assess(record).findings)
 
 
 def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:

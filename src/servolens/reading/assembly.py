@@ -53,6 +53,8 @@ KINDS = {
 """What each quantity is measured in; those that settle the units of the record stand first."""
 CASCADE = {"kp": "1/s", "kv": "{command} s/{length}", "kiv": "{command}/{length}"}
 """The same of a cascade's gains."""
+COUNTING = ("counts_per_rev", "pwm_full_scale")
+"""Pure numbers that scale columns, and are no settings of the law."""
 ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
 """Settings that only one of the two laws has."""
 LENGTHS = ("m", "rad")
@@ -205,7 +207,8 @@ def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
     own = ("kd", "ki", "kv", "kiv", "control_period", "tracking_time", "integral_before")
-    loop = [key for key in (*own, *settings.numbers, *settings.words) if _given(key, settings)]
+    stated = [key for key in settings.numbers if key not in COUNTING]
+    loop = [key for key in (*own, *stated, *settings.words) if _given(key, settings)]
     if "kp" not in numbers:
         gains = [key for key in ("kd", "ki", "kv", "kiv") if numbers.get(key)]
         if gains or "kd" in numbers:
@@ -222,7 +225,8 @@ def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Contr
         raise InputError("controller = cascade needs kv, the gain of its speed loop; give it")
     wanted = (*(CASCADE if cascade else ("kp", "kd", "ki")), "control_period", "tracking_time", "integral_before")
     fields: dict[str, Any] = {key: numbers[key] for key in wanted if key in numbers}
-    fields |= {**settings.numbers, **{key: word for key, word in settings.words.items() if key != "controller"}}
+    fields |= {key: value for key, value in settings.numbers.items() if key not in COUNTING}
+    fields |= {key: word for key, word in settings.words.items() if key != "controller"}
     if "derivative_window" in fields:
         fields["derivative_window"] = int(fields["derivative_window"])
     return (Controller.cascade if cascade else Controller)(**fields), []

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.report.content import Details, Findings, Section
+from servolens.report.content import Details, Findings, Lights, Section
 from servolens.report.figures import plant_equation
 from servolens.report.figures_diagnosis import (
     candidates_figure,
@@ -15,9 +15,11 @@ from servolens.report.figures_diagnosis import (
     shares_figure,
     telling_instrument,
 )
+from servolens.report.figures_prediction import prediction_figure
 from servolens.report.figures_residuals import residuals_figure
 from servolens.report.page import write_page
 from servolens.report.wording import shown, symbol_text
+from servolens.study import diagnosis_lights
 from servolens.summaries.diagnosis import (
     advice,
     findings_of_logs,
@@ -40,9 +42,8 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.report.content import Block
 
-__all__ = ["WRONG", "diagnosis_section", "write_diagnosis_report"]
+__all__ = ["diagnosis_sections", "write_diagnosis_report"]
 
-WRONG = "What the simulation gets wrong"
 WHY = {
     "healthy": "Why nothing more is needed",
     "explained": "Why, and what to do",
@@ -57,7 +58,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
     Parameters
     ----------
     path : Path
-        The HTML file.
+        The HTML or PDF file.
     diagnosis : Diagnosis
         What was found.
 
@@ -67,22 +68,30 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
         If the file cannot be written.
     """
     names = [shown(record.name) for record in diagnosis.records]
-    wrong = "What the simulation leaves" if diagnosis.verdict == "healthy" else WRONG
     sections = [
-        Section(key="wrong", title=wrong, blocks=_wrong(diagnosis)),
-        Section(key="causes", title=WHY[diagnosis.verdict], blocks=_why(diagnosis)),
-        Section(key="gain", title="Record by record", blocks=_gain(diagnosis)),
+        *diagnosis_sections(diagnosis),
         Section(key="findings", title="Warnings and notes", blocks=_findings(diagnosis)),
     ]
-    more = [*_log(diagnosis), *remaining_sentences(diagnosis), *noise_sentences(diagnosis), _tested(diagnosis)]
+    more = [Lights(lights=diagnosis_lights(diagnosis)), *_log(diagnosis), *remaining_sentences(diagnosis)]
+    more.append(_tested(diagnosis))
     write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
 
 
-def diagnosis_section(diagnosis: Diagnosis) -> Section:
-    """Return the report's section: the sentence first, then the pictures, then what follows from it."""
-    first = [verdict_sentence(diagnosis), *_log(diagnosis), *remaining_sentences(diagnosis)]
-    first += noise_sentences(diagnosis)
-    return Section(key="wrong", title=WRONG, blocks=(*first, *_wrong(diagnosis), *_why(diagnosis), *_gain(diagnosis)))
+def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
+    """Return what a diagnosis shows: measured against predicted, where the error lives, and why."""
+    where = "Where the error lives"
+    if diagnosis.verdict != "healthy":
+        where += ", and why" if diagnosis.causes else ""
+    figure = prediction_figure("prediction", diagnosis)
+    lost = "No model can be simulated on data that it was not fitted to: each leaves all bounds there."
+    return [
+        Section(key="prediction", title="Measured against predicted", blocks=(figure or lost,)),
+        Section(key="wrong", title=where, blocks=_wrong(diagnosis)),
+        Section(
+            key="worth", title="Before and after" if diagnosis.causes else "Record by record", blocks=_gain(diagnosis)
+        ),
+        Section(key="causes", title=WHY[diagnosis.verdict], blocks=_why(diagnosis)),
+    ]
 
 
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:
@@ -103,7 +112,7 @@ def _tested(diagnosis: Diagnosis) -> str:
 
 def _wrong(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Show what the simulation misses, and where."""
-    blocks: list[Block] = [residuals_figure("wrong-residuals", diagnosis)]
+    blocks: list[Block] = []
     if diagnosis.verdict != "healthy" and diagnosis.where:
         blocks.append(shares_figure("wrong-shares", diagnosis.where))
     best, law = telling_instrument(diagnosis)
@@ -111,6 +120,8 @@ def _wrong(diagnosis: Diagnosis) -> tuple[Block, ...]:
     blocks += [said] if said not in remaining_sentences(diagnosis) else []
     if best is not None and best.significance <= CLEAR:
         blocks.append(instrument_figure("wrong-instrument", diagnosis, best, law))
+    if not blocks:
+        blocks.append("The error is spread evenly over all that was measured.")
     return tuple(blocks)
 
 
@@ -151,7 +162,12 @@ def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Tell what the causes are worth, record by record."""
     drawable = any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains)
     figure = [gains_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
-    return (*figure, records_table(diagnosis))
+    return (
+        *noise_sentences(diagnosis),
+        residuals_figure("wrong-residuals", diagnosis),
+        *figure,
+        records_table(diagnosis),
+    )
 
 
 def _findings(diagnosis: Diagnosis) -> tuple[Block, ...]:

@@ -10,12 +10,14 @@ import numpy as np
 from servolens.errors import NumericalError
 from servolens.identification.piecewise import varying_residual
 from servolens.plant import Plant
-from servolens.report.content import Drawing
+from servolens.report.content import Drawing, Picture
 from servolens.report.curves import Curve, curve
+from servolens.report.drawing import drawing, keys_of, legend_of
 from servolens.report.equation import in_order, motion_latex
+from servolens.report.figure_data import Numbers
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
-from servolens.report.style import FULL_WIDTH, new_figure, styled
-from servolens.report.svg import formula_svg, svg
+from servolens.report.style import FULL_WIDTH, HALF_WIDTH, NAMED, WIDE, new_figure, panel_figure, stacked_figure, styled
+from servolens.report.svg import formula_svg
 from servolens.report.wording import shown, symbol_text
 from servolens.simulation import simulate
 from servolens.summaries.names import spoken_parameter
@@ -25,11 +27,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from servolens.identification.varying import VaryingDamping
     from servolens.record import Record
+    from servolens.report.content import Key
     from servolens.report.curves import Role
 
 __all__ = [
@@ -77,23 +79,18 @@ class Match:
 
 @styled
 def match_figure(key: str, matches: Sequence[Match], caption: str) -> Drawing:
-    """Draw measured and modelled responses, two abreast, the models' errors below each."""
-    columns = min(len(matches), 2)
-    rows = -(-len(matches) // columns)
-    figure = new_figure((4.0 if columns == 1 else 3.7) * rows)
-    axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[1.9, 1.0] * rows)
-    unstable: list[str] = []
-    for i, match in enumerate(matches):
-        row, column = divmod(i, columns)
-        unstable += _draw_match(match, axes[2 * row, column], axes[2 * row + 1, column])
-    for i in range(len(matches), rows * columns):
-        row, column = divmod(i, columns)
-        axes[2 * row, column].remove()
-        axes[2 * row + 1, column].remove()
-    _finish(figure, axes[0, 0])
+    """Draw measured and modelled responses, the models' errors below each."""
+    figures, unstable = [], []
+    alone = len(matches) == 1
+    legend: dict[str, Key] = {}
+    for match in matches:
+        figure, above, below = stacked_figure(3.9 if alone else 3.5, FULL_WIDTH if alone else HALF_WIDTH, 1.9)
+        unstable += _draw_match(match, above, below)
+        legend |= {own.label: own for own in keys_of(above)}
+        figures.append(figure)
     if unstable:
         caption += f" Not drawn, because its simulation leaves all bounds: {', '.join(unstable)}."
-    return Drawing(svg=svg(figure, key), caption=caption)
+    return drawing(key, figures, caption, legend=[*legend.values()])
 
 
 def _draw_match(match: Match, above: Axes, below: Axes) -> list[str]:
@@ -135,21 +132,15 @@ def _draw_match(match: Match, above: Axes, below: Axes) -> list[str]:
 
 @styled
 def record_figure(key: str, records: Sequence[Record], caption: str) -> Drawing:
-    """Draw what was logged: position with its reference, and the command below; two or three records abreast."""
-    columns = 3 if len(records) == 3 else min(len(records), 2)
-    rows = -(-len(records) // columns)
-    figure = new_figure(2.9 * rows)
-    axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[1.7, 1.0] * rows)
-    for i in range(rows * columns):
-        row, column = divmod(i, columns)
-        above, below = axes[2 * row, column], axes[2 * row + 1, column]
-        if i >= len(records):
-            above.remove()
-            below.remove()
-            continue
-        _draw_record(records[i], above, below)
-    _finish(figure, axes[0, 0])
-    return Drawing(svg=svg(figure, key), caption=caption)
+    """Draw what was logged: position with its reference, and the command below."""
+    figures = []
+    legend: dict[str, Key] = {}
+    for record in records:
+        figure, above, below = stacked_figure(2.8, FULL_WIDTH if len(records) == 1 else HALF_WIDTH, 1.7)
+        _draw_record(record, above, below)
+        legend |= {own.label: own for own in keys_of(above)}
+        figures.append(figure)
+    return drawing(key, figures, caption, legend=[*legend.values()])
 
 
 def _draw_record(record: Record, above: Axes, below: Axes) -> None:
@@ -174,21 +165,21 @@ def _draw_record(record: Record, above: Axes, below: Axes) -> None:
 def damping_in_time_figure(
     key: str, panels: Sequence[tuple[str, VaryingDamping]], caption: str, *, truth: Sequence[Curve] = ()
 ) -> Drawing:
-    """Draw c(t) in up to two columns, the true damping with it where it is known."""
-    columns = min(len(panels), 2)
-    rows = -(-len(panels) // columns)
-    figure = new_figure(2.7 * rows)
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    """Draw c(t), the true damping with it where it is known."""
+    highest = max(float(varying.damping.max()) for _, varying in panels)
+    figures, rows, axes = [], [], []
     for i, (title, varying) in enumerate(panels):
         error = NORMAL_95 * np.sqrt(np.maximum(np.diag(varying.covariance)[: varying.damping.size], 0.0))
         known = truth[i].thinned() if i < len(truth) else None
-        plot_damping_in_time(varying.edges, varying.damping, error, truth=known, title=title, legend=False, ax=axes[i])
-    for spare in axes[len(panels) :]:
-        spare.remove()
-    highest = max(float(varying.damping.max()) for _, varying in panels)
-    axes[0].set_ylim(top=1.35 * highest if highest > 0 else None)
-    _finish(figure, axes[0])
-    return Drawing(svg=svg(figure, key), caption=caption)
+        figure, ax = panel_figure(2.6, FULL_WIDTH if len(panels) == 1 else HALF_WIDTH)
+        plot_damping_in_time(varying.edges, varying.damping, error, truth=known, title=title, legend=False, ax=ax)
+        ax.set_ylim(top=1.35 * highest if highest > 0 else None)
+        pieces = zip(varying.edges[:-1], varying.edges[1:], varying.damping, error, strict=True)
+        rows += [(title, *(float(value) for value in piece)) for piece in pieces]
+        figures.append(figure)
+        axes.append(ax)
+    columns = ("Panel", "From [s]", "To [s]", "Damping [1/s]", "Half of the 95 % interval [1/s]")
+    return drawing(key, figures, caption, legend=keys_of(*axes), table=Numbers(columns=columns, rows=rows))
 
 
 @styled
@@ -196,13 +187,16 @@ def damping_law_figure(
     key: str, panels: Sequence[tuple[str, Sequence[Curve], Sequence[Curve]]], caption: str, length_unit: str
 ) -> Drawing:
     """Draw C(v): of each panel its title, laws and points."""
-    figure = new_figure(3.3, FULL_WIDTH if len(panels) > 1 else 0.75 * FULL_WIDTH)
-    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True).ravel()
-    for ax, (title, laws, points) in zip(axes, panels, strict=True):
-        plot_damping_laws(laws, points, length_unit=length_unit, title=title, ax=ax)
-    for ax in axes[1:]:
-        ax.set_ylabel("")
-    return Drawing(svg=svg(figure, key), caption=caption)
+    figures, axes = [], []
+    for title, laws, points in panels:
+        figure, ax = panel_figure(3.0, HALF_WIDTH if len(panels) > 1 else WIDE, 0.7)
+        plot_damping_laws(laws, points, length_unit=length_unit, title=title, legend=False, ax=ax)
+        axes.append(ax)
+        figures.append(figure)
+    top = max(ax.get_ylim()[1] for ax in axes)
+    for ax in axes:
+        ax.set_ylim(top=top)
+    return drawing(key, figures, caption, legend=keys_of(*axes))
 
 
 def law_curve(label: str, plant: Plant, fastest: float, role: Role) -> Curve:
@@ -233,10 +227,11 @@ def errors_figure(
     caption: str,
 ) -> Drawing:
     """Draw Table I as dots."""
-    figure = new_figure(0.36 * len(rows) + 1.3)
+    figure = new_figure(0.36 * len(rows) + 0.8, NAMED)
+    ax = figure.add_subplot()
     names, roles = [name for name, _ in models], [role for _, role in models]
-    plot_percent_errors([shown(row) for row in rows], names, percent, held_out, roles, ax=figure.add_subplot())
-    return Drawing(svg=svg(figure, key), caption=caption)
+    plot_percent_errors([shown(row) for row in rows], names, percent, held_out, roles, ax=ax)
+    return drawing(key, figure, caption, legend=legend_of(ax))
 
 
 def plant_formula(key: str, plant: Plant) -> Drawing:
@@ -252,7 +247,8 @@ def plant_equation(key: str, plant: Plant) -> Drawing:
     """Return the equation of motion, made from what each effect says of itself, in symbols and in words."""
     words = "Acceleration is the gain times the command, less the damping times the speed"
     words += "".join(f"; {e.sentence[0].lower()}{e.sentence[1:].rstrip('.')}" for e in in_order(plant))
-    return Drawing(svg=formula_svg(motion_latex(plant), key), caption=f"{words}.", formula=True)
+    picture = Picture(svg=formula_svg(motion_latex(plant), key))
+    return Drawing(pictures=(picture,), caption=f"{words}.", formula=True)
 
 
 def varying_position(varying: VaryingDamping, record: Record) -> NDArray[np.float64]:
@@ -271,10 +267,3 @@ def _simulated(model: Plant | VaryingDamping, record: Record) -> NDArray[np.floa
 
 def _seen(position: NDArray[np.float64], reference: NDArray[np.float64] | None) -> NDArray[np.float64]:
     return position if reference is None else reference - position
-
-
-def _finish(figure: Figure, ax: Axes) -> None:
-    """Name the lines once, above all panels, and align what stands beside them."""
-    handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), handlelength=2.6, columnspacing=1.4)
-    figure.align_ylabels()

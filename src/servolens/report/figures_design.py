@@ -9,28 +9,40 @@ import numpy as np
 
 from servolens.design import settling_time, step_response
 from servolens.errors import NumericalError
-from servolens.report.content import Drawing
 from servolens.report.curves import curve
-from servolens.report.map_picture import map_figure
-from servolens.report.plots_design import Mark, plot_settling_times, plot_step_responses
-from servolens.report.style import new_figure, styled
-from servolens.report.svg import svg
+from servolens.report.drawing import drawing, keys_from, keys_of
+from servolens.report.figure_data import Numbers
+from servolens.report.gain_names import gain_names
+from servolens.report.map_picture import TITLES
+from servolens.report.plots_design import Mark, plot_gain_map, plot_settling_times, plot_step_responses
+from servolens.report.style import COLOURS, HALF_WIDTH, THIRD_WIDTH, WIDE, new_figure, panel_figure, styled
 from servolens.summaries.wording import inside, number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from servolens.design import Comparison, Design, GainMap, PDSpec, Response
     from servolens.plant import Plant
+    from servolens.report.content import Drawing
     from servolens.report.curves import Curve, Role
+    from servolens.report.gain_names import GainNames
 
-__all__ = ["Column", "columns", "gains_figure", "settling_figure", "steps_figure"]
+__all__ = [
+    "Column",
+    "columns",
+    "draw_settling",
+    "gains_figure",
+    "highest",
+    "last_gain",
+    "settling_curve",
+    "settling_figure",
+    "steps_figure",
+]
 
 NAMES: tuple[tuple[str, Role], ...] = (("linear", "constant"), ("nonlinear", "velocity"), ("diagnosed", "diagnosed"))
-MOST_IN_A_ROW = 2
-"""Names in a row of a legend."""
 GAINS = 201
 JUMP = 0.06
 """A change of settling time from one gain to the next by this share of the loop's undamped period is a gap."""
@@ -60,21 +72,27 @@ def columns(comparison: Comparison) -> list[Column]:
 @styled
 def settling_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     """Draw settling time against Kd of all models, feasible gains shaded, recommendations marked on the last one."""
+    figure, ax = panel_figure(3.2, WIDE, 0.6)
+    draw_settling(models, ax)
+    return drawing(key, figure, caption, legend=keys_of(ax))
+
+
+def draw_settling(models: Sequence[Column], ax: Axes, *, legend: bool = False) -> None:
+    """Draw what :func:`settling_figure` shows; with a `legend`, inside matplotlib's figure."""
     best = models[-1]
     spec = best.design.spec
-    gains = np.linspace(0.0, _last_gain([model.design for model in models]), GAINS)
-    curves = [_settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
-    figure = new_figure(4.0)
+    gains = np.linspace(0.0, last_gain([model.design for model in models]), GAINS)
+    curves = [settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
     plot_settling_times(
         curves,
         [(model.role, model.design.intervals) for model in models],
         [*_marks(models), *_recommended(best)],
         limit=spec.settling_time,
-        kd_unit=f"{best.plant.command_unit} s/{best.plant.length_unit}",
-        top=_highest(curves, spec.settling_time),
-        ax=figure.add_subplot(),
+        gain=gain_names(spec, best.plant).free_label,
+        legend=legend,
+        top=highest(curves, spec.settling_time),
+        ax=ax,
     )
-    return Drawing(svg=svg(figure, key), caption=caption)
 
 
 def _marks(models: Sequence[Column]) -> list[Mark]:
@@ -102,54 +120,83 @@ def steps_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     """Draw the step responses of all recommendations on the last of the models, the band magnified."""
     best = models[-1]
     spec = best.design.spec
+    free = gain_names(spec, best.plant).free
     tried: list[tuple[str, Role, float]] = [
-        (f"least {model.name} gain, Kd = {_least(model.design)}", model.role, model.design.kd)
+        (f"least {model.name} gain, {free} = {_least(model.design)}", model.role, model.design.kd)
         for model in models
         if model.design.kd is not None
     ]
     chosen = best.design.recommended
     if chosen is not None:
-        tried.append((f"recommended, Kd = {number(chosen.kd)}", "command", chosen.kd))
+        tried.append((f"recommended, {free} = {number(chosen.kd)}", "command", chosen.kd))
     curves = []
     for label, role, kd in tried:
         run = step_response(best.plant, spec, kd, 2.4 * spec.settling_time)
         curves.append(curve(label, run.time, run.position, role).thinned())
-    figure = new_figure(3.4 if len(curves) <= MOST_IN_A_ROW else 3.7)
-    whole, magnified = figure.subplots(1, 2)
     window = (0.35 * spec.settling_time, 2.0 * spec.settling_time)
     titles = ("The whole step", f"Magnified: the band of ±{100 * spec.band:g} %")
-    for ax, zoom, title in ((whole, None, titles[0]), (magnified, window, titles[1])):
-        plot_step_responses(
-            curves,
-            reference=spec.reference,
-            band=spec.band,
-            settling_time=spec.settling_time,
-            length_unit=best.plant.length_unit,
-            zoom=zoom,
-            title=title,
-            legend=False,
-            ax=ax,
+    figures, axes = [], []
+    for zoom, title in ((None, titles[0]), (window, titles[1])):
+        figure, ax = panel_figure(3.0, HALF_WIDTH, 0.75)
+        axes.append(
+            plot_step_responses(
+                curves,
+                reference=spec.reference,
+                band=spec.band,
+                settling_time=spec.settling_time,
+                length_unit=best.plant.length_unit,
+                zoom=zoom,
+                title=title,
+                legend=False,
+                ax=ax,
+            )
         )
-    magnified.set_ylabel("")
-    handles, labels = whole.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=min(len(labels), MOST_IN_A_ROW), handlelength=3.2)
-    return Drawing(svg=svg(figure, key), caption=caption)
+        figures.append(figure)
+    return drawing(key, figures, caption, legend=keys_of(axes[0]))
 
 
 @styled
 def gains_figure(key: str, found: GainMap, design: Design, plant: Plant, caption: str) -> Drawing:
     """Draw settling time, overshoot and noise over both gains, with the gain that a design recommends."""
-    chosen = design.recommended
-    figure = map_figure(
-        found,
-        recommended=None if chosen is None else (chosen.kp, chosen.kd),
-        length_unit=plant.length_unit,
-        command_unit=plant.command_unit,
+    from matplotlib.lines import Line2D
+
+    chosen, names = design.recommended, gain_names(design.spec, plant)
+    figures, axes = [], []
+    for quantity, title in TITLES.items():
+        figure = new_figure(3.5, THIRD_WIDTH)
+        ax = plot_gain_map(
+            found,
+            quantity,
+            recommended=None if chosen is None else (chosen.kp, chosen.kd),
+            length_unit=plant.length_unit,
+            command_unit=plant.command_unit,
+            labels=(names.kp_label, f"{names.free} [{names.free_unit}]"),
+            title=title,
+            ax=figure.add_subplot(),
+        )
+        figures.append(figure)
+        axes.append(ax)
+    border = {"meets the spec inside": Line2D([], [], color=COLOURS["vermilion"])} if found.feasible.any() else {}
+    legend = [*keys_from(border), *keys_of(axes[0])]
+    return drawing(key, figures, caption, legend=legend, table=_map_numbers(found, names))
+
+
+def _map_numbers(found: GainMap, names: GainNames) -> Numbers:
+    kp, kd = np.meshgrid(found.kp, found.kd, indexing="ij")
+    values = (kp, kd, found.settling_time, found.overshoot, found.noise, found.feasible.astype(np.float64))
+    columns = (
+        names.kp_label,
+        f"{names.free} [{names.free_unit}]",
+        "Settling time [s]",
+        "Overshoot [1]",
+        f"Noise gain [{names.free_unit.replace(' s', '')}]",
+        "Meets the spec [1 or 0]",
     )
-    return Drawing(svg=svg(figure, key), caption=caption)
+    return Numbers(columns=columns, rows=list(zip(*(v.ravel().tolist() for v in values), strict=True)))
 
 
-def _settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
+def settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
+    """Return settling time against the gain that is sought, broken where it jumps."""
     swing = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
     watched = max(4.0 * spec.settling_time, 2.0 * swing)
     times = np.array([_settles(plant, spec, float(kd), watched) for kd in gains])
@@ -157,7 +204,7 @@ def _settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.fl
     return curve(label, np.insert(gains, jumps, np.nan), np.insert(times, jumps, np.nan), role)
 
 
-def _highest(curves: Sequence[Curve], limit: float) -> float:
+def highest(curves: Sequence[Curve], limit: float) -> float:
     """Return the upper end of the axis: what is near the limit, or the quickest half where nothing is."""
     times = np.concatenate([line.y[np.isfinite(line.y)] for line in curves])
     if times.size == 0 or times.min() < 2.0 * limit:
@@ -174,7 +221,8 @@ def _settles(plant: Plant, spec: PDSpec, kd: float, watched: float) -> float:
     return float("nan") if found is None else found
 
 
-def _last_gain(designs: Sequence[Design]) -> float:
+def last_gain(designs: Sequence[Design]) -> float:
+    """Return up to which gain figures of these designs reach."""
     ends = [high for design in designs for _, high in design.intervals]
     searched = max(design.certificate.searched[1] for design in designs)
     return min(1.15 * max(ends), searched) if ends else searched

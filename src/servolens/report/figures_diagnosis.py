@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.report.content import Drawing
 from servolens.report.curves import curve
+from servolens.report.drawing import drawing, keys_from, legend_of
+from servolens.report.figure_data import Numbers
 from servolens.report.laws import law_along
 from servolens.report.plots_diagnosis import plot_candidates, plot_pieces, plot_record_errors, plot_shares
-from servolens.report.style import COLOURS, INK, new_figure, styled
-from servolens.report.svg import svg
+from servolens.report.style import COLOURS, INK, NAMED, THIRD_WIDTH, WIDE, new_figure, panel_figure, styled
 from servolens.report.wording import shown
 from servolens.summaries.diagnosis_tables import data_kinds, kinds_sentence
 from servolens.summaries.evidence import CLEAR, QUANTITIES, correlation
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis import Diagnosis
     from servolens.diagnosis.evidence import Instrument, Share
     from servolens.diagnosis.result import Candidate
+    from servolens.report.content import Drawing
     from servolens.report.curves import Curve
 
 __all__ = [
@@ -51,27 +52,27 @@ VARIES = {"damping": "damping", "force": "free force", "gain": "gain"}
 def shares_figure(key: str, shares: Sequence[Share]) -> Drawing:
     """Draw of each measured quantity how error and samples are shared over its range."""
     drawn = sorted(shares, key=lambda share: share.quantity == "frequency")[:MOST_SHARES]
-    columns = min(len(drawn), 3)
-    rows = -(-len(drawn) // columns)
-    figure = new_figure(2.25 * rows + 0.35)
-    axes = figure.subplots(rows, columns, squeeze=False)
-    for i, (ax, share) in enumerate(zip(axes.flat, drawn, strict=False)):
+    figures = []
+    for share in drawn:
+        figure, ax = panel_figure(2.2, THIRD_WIDTH, 0.55)
         _draw_share(ax, share)
-        if i % columns == 0:
-            ax.set_ylabel("Share [%]")
-    for spare in list(axes.flat)[len(drawn) :]:
-        spare.remove()
+        figures.append(figure)
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    handles = [Patch(color=COLOURS["vermilion"]), Line2D([], [], color=INK)]
-    figure.legend(handles, ["of the squared error", "of the samples"], loc="outside upper center", ncols=2)
     caption = (
         "Where the error of gain and damping alone arises. Bars: share of the squared error in each part of a"
         " quantity's range; lines: share of the samples. Were the error the same everywhere, bars would end at the"
         " lines. Full colour: where they exceed them most. Training records, not held out."
     )
-    return Drawing(svg=svg(figure, key), caption=caption)
+    handles = {"of the squared error": Patch(color=COLOURS["vermilion"]), "of the samples": Line2D([], [], color=INK)}
+    rows = [
+        (f"{capital(QUANTITIES[share.quantity])} [{share.unit}]", *(float(v) for v in row))
+        for share in drawn
+        for row in share.bins
+    ]
+    columns = ("Quantity", "From", "To", "Share of the squared error", "Share of the samples")
+    return drawing(key, figures, caption, legend=keys_from(handles), table=Numbers(columns=columns, rows=rows))
 
 
 def _draw_share(ax: Axes, share: Share) -> None:
@@ -92,7 +93,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
         ticks = [(float(place), _tick(edges, place)) for place in _apart([*ends, 0, worst.size], worst.size)]
         xlabel = f"{name.capitalize()} [{text}]"
     plot_shares(100 * error, 100 * samples, ticks, worst, xlabel=xlabel, title=title, ax=ax)
-    ax.title.set_fontsize(9.0)
+    ax.set_ylabel("Share [%]")
+    ax.title.set_fontsize(8.0)
 
 
 def _tick(edges: NDArray[np.float64], place: int) -> str:
@@ -155,7 +157,7 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
     level = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
     title = f"correlation r = {correlation(instrument)}, p < {level}"
-    figure = new_figure(3.2)
+    figure, ax = panel_figure(3.0, WIDE)
     plot_pieces(
         factor * x,
         value,
@@ -165,7 +167,7 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         law=law,
         held=held[instrument.varies],
         title=capital(title),
-        ax=(ax := figure.add_subplot()),
+        ax=ax,
     )
     if instrument.goes_with == "direction":
         ax.set_xticks([-1, 0, 1], ["backward", "turns round", "forward"])
@@ -178,7 +180,9 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
         caption += f" {rest} pieces of which the data say little are left out."
     if law is not None:
         caption += " The blue line was not fitted to these points: it is what the model with its causes says."
-    return Drawing(svg=svg(figure, key), caption=caption)
+    columns = (ax.get_xlabel(), " ".join(ax.get_ylabel().split()), "Standard error")
+    rows = [(float(a), float(b), float(c)) for a, b, c in zip(factor * x, value, deviation, strict=True)]
+    return drawing(key, figure, caption, legend=legend_of(ax), table=Numbers(columns=columns, rows=rows))
 
 
 def _labelled(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -> tuple[float, str]:
@@ -214,14 +218,15 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
     names, errors, answers = zip(*rows, strict=True)
     factor, length = scale([max(errors)], diagnosis.plant.length_unit)
-    figure = new_figure(0.25 * len(rows) + 1.0)
+    figure = new_figure(0.25 * len(rows) + 0.7, NAMED)
+    ax = figure.add_subplot()
     plot_candidates(
         names,
         factor * np.array(errors),
         answers,
         floor=factor * max(diagnosis.noise_floor, 1e-300),
         xlabel=f"R.m.s. error left [{length}], logarithmic",
-        ax=figure.add_subplot(),
+        ax=ax,
     )
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
     caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
@@ -231,7 +236,9 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     if rest > 0:
         caption += f" {rest} more effects leave more."
     caption += " Not held out. Driven by the logged voltage, each beside its own noise."
-    return Drawing(svg=svg(figure, key), caption=caption)
+    left = [(name, float(factor * error)) for name, error in zip(names, errors, strict=True)]
+    table = Numbers(columns=("Effect", f"R.m.s. error left [{length}]"), rows=left)
+    return drawing(key, figure, caption, legend=legend_of(ax), table=table)
 
 
 @styled
@@ -242,7 +249,8 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         rows = [*rows[: MOST_ROWS // 3], *rows[-2 * MOST_ROWS // 3 :]]
     gains = [gain for gain, _ in rows]
     factor, length = scale([g.before for g in gains if np.isfinite(g.before)], diagnosis.plant.length_unit)
-    figure = new_figure(0.3 * len(gains) + 1.2)
+    figure = new_figure(0.3 * len(gains) + 0.8, NAMED)
+    ax = figure.add_subplot()
     before, after, noise = (
         _positive([factor * getattr(g, name) for g in gains]) for name in ("before", "after", "noise")
     )
@@ -253,7 +261,7 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         noise,
         np.array([g.heldout for g in gains]),
         xlabel=f"R.m.s. error [{length}], logarithmic",
-        ax=figure.add_subplot(),
+        ax=ax,
     )
     caption = (
         "Error of each record without and with the causes, and its noise. Hollow: the model was fitted to these data."
@@ -261,7 +269,10 @@ def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     caption += f" Filled: it was not. {kinds_sentence(diagnosis)}"
     if len(diagnosis.gains) > len(gains):
         caption += f" {len(diagnosis.gains) - len(gains)} more are in the table only."
-    return Drawing(svg=svg(figure, key), caption=caption)
+    columns = ("Record", "Data", *(f"{what} [{length}]" for what in ("Gain and damping", "With the causes", "Noise")))
+    numbers = zip(before, after, noise, strict=True)
+    told = [(gain.name, kind, *map(float, row)) for (gain, kind), row in zip(rows, numbers, strict=True)]
+    return drawing(key, figure, caption, legend=legend_of(ax), table=Numbers(columns=columns, rows=told))
 
 
 def _positive(values: Sequence[float]) -> NDArray[np.float64]:

@@ -6,25 +6,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from servolens.diagnosis.errors import residual
-from servolens.report.content import Drawing
 from servolens.report.curves import curve
+from servolens.report.drawing import drawing, keys_of
 from servolens.report.plots_diagnosis import plot_residuals
-from servolens.report.style import new_figure, styled
-from servolens.report.svg import svg
+from servolens.report.style import FULL_WIDTH, HALF_WIDTH, panel_figure, styled
 from servolens.report.wording import shown
 from servolens.summaries.wording import scale
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
     from servolens.diagnosis import Diagnosis
     from servolens.record import Record
+    from servolens.report.content import Drawing
     from servolens.report.curves import Curve, Role
 
 __all__ = ["residuals_figure"]
@@ -76,10 +76,11 @@ def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     ]
     noise = DEVIATIONS * factor * diagnosis.noise_floor
     times = _enlargement(missed, noise)
-    figure = _abreast(missed, noise) if times is None else _side_by_side(missed, noise, times)
-    figure.supylabel(f"Simulated − measured [{length}]", fontsize=9.5)
+    ylabel = f"Simulated −\nmeasured [{length}]"
+    axes = _abreast(missed, noise, ylabel) if times is None else _side_by_side(missed, noise, times, ylabel)
+    figures = [figure for ax in axes if isinstance(figure := ax.figure, Figure)]
     caption = _caption(diagnosis, missed, enlarged=times is not None, left_out=len(runs) - len(drawn))
-    return Drawing(svg=svg(figure, key), caption=caption)
+    return drawing(key, figures, caption, legend=keys_of(*axes))
 
 
 def _most(diagnosis: Diagnosis) -> int:
@@ -96,40 +97,38 @@ def _enlargement(missed: Sequence[_Missed], noise: float) -> float | None:
     return times if times >= ENLARGED else None
 
 
-def _abreast(missed: Sequence[_Missed], noise: float) -> Figure:
-    """Draw two records abreast."""
-    columns = min(len(missed), 2)
-    rows = -(-len(missed) // columns)
-    figure = new_figure(1.75 * rows + 0.5)
-    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for i, (ax, own) in enumerate(zip(axes.flat, missed, strict=False)):
+def _abreast(missed: Sequence[_Missed], noise: float, ylabel: str) -> list[Axes]:
+    """Draw each record in a picture of its own."""
+    axes = []
+    for own in missed:
+        ax = panel_figure(1.9, FULL_WIDTH if len(missed) == 1 else HALF_WIDTH)[1]
         plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=ax)
-        ax.set(xlabel="Time [s]" if i >= len(missed) - columns else "")
-    for spare in list(axes.flat)[len(missed) :]:
-        spare.remove()
-    _name_lines(figure, axes.flat)
-    return figure
+        axes.append(ax)
+    return _in_one_scale(axes, ylabel)
 
 
-def _side_by_side(missed: Sequence[_Missed], noise: float, times: float) -> Figure:
-    """Draw each record in a row: both models, and enlarged what is left with the causes."""
-    figure = new_figure(1.5 * len(missed) + 0.6)
-    axes = figure.subplots(len(missed), 2, squeeze=False, sharex="row", sharey="col")
+def _side_by_side(missed: Sequence[_Missed], noise: float, times: float, ylabel: str) -> list[Axes]:
+    """Draw of each record both models, and beside that, enlarged, what is left with the causes."""
     after = [*MODELS][1]
     title = f"{after}, enlarged {float(f'{times:.1g}'):g} times"
-    for (left, right), own in zip(axes, missed, strict=True):
-        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=left)
-        plot_residuals(own.curves(*own.known(after)), noise, title=title, ax=right)
-    for ax in axes[-1]:
-        ax.set_xlabel("Time [s]")
-    _name_lines(figure, axes.flat)
-    return figure
+    left, right = [], []
+    for own in missed:
+        first, second = (panel_figure(1.9, HALF_WIDTH)[1] for _ in range(2))
+        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=first)
+        plot_residuals(own.curves(*own.known(after)), noise, title=title, ax=second)
+        left.append(first)
+        right.append(second)
+    both = zip(_in_one_scale(left, ylabel), _in_one_scale(right, ylabel), strict=True)
+    return [ax for pair in both for ax in pair]
 
 
-def _name_lines(figure: Figure, axes: Iterable[Axes]) -> None:
-    """Name the lines once, above all panels."""
-    named = max((ax.get_legend_handles_labels() for ax in axes), key=lambda found: len(found[1]))
-    figure.legend(*named, loc="outside upper center", ncols=3, handlelength=2.6)
+def _in_one_scale(axes: list[Axes], ylabel: str) -> list[Axes]:
+    """Give all panels the range of the largest."""
+    ends = [ax.get_ylim() for ax in axes]
+    for ax in axes:
+        ax.set_ylim(min(low for low, _ in ends), max(high for _, high in ends))
+        ax.set(xlabel="Time [s]", ylabel=ylabel)
+    return axes
 
 
 def _caption(diagnosis: Diagnosis, missed: Sequence[_Missed], *, enlarged: bool, left_out: int) -> str:

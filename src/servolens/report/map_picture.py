@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from matplotlib.lines import Line2D
 
 from servolens.errors import InputError
-from servolens.report.plots_design import plot_gain_map
+from servolens.report.plots_design import Quantity, plot_gain_map
 from servolens.report.style import COLOURS, new_figure, styled
 from servolens.results import write_atomically
 
@@ -19,12 +19,16 @@ if TYPE_CHECKING:
 
     from servolens.design import GainMap
 
-__all__ = ["checked_kind", "map_figure", "write_map"]
+__all__ = ["TITLES", "checked_kind", "map_figure", "write_map"]
 
 KINDS = ("png", "svg")
 """Kinds of files, by the end of the name."""
 DOTS_PER_INCH = 160
-TITLES = {"settling_time": "Settling time", "overshoot": "Overshoot", "noise": "Noise of the command"}
+TITLES: dict[Quantity, str] = {
+    "settling_time": "Settling time",
+    "overshoot": "Overshoot",
+    "noise": "Noise of the command",
+}
 
 
 @styled
@@ -51,7 +55,7 @@ def map_figure(
     for ax, (quantity, title) in zip(panels, TITLES.items(), strict=True):
         plot_gain_map(
             found,
-            quantity,  # type: ignore[arg-type]  # one of the titles
+            quantity,
             recommended=recommended,
             length_unit=length_unit,
             command_unit=command_unit,

@@ -2,38 +2,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
 
 from servolens.report.measured_story import write_measured
+from servolens.report.printing import checked_page
 from servolens.results import to_finite
-from servolens.study import held_out_prediction, study_records
+from servolens.study import diagnosed_prediction, held_out_prediction, study_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    import os
+    from collections.abc import Callable
 
     from servolens.design import PDSpec
-    from servolens.record import Record
+    from servolens.findings import Finding
+    from servolens.inputs import Records, RecordSettings
+    from servolens.prediction import Prediction
     from servolens.study import Study
 
 __all__ = ["write_report", "write_study"]
 
 
 def write_report(
-    path: Path,
-    records: Sequence[Record],
+    path: str | os.PathLike[str],
+    records: Records,
     *,
     spec: PDSpec | None = None,
     effort: str = "normal",
     progress: Callable[[str, int, int], None] | None = None,
+    **settings: Unpack[RecordSettings],
 ) -> dict[str, Any]:
     """Write everything about `records` into one self-contained page.
 
     Parameters
     ----------
-    path : Path
-        The HTML file.
-    records : sequence of Record
+    path : str or path
+        The page: .html, or .pdf, which Chromium prints.
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of one axis.
     spec : PDSpec, optional
         What a PD gain has to achieve; when None, a spec that suits the records is chosen, and the page says which.
@@ -41,6 +46,8 @@ def write_report(
         How far the search for causes goes.
     progress : callable, optional
         Called with (description, done, total).
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Returns
     -------
@@ -50,13 +57,15 @@ def write_report(
     Raises
     ------
     InputError
-        If there is no record, or the file cannot be written.
+        If there is no record, the name ends otherwise, there is no Chromium to print a PDF, or the file cannot be
+        written.
     NumericalError
         If records that are fit for it do not determine gain and damping.
     """
+    checked_page(Path(path))
     tell = progress or (lambda *_: None)
-    found = study_records(records, spec, effort=effort, progress=tell)
-    return write_study(path, found, progress=tell)
+    found = study_records(records, spec, effort=effort, progress=tell, **settings)
+    return write_study(Path(path), found, progress=tell)
 
 
 def write_study(
@@ -67,7 +76,7 @@ def write_study(
     Parameters
     ----------
     path : Path
-        The HTML file.
+        The page: .html, or .pdf, which Chromium prints.
     study : Study
         Of one axis.
     progress : callable
@@ -83,13 +92,17 @@ def write_study(
     InputError
         If the file cannot be written.
     """
-    progress("Predicting held-out records", 95, 100)
-    held_out, lost = held_out_prediction(study)
+    held_out: Prediction | None = None
+    lost: tuple[Finding, ...] = ()
+    if study.diagnosis is None:
+        progress("Predicting held-out records", 95, 100)
+        held_out, lost = held_out_prediction(study)
     progress("Writing the page", 98, 100)
     findings = (*study.findings, *lost)
     write_measured(path, study, held_out, findings)
     progress("Page written", 100, 100)
-    rows = [] if held_out is None else [[error.to_json() for error in row] for row in held_out.errors]
-    names = [] if held_out is None else list(held_out.models)
+    told = diagnosed_prediction(study) if held_out is None else held_out
+    rows = [] if told is None else [[error.to_json() for error in row] for row in told.errors]
+    names = [] if told is None else list(told.models)
     body: dict[str, Any] = to_finite({**study.to_json(), "held_out": {"models": names, "records": rows}})
     return {**body, "findings": [finding.to_json() for finding in findings]}

@@ -9,7 +9,7 @@ import numpy as np
 from servolens.design import gain_map, map_axes
 from servolens.report.content import Findings, Lights, Section
 from servolens.report.curves import curve
-from servolens.report.diagnosis_story import WRONG, diagnosis_section
+from servolens.report.diagnosis_story import diagnosis_sections
 from servolens.report.figures import (
     Match,
     damping_in_time_figure,
@@ -21,7 +21,9 @@ from servolens.report.figures import (
     record_figure,
 )
 from servolens.report.figures_design import columns, gains_figure, settling_figure, steps_figure
+from servolens.report.gain_names import gain_names
 from servolens.report.page import write_page
+from servolens.report.playground import playground
 from servolens.report.wording import shown
 from servolens.summaries import (
     check_summary,
@@ -30,7 +32,7 @@ from servolens.summaries import (
     gain_sentences,
     identification_summary,
 )
-from servolens.summaries.diagnosis import verdict_sentence
+from servolens.summaries.diagnosis import remaining_sentences, verdict_sentence
 from servolens.summaries.wording import listed, number, percent
 from servolens.summary import Summary, Table
 
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from servolens.design import Design
     from servolens.findings import Finding
     from servolens.identification import Identification
     from servolens.plant import Plant
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.report.content import Block
     from servolens.report.curves import Curve, Role
+    from servolens.report.figures_design import Column
     from servolens.study import Study
 
 __all__ = ["write_measured"]
@@ -57,20 +61,34 @@ MOST_DRAWN = 12
 
 
 def write_measured(path: Path, study: Study, held_out: Prediction | None, findings: Sequence[Finding]) -> None:
-    """Write the page of a study, with what its models predict of records that they do not know."""
+    """Write the page of a study, with what its models predict of records that they do not know.
+
+    First what was measured against what was predicted, then where the error lives, its cause and what that is worth,
+    then the gain; models and data follow for those who want to look closer.
+    """
     names = [shown(record.name) for record in study.records]
-    sections = [_data(study), _open_questions(study, findings)]
+    sections = [*_found(study, held_out), _design(study)]
     if study.fit is not None:
-        sections += [_models(study, study.fit), _validation(held_out), _wrong(study), _design(study)]
+        sections.append(_models(study, study.fit))
+    sections += [_data(study), _open_questions(study, findings)]
     lead, more = _lead(study)
     write_page(path, f"Servo axis: {listed(names)}", lead, (Lights(lights=study.lights), *more), sections)
+
+
+def _found(study: Study, held_out: Prediction | None) -> list[Section]:
+    """Return what the models predict and miss: by the diagnosis, or where there is none by damping alone."""
+    if study.diagnosis is not None:
+        return diagnosis_sections(study.diagnosis)
+    reason = f"No cause was sought: {study.why_undiagnosed.rstrip('.')}."
+    sought = Section(key="wrong", title="Where the error lives", blocks=(reason,))
+    return [sought] if study.fit is None else [_validation(held_out), sought]
 
 
 def _lead(study: Study) -> tuple[str, tuple[str, ...]]:
     """Return the gain or why there is none, and what else matters most."""
     first = gain_sentences(study)[0]
     if study.diagnosis is not None:
-        return first, (verdict_sentence(study.diagnosis),)
+        return first, (verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis))
     return first, () if study.fit is None else identification_summary(study.fit).sentences[:2]
 
 
@@ -106,17 +124,33 @@ def _excerpt(record: Record) -> Record:
 def _settings(study: Study) -> Table:
     rows = []
     for record, quality in zip((*study.records, *study.heldout), study.check, strict=True):
-        loop = record.controller
-        gains = ("–", "–") if loop is None else (number(loop.kp), number(loop.kd))
         speed = f"{number(quality.top_speed, 3)} {record.length_unit}/s"
         rows.append(
-            (record.name, number(record.duration), *gains, f"{number(record.step_size, 3)} {record.length_unit}", speed)
+            (
+                record.name,
+                number(record.duration),
+                _gains(record),
+                f"{number(record.step_size, 3)} {record.length_unit}",
+                speed,
+            )
         )
     return Table(
         title="What was done",
-        columns=("Record", "Duration [s]", "Kp", "Kd", "Step", "Top speed"),
+        columns=("Record", "Duration [s]", "Gains", "Step", "Top speed"),
         rows=tuple(rows),
     )
+
+
+def _gains(record: Record) -> str:
+    """Return the gains of a record's loop by their names in its law."""
+    loop = record.controller
+    if loop is None:
+        return "–"
+    if loop.integral_rate > 0:
+        told = {"Kp": loop.kp / loop.kd, "Kv": loop.kd, "Kiv": loop.integral_rate * loop.kd}
+    else:
+        told = {"Kp": loop.kp, "Kd": loop.kd, **({"Ki": loop.ki} if loop.ki else {})}
+    return ", ".join(f"{name} {number(value)}" for name, value in told.items())
 
 
 def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
@@ -236,16 +270,9 @@ def _validation(held: Prediction | None) -> Section:
     return Section(key="validation", title=title, blocks=tuple(blocks))
 
 
-def _wrong(study: Study) -> Section:
-    if study.diagnosis is None:
-        reason = f"No cause was sought: {study.why_undiagnosed.rstrip('.')}."
-        return Section(key="wrong", title=WRONG, blocks=(reason,))
-    return diagnosis_section(study.diagnosis)
-
-
 def _design(study: Study) -> Section:
-    comparison, title = study.comparison, "The PD gain"
-    if comparison is None or study.design is None:
+    comparison, title = study.comparison, "The gain"
+    if comparison is None or study.design is None or study.model is None:
         return Section(key="design", title=title, blocks=(f"No gain was sought: {study.why_none}.",))
     length_unit, command_unit = study.records[0].length_unit, study.records[0].command_unit
     blocks: list[Block] = []
@@ -255,38 +282,51 @@ def _design(study: Study) -> Section:
             " reach with a little to spare; ask for your own with kp and settling_time."
         )
     told = design_summary(study.design, forced=study.forced, length_unit=length_unit, command_unit=command_unit)
-    blocks.append(Summary(title="", sentences=told.sentences, tables=told.tables))
-    told = comparison_summary(comparison, length_unit=length_unit, command_unit=command_unit)
-    blocks.append(Summary(title="What simpler models recommend", sentences=told.sentences, tables=told.tables))
-    models = columns(comparison)
-    blocks.append(
+    sentences = told.sentences
+    if study.design.withheld:
+        sentences = sentences[1:]  # the first says no more
+        blocks.append(
+            f"The gain is withheld. {study.lights['gain'].sentence} What follows is what the model says of gains, not"
+            " what the axis will do."
+        )
+    blocks += [
+        playground("gain", study.model, study.design),
+        Summary(title="", sentences=sentences, tables=told.tables),
+    ]
+    simpler = comparison_summary(comparison, length_unit=length_unit, command_unit=command_unit)
+    new = tuple(sentence for sentence in simpler.sentences if sentence not in told.sentences)
+    blocks.append(Summary(title="What simpler models recommend", sentences=new, tables=simpler.tables))
+    return Section(key="design", title=title, blocks=(*blocks, *_design_figures(columns(comparison), study.design)))
+
+
+def _design_figures(models: Sequence[Column], design: Design) -> list[Block]:
+    best = models[-1]
+    names = gain_names(design.spec, best.plant)
+    found = gain_map(best.plant, design.spec, *map_axes(best.plant, design.spec, count=MAPPED))
+    blocks: list[Block] = [
         settling_figure(
             "settling",
             models,
-            "Settling time against Kd on each model, with the gains that meet the spec shaded in its colour. Cross: a"
-            f" gain that breaks the spec on the {models[-1].name} model. Simulated, no measured data.",
-        )
-    )
-    best = models[-1].plant
-    found = gain_map(best, study.design.spec, *map_axes(best, study.design.spec, count=MAPPED))
-    blocks.append(
+            f"Settling time against {names.free} on each model, with the gains that meet the spec shaded in its colour."
+            f" Cross: a gain that breaks the spec on the {best.name} model. Simulated, no measured data.",
+        ),
         gains_figure(
             "map",
             found,
-            study.design,
-            best,
-            f"Both gains on the {models[-1].name} model: how soon the step settles, how far it overshoots, and what the"
-            " controller makes of measurement noise (volts for one unit of white noise). White: it does not settle in"
-            " twice the time asked for. Simulated, no measured data.",
-        )
-    )
+            design,
+            best.plant,
+            f"Both gains on the {best.name} model: how soon the step settles, how far it overshoots, and what the"
+            f" controller makes of measurement noise ({best.plant.command_unit} for one {best.plant.length_unit} of"
+            " white noise). White: it does not settle in twice the time asked for. Simulated, no measured data.",
+        ),
+    ]
     if any(model.design.kd is not None for model in models):
         blocks.append(
             steps_figure(
                 "steps",
                 models,
-                f"Step responses of these gains on the {models[-1].name} model, with the band and the time it holds"
-                " from (dashed). Simulated, no measured data.",
+                f"Step responses of these gains on the {best.name} model, with the band and the time it holds from"
+                " (dashed). Simulated, no measured data.",
             )
         )
-    return Section(key="design", title=title, blocks=tuple(blocks))
+    return blocks

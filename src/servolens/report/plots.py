@@ -114,6 +114,7 @@ def plot_damping_laws(
     *,
     length_unit: str = "m",
     title: str = "",
+    legend: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw damping against speed (the paper's figure 8).
@@ -128,6 +129,8 @@ def plot_damping_laws(
         Of the axis.
     title : str
         Above the axes.
+    legend : bool
+        Whether to name lines and marks.
     ax : Axes, optional
         Where; a new figure when None.
     """
@@ -150,7 +153,7 @@ def plot_damping_laws(
     ax.set(xlabel=f"Speed |v| [{length_unit}/s]", ylabel="Damping C(v) [1/s]", title=title)
     ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
     ax.margins(x=0.02)
-    if any(item.label for item in (*laws, *points)):
+    if legend and any(item.label for item in (*laws, *points)):
         ax.legend(handlelength=3.2)
     return ax
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
+from matplotlib.ticker import EngFormatter
 
 from servolens.report.style import COLOURS, GREY, INK, LOOKS, axes_of, styled
 
@@ -18,7 +19,11 @@ if TYPE_CHECKING:
     from servolens.design import GainMap
     from servolens.report.curves import Curve, Role
 
-__all__ = ["Mark", "plot_gain_map", "plot_settling_times", "plot_step_responses"]
+
+Quantity = Literal["settling_time", "overshoot", "noise"]
+"""What a map over both gains shows."""
+__all__ = ["Mark", "Quantity", "plot_gain_map", "plot_settling_times", "plot_step_responses"]
+SPREAD = COLOURS["orange"]
 
 
 @final
@@ -43,18 +48,20 @@ class Mark:
 
 
 @styled
-def plot_settling_times(
+def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
     curves: Sequence[Curve],
     intervals: Sequence[tuple[Role, Sequence[tuple[float, float]]]],
     marks: Sequence[Mark],
     *,
     limit: float,
-    kd_unit: str = "V s/m",
+    gain: str = "Derivative gain Kd [V s/m]",
+    spread: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
+    legend: bool = True,
     top: float | None = None,
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw settling time against Kd.
+    """Draw settling time against a gain.
 
     Parameters
     ----------
@@ -66,8 +73,12 @@ def plot_settling_times(
         Recommendations.
     limit : float
         The settling time asked for [s].
-    kd_unit : str
-        Unit of Kd.
+    gain : str
+        "Quantity [unit]" of the gain.
+    spread : tuple of ndarray, optional
+        Gains, and from where to where the settling time reaches there [s]; NaN where it has no end.
+    legend : bool
+        Whether to name lines and marks.
     top : float, optional
         Upper end of the axis [s].
     title : str
@@ -78,25 +89,17 @@ def plot_settling_times(
     ax = axes_of(ax, 3.8)
     for role, spans in intervals:
         for low, high in spans:
-            ax.axvspan(low, high, color=LOOKS[role]["color"], alpha=0.13, linewidth=0, zorder=0)
+            ax.axvspan(low, high, color=LOOKS[role]["color"], alpha=0.13, linewidth=0, zorder=0, gid="live-designed")
     ax.axhline(limit, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
+    if spread is not None:
+        found = ax.fill_between(*spread, color=SPREAD, alpha=0.4, linewidth=0, label="spread of the axis")
+        found.set_gid("live-settling-spread")
     for line in curves:
-        ax.plot(line.x, line.y, label=line.label or "_nolegend_", **{**LOOKS[line.role], "linestyle": "-"})
+        drawn = ax.plot(line.x, line.y, label=line.label or "_nolegend_", **{**LOOKS[line.role], "linestyle": "-"})
+        drawn[0].set_gid(f"live-settling-{line.role}")
     for mark in marks:
-        colour = LOOKS[mark.role]["color"]
-        meets = mark.settling_time <= limit * (1 + 1e-9)
-        ax.plot(
-            mark.kd,
-            mark.settling_time,
-            marker="o" if meets else "X",
-            markersize=8 if meets else 9,
-            color=colour,
-            markeredgecolor="white",
-            linestyle="none",
-            label=mark.label,
-            zorder=7,
-        )
-    ax.set(xlabel=f"Derivative gain Kd [{kd_unit}]", ylabel="Settling time [s]", title=title)
+        _draw_mark(ax, mark, meets=mark.settling_time <= limit * (1 + 1e-9))
+    ax.set(xlabel=gain, ylabel="Settling time [s]", title=title)
     ax.set_ylim(0.0, top)
     ax.margins(x=0.0)
     if curves:
@@ -111,8 +114,24 @@ def plot_settling_times(
         fontsize=8.5,
         zorder=6,
     )
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    if legend:
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return ax
+
+
+def _draw_mark(ax: Axes, mark: Mark, *, meets: bool) -> None:
+    ax.plot(
+        mark.kd,
+        mark.settling_time,
+        marker="o" if meets else "X",
+        markersize=8 if meets else 9,
+        color=LOOKS[mark.role]["color"],
+        markeredgecolor="white",
+        linestyle="none",
+        label=mark.label,
+        zorder=7,
+        gid="live-designed",
+    )
 
 
 @styled
@@ -126,6 +145,7 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
     zoom: tuple[float, float] | None = None,
     title: str = "",
     legend: bool = True,
+    spread: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw step responses with the band they have to stay in.
@@ -146,6 +166,8 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
         Above the axes.
     legend : bool
         Whether to name the curves.
+    spread : tuple of ndarray, optional
+        Times, and from where to where the position reaches there.
     ax : Axes, optional
         Where; a new figure when None.
     """
@@ -154,8 +176,13 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
     ax.axhspan(low, high, color="#009E73", alpha=0.16, linewidth=0, zorder=0)
     ax.axvline(settling_time, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
     ax.axhline(reference, color=GREY, linewidth=0.8, zorder=1)
+    if spread is not None:
+        found = ax.fill_between(*spread, color=SPREAD, alpha=0.4, linewidth=0, label="spread of the axis")
+        found.set_gid("live-step-spread")
     for line in curves:
-        ax.plot(line.x, line.y, label=line.label or "_nolegend_", **LOOKS[line.role])
+        ax.plot(line.x, line.y, label=line.label or "_nolegend_", **LOOKS[line.role])[0].set_gid(
+            f"live-step-{line.role}"
+        )
     ax.set(xlabel="Time since the step [s]", ylabel=f"Position [{length_unit}]", title=title)
     ax.margins(x=0.0)
     if zoom is not None:
@@ -211,15 +238,16 @@ LEVELS = 5
 @styled
 def plot_gain_map(
     found: GainMap,
-    quantity: Literal["settling_time", "overshoot", "noise"] = "settling_time",
+    quantity: Quantity = "settling_time",
     *,
     recommended: tuple[float, float] | None = None,
     length_unit: str = "m",
     command_unit: str = "V",
+    labels: tuple[str, str] | None = None,
     title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw one quantity over Kp and Kd, the feasible region outlined, the feasible pair of least noise marked.
+    """Draw one quantity over both gains, the feasible region outlined, the feasible pair of least noise marked.
 
     White is where there is no such number: the step does not settle in the time that the map shows, or the loop is
     unstable.
@@ -234,6 +262,8 @@ def plot_gain_map(
         The pair (kp, kd) to use.
     length_unit, command_unit : str
         Of the plant.
+    labels : tuple of str, optional
+        "Quantity [unit]" of both gains; None are those of a PD.
     title : str
         Above the axes.
     ax : Axes, optional
@@ -245,7 +275,7 @@ def plot_gain_map(
     filled = ax.contourf(found.kp, found.kd, shade.shown(found).T, levels, cmap="Blues", extend="max", alpha=0.85)
     if ax.figure is not None:
         label = shade.label.format(command=command_unit, length=length_unit)
-        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format="%g", aspect=30)
+        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format=EngFormatter(sep=""), aspect=30)
     if found.feasible.any() and not found.feasible.all():
         ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=COLOURS["vermilion"])
     marks = (("least noise", found.least_noise, "o"), ("recommended", recommended, "*"))
@@ -254,8 +284,8 @@ def plot_gain_map(
             size = {"o": 6, "*": 11}[marker]
             ax.plot(*pair, marker, markersize=size, color=INK, markeredgecolor="white", label=name, zorder=5)
     ax.set(xlim=(found.kp[0], found.kp[-1]), ylim=(found.kd[0], found.kd[-1]), title=title)
-    ax.set_xlabel(f"Kp [{command_unit}/{length_unit}]")
-    ax.set_ylabel(f"Kd [{command_unit} s/{length_unit}]")
+    kp, kd = labels or (f"Kp [{command_unit}/{length_unit}]", f"Kd [{command_unit} s/{length_unit}]")
+    ax.set(xlabel=kp, ylabel=kd)
     ax.grid(visible=False)
     return ax
 

@@ -15,7 +15,22 @@ if TYPE_CHECKING:
 
     from servolens.report.curves import Role
 
-__all__ = ["COLOURS", "FULL_WIDTH", "LOOKS", "STYLE", "axes_of", "new_figure", "styled"]
+__all__ = [
+    "COLOURS",
+    "FULL_WIDTH",
+    "HALF_WIDTH",
+    "LOOKS",
+    "NAMED",
+    "STYLE",
+    "THIRD_WIDTH",
+    "VARIABLES",
+    "WIDE",
+    "axes_of",
+    "new_figure",
+    "panel_figure",
+    "stacked_figure",
+    "styled",
+]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -44,8 +59,25 @@ LOOKS: dict[Role, dict[str, Any]] = {
     "third": {"color": COLOURS["purple"], "linewidth": 1.5, "linestyle": (0, (4, 1, 1, 1)), "zorder": 3},
 }
 """What is measured or true is broad and pale, so that a model that fits lies visibly on it."""
-FULL_WIDTH = 7.6
+MARGINS = (0.12, 0.47, 0.28)
+"""Right, below and above a panel [inches]."""
+VARIABLES = {
+    "ffffff": "paper",
+    INK[1:]: "ink",
+    "000000": "ink",
+    GREY[1:]: "grey",
+    "e4e4e4": "line",
+    "c2c2c2": "broad",
+    "9a9a9a": "broad",
+    "b9b9b9": "broad",
+    **{colour[1:].lower(): name for name, colour in COLOURS.items()},
+}
+"""Colours of figures, and the page's variables that stand for them."""
+FULL_WIDTH = 5.6
 """Inches at which text of a figure has the size of the page's small text."""
+NAMED, WIDE, HALF_WIDTH, THIRD_WIDTH = 6.2, 5.2, 3.75, 2.6
+"""The same of one with names at its side, of one that a phone can show, and of two and of three beside each other where
+there is room."""
 STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
@@ -91,6 +123,30 @@ def styled(function: Callable[P, R]) -> Callable[P, R]:
 def new_figure(height: float, width: float = FULL_WIDTH) -> Figure:
     """Return an empty figure of this size [inches] that belongs to no window."""
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def panel_figure(height: float, width: float = FULL_WIDTH, left: float = 0.92) -> tuple[Figure, Axes]:
+    """Return a figure of this size [inches] and its one panel, with room for its labels at the `left`.
+
+    Room that is known beforehand is much sooner laid out than what has to be measured.
+    """
+    figure = Figure(figsize=(width, height))
+    _leave_room(figure, left)
+    return figure, figure.add_subplot()
+
+
+def stacked_figure(height: float, width: float, ratio: float) -> tuple[Figure, Axes, Axes]:
+    """Return a figure like :func:`panel_figure` with two panels, the upper one `ratio` times as high."""
+    figure = Figure(figsize=(width, height))
+    _leave_room(figure, 0.92)
+    above, below = figure.subplots(2, 1, height_ratios=[ratio, 1.0], gridspec_kw={"hspace": 0.12})
+    return figure, above, below
+
+
+def _leave_room(figure: Figure, left: float) -> None:
+    width, height = (float(size) for size in figure.get_size_inches())
+    right, bottom, top = MARGINS
+    figure.subplots_adjust(left=left / width, right=1.0 - right / width, bottom=bottom / height, top=1.0 - top / height)
 
 
 def axes_of(ax: Axes | None, height: float = 3.0) -> Axes:

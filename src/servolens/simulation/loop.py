@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Unpack, final
 
 import numpy as np
 
 from servolens.dynamics import ideal_pd
 from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError, NumericalError
+from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.settings import NO_LAW, OPEN_LOOP, known, law_settings, loop_settings
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from servolens.controller import Controller
+    from servolens.inputs import Plants, Records, RecordSettings
     from servolens.plant import Plant
-    from servolens.record import Record
 
 __all__ = [
     "Simulation",
@@ -59,12 +60,13 @@ class Simulation:
 
 
 def simulate(
-    plant: Plant,
-    record: Record,
+    plant: Plants,
+    record: Records,
     *,
     initial_velocity: float = 0.0,
     voltage_driven: bool | None = None,
     substeps: int | None = None,
+    **settings: Unpack[RecordSettings],
 ) -> Simulation:
     """Simulate `plant` through what was done in `record`, at the record's samples.
 
@@ -73,9 +75,9 @@ def simulate(
 
     Parameters
     ----------
-    plant : Plant
+    plant : Plant, model, fit, diagnosis, or path of a model's file
         In the record's units.
-    record : Record
+    record : Record, path, DataFrame or TimeResponseData
         Gives time, reference, feedforward, controller, encoder, voltage limit, inertia, and when the motor is on.
     initial_velocity : float
         [m/s or rad/s].
@@ -83,6 +85,8 @@ def simulate(
         True: apply the logged voltage; False: close the loop; None: close it where the record allows.
     substeps : int, optional
         Steps a sample; None chooses them from the plant's fastest rate.
+    **settings
+        ``kp``, ``kd`` … of a table or file (:class:`servolens.inputs.RecordSettings`).
 
     Raises
     ------
@@ -91,6 +95,7 @@ def simulate(
     NumericalError
         If the simulated axis leaves all bounds.
     """
+    plant, record = as_plant(plant), as_record(record, settings)
     can_close = record.reference is not None and record.controller is not None
     driven = not can_close if voltage_driven is None else voltage_driven
     if driven and record.voltage is None:
@@ -125,7 +130,7 @@ def simulate(
 
 
 def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
-    plant: Plant,
+    plant: Plants,
     controller: Controller,
     time: ArrayLike,
     reference: ArrayLike,
@@ -164,6 +169,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     NumericalError
         If the loop is unstable.
     """
+    plant = as_plant(plant)
     grid = _grid(time)
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
@@ -208,7 +214,7 @@ def simulate_trial(  # noqa: PLR0913 - as simulate_loop
 
 
 def simulate_voltage(
-    plant: Plant,
+    plant: Plants,
     time: ArrayLike,
     voltage: ArrayLike,
     *,
@@ -223,6 +229,7 @@ def simulate_voltage(
     plant, time, voltage, start, before, substeps
         As of :func:`simulate_loop`.
     """
+    plant = as_plant(plant)
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
@@ -298,7 +305,7 @@ def _moved(plant: Plant) -> list[float]:
 
 
 def simulate_continuous(
-    plant: Plant,
+    plant: Plants,
     kp: float,
     kd: float,
     time: ArrayLike,
@@ -316,6 +323,7 @@ def simulate_continuous(
     InputError
         If the plant has a delay.
     """
+    plant = as_plant(plant)
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(reference)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.errors import ServolensError
+from servolens.inputs import as_plant, as_record, listed
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
+    from servolens.inputs import Plants, Records
     from servolens.plant import Plant
     from servolens.record import Record
     from servolens.simulation.loop import Simulation
@@ -19,8 +19,8 @@ __all__ = ["simulate_many"]
 
 
 def simulate_many(
-    plants: Iterable[Plant],
-    records: Iterable[Record],
+    plants: Plants,
+    records: Records,
     *,
     voltage_driven: bool | None = None,
     substeps: int | None = None,
@@ -33,9 +33,9 @@ def simulate_many(
 
     Parameters
     ----------
-    plants : iterable of Plant
+    plants : Plant, model, fit, diagnosis, path of a model's file, or an iterable of these
         Thousands of parameter sets, as a Monte Carlo study has them; new combinations of effects are compiled first.
-    records : iterable of Record
+    records : Record, or an iterable of these
         Give time, reference, feedforward, controller, encoder and voltage limit.
     voltage_driven, substeps
         See :func:`simulate`.
@@ -58,12 +58,12 @@ def simulate_many(
     >>> [len(run.position) for (run,) in runs]
     [100, 100]
     """
-    given = tuple(records)
+    given = tuple(as_record(record) for record in listed(records))
 
     def runs(plant: Plant) -> tuple[Simulation | ServolensError, ...]:
         return tuple(_run(plant, record, voltage_driven, substeps) for record in given)
 
-    return tuple(in_parallel(runs, plants, workers))
+    return tuple(in_parallel(runs, [as_plant(plant) for plant in listed(plants)], workers))
 
 
 def _run(

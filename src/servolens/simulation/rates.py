@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["MOST_SUBSTEPS", "substeps_for"]
+__all__ = ["MOST_SUBSTEPS", "rate_of", "substeps_for"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -31,11 +31,16 @@ PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (
 
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
     """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
-    rate = _fastest_rate(plant.structure)(plant.values) + extra
+    rate = rate_of(plant) + extra
     if not isfinite(step * rate):
         return MOST_SUBSTEPS
     fine, coarse = ceil(step * rate / STEP_TIMES_RATE), ceil(step * rate / STIFF_STEP_TIMES_RATE)
     return min(max(min(fine, FINE_SUBSTEPS), coarse, 1), MOST_SUBSTEPS)
+
+
+def rate_of(plant: Plant) -> float:
+    """Return the fastest rate of a plant [1/s], or one beyond it."""
+    return _fastest_rate(plant.structure)(plant.values)
 
 
 @lru_cache(maxsize=256)

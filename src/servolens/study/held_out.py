@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.errors import NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification import identify
-from servolens.prediction import Prediction, prediction_error
+from servolens.prediction import Prediction, prediction_error, record_error
 
 if TYPE_CHECKING:
     from servolens.identification import Identification
@@ -15,10 +15,26 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.study.result import Study
 
-__all__ = ["held_out_prediction"]
+__all__ = ["diagnosed_prediction", "held_out_prediction"]
 
 MOST_FOLDS = 6
 """Records are held out in at most so many groups."""
+
+
+def diagnosed_prediction(study: Study) -> Prediction | None:
+    """Return what the models of the diagnosis miss on data that they were not fitted to.
+
+    ``"constant"`` is gain and damping alone, ``"diagnosed"`` the model with the causes. Where no record was held out,
+    each is predicted by models that were fitted to the others, or its end by models fitted to its beginning.
+    """
+    found = study.diagnosis
+    if found is None:
+        return None
+    rows = []
+    for record, missed in zip(found.heldout or found.records, found.missed, strict=True):
+        seen = record.slice(float(record.time[len(record) - missed[0].size]), float(record.time[-1]))
+        rows.append(tuple(record_error(seen, own) for own in missed))
+    return Prediction(models=("constant", "diagnosed"), errors=tuple(rows))
 
 
 def held_out_prediction(study: Study) -> tuple[Prediction | None, tuple[Finding, ...]]:

@@ -5,17 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design import Light, trust
-from servolens.quality import fatal
+from servolens.quality import assess, fatal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.design import Design
+    from servolens.diagnosis import Diagnosis
     from servolens.findings import Finding
     from servolens.model import Model
     from servolens.quality import RecordQuality
 
-__all__ = ["data_light", "is_fit", "study_lights"]
+__all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 
 MOST_NAMED = 3
 
@@ -43,6 +44,12 @@ def data_light(check: Sequence[RecordQuality]) -> Light:
         return Light(light="amber", sentence=_told(warnings))
     count = {1: "The record", 2: "Both records"}.get(len(check), f"All {len(check)} records")
     return Light(light="green", sentence=f"{count} can be used, and nothing in the data speaks against them.")
+
+
+def diagnosis_lights(diagnosis: Diagnosis) -> dict[str, Light]:
+    """Return the lights of ``"data"`` and ``"model"`` of a diagnosis, which has no gain."""
+    check = [assess(record) for record in (*diagnosis.records, *diagnosis.heldout)]
+    return {"data": data_light(check), "model": trust(diagnosis.model, None)[0]}
 
 
 def study_lights(data: Light, model: Model | None, design: Design | None, why_none: str) -> dict[str, Light]:

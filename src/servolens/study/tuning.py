@@ -2,61 +2,48 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Unpack
 
 from servolens import design as designing
+from servolens.design import PDSpec
 from servolens.errors import InputError
-from servolens.model import Model, read_model
+from servolens.inputs import as_model, as_records, described, is_model, listed
 from servolens.plant import Plant
-from servolens.study.sources import are_records, listed, records_from
 from servolens.study.workflow import study_records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
-    from servolens.design import Design, PDSpec
-    from servolens.identification import Prior
-    from servolens.record import Record
-
-    Source: TypeAlias = "Plant | Model | Modelled | Record | str | os.PathLike[str] | Any"
-    """DataFrames and time responses are known by what they hold: neither library is imported."""
+    from servolens.design import Design
+    from servolens.identification import Priors
+    from servolens.inputs import Plants, Records, RecordSettings
+    from servolens.model import Model
 
 __all__ = ["tune"]
 
 
-class Modelled(Protocol):
-    """A fit, an identification or a diagnosis."""
-
-    @property
-    def model(self) -> Model:
-        """The model that was found."""
-
-
 def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
-    source: Source | Iterable[Source],
+    source: Plants | Records,
     spec: PDSpec,
     *,
-    heldout: Source | Iterable[Source] = (),
-    priors: Mapping[str, Prior] | None = None,
+    heldout: Records = (),
+    priors: Priors | None = None,
     effort: str = "normal",
     force: bool = False,
     with_program: bool = False,
     certify: bool = False,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
-    **settings: float | str,
+    **settings: Unpack[RecordSettings],
 ) -> Design:
     """Return the least Kd that meets `spec`, every interval of gains that does, and the gain to use.
 
     Parameters
     ----------
-    source : Plant, Model, fit, identification, diagnosis, Record, path, DataFrame, or a sequence
+    source : Plant, model, fit, diagnosis, or records; one or several
         What to design on. Several plants or models must all meet the spec; a path that ends in ``.json`` is a model's.
-        From records the whole chain is gone first: check, identify, diagnose (:func:`servolens.study_records`). They
-        may be given as files, folders or campaigns (:func:`servolens.read_records`), as pandas DataFrames or as time
-        responses of python-control.
+        From records (Record, file, folder, campaign, DataFrame, TimeResponseData) the whole chain is gone first: check,
+        identify, diagnose (:func:`servolens.study_records`).
     spec : PDSpec
         What to reach.
     heldout, priors, effort
@@ -67,9 +54,9 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         For plants and models, as in :func:`servolens.design.tune`.
     progress : callable
         Is told (what, done, total).
-    **settings : float or str
-        Of records that are still to be read, as in :func:`servolens.read_record`: ``kp`` and ``kd`` that made them,
-        ``encoder_resolution`` and so on. The gain to design for stands in `spec`.
+    **settings
+        ``kp``, ``kd`` … that made the records, where tables and files do not state them
+        (:class:`servolens.inputs.RecordSettings`). The gain to design for stands in `spec`.
 
     Returns
     -------
@@ -89,39 +76,28 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     >>> round(design.kd, 1), design.recommended.kd > design.kd
     (6.3, True)
     """
+    if not isinstance(spec, PDSpec):
+        raise InputError(f"a PDSpec is needed, such as PDSpec(kp=100, settling_time=0.5); got {described(spec)}")
     given = listed(source)
-    if not any(are_records(one) for one in given):
+    kinds = {is_model(one) for one in given}
+    if len(kinds) > 1:
+        raise InputError("records and models cannot be mixed; give tune the ones or the others")
+    if kinds == {True}:
         if settings:
             raise InputError(f"{', '.join(settings)} cannot be given for plants and models; they are for records")
-        models = [_known(one) for one in given]
+        models = [as_model(one) for one in given]
         plants = [model.plant for model in models]
         found = designing.tune(plants, spec, with_program=with_program, certify=certify, progress=progress)
         may_withhold = not (force or all(isinstance(one, Plant) for one in given))
         return _judged(models, designing.recommend(models, found), may_withhold=may_withhold)
-    if not all(are_records(one) for one in given):
-        raise InputError("records and models cannot be mixed; give tune the ones or the others")
     if with_program or certify:
         raise InputError("with_program and certify are for plants and models; give tune the model of a diagnosis")
-    runs = records_from(given, settings)
-    tests = records_from(listed(heldout), settings)
+    runs, tests = as_records(given, settings), as_records(heldout, settings, least=0)
     done = study_records(runs, spec, heldout=tests, priors=priors, effort=effort, force=force, progress=progress)
     if done.design is None:
         why = done.lights["data"].sentence if done.model is None else done.why_none
         raise InputError(f"no gain can be designed: {why}")
     return done.design
-
-
-def _known(source: object) -> Model:
-    """Return a source as a model."""
-    if isinstance(source, Plant):
-        return Model(plant=source)
-    if isinstance(source, str | os.PathLike):
-        return read_model(Path(source))
-    model = source if isinstance(source, Model) else getattr(source, "model", None)
-    if isinstance(model, Model):
-        return model
-    what = type(source).__name__
-    raise InputError(f"a gain is tuned on a plant, a model, a fit, a diagnosis or records; got {what}")
 
 
 def _judged(models: Sequence[Model], design: Design, *, may_withhold: bool) -> Design:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, Unpack
 
 import numpy as np
 
@@ -12,9 +12,9 @@ from servolens.design import compare, recommend
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import NumericalError, ServolensError
-from servolens.identification import identify
-from servolens.identification.door import together
-from servolens.identification.velocity import SHAPE, SIZE
+from servolens.identification import as_priors, identify
+from servolens.identification.damping_law import SHAPE, SIZE
+from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
 from servolens.processors import single_threaded_blas
 from servolens.quality import assess, fatal
@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from servolens.design import PDSpec
     from servolens.diagnosis import Diagnosis
     from servolens.findings import Finding
-    from servolens.identification import Identification, Prior
+    from servolens.identification import Identification, Prior, Priors
+    from servolens.inputs import Records, RecordSettings
     from servolens.model import Model
     from servolens.quality import RecordQuality
     from servolens.record import Record
@@ -49,26 +50,27 @@ SEVERITIES = ("error", "warning", "note")
 
 @single_threaded_blas
 def study_records(
-    records: Record | Sequence[Record],
+    records: Records,
     spec: PDSpec | None = None,
     *,
-    heldout: Record | Sequence[Record] = (),
-    priors: Mapping[str, Prior] | None = None,
+    heldout: Records = (),
+    priors: Priors | None = None,
     effort: str = "normal",
     force: bool = False,
     progress: Progress = lambda _what, _done, _total: None,
+    **settings: Unpack[RecordSettings],
 ) -> Study:
     """Go the whole way from records to a gain.
 
     Parameters
     ----------
-    records : Record or sequence of Record
+    records : Record, path, DataFrame, TimeResponseData, or a sequence of these
         Runs of one axis.
     spec : PDSpec, optional
         What to reach; when None, a spec that suits the records is chosen.
-    heldout : Record or sequence of Record
+    heldout : the same
         Other runs of it that only test what was found.
-    priors : mapping of str to Prior, optional
+    priors : mapping of str to Prior or (value, standard deviation), optional
         Data-sheet knowledge by qualified parameter name.
     effort : {"quick", "normal", "thorough"}
         How far the search for causes goes.
@@ -76,6 +78,8 @@ def study_records(
         Whether to give a gain that is to be withheld.
     progress : callable
         Is told (what, done, total).
+    **settings
+        ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 
     Raises
     ------
@@ -92,13 +96,11 @@ def study_records(
     >>> [light.light for light in found.lights.values()], [cause.effect for cause in found.diagnosis.causes]
     (['green', 'green', 'green'], ['velocity_decay_damping'])
     """
-    runs = together(records)
-    others = () if isinstance(heldout, tuple | list) and not heldout else together(heldout)
-    together((*runs, *others))
-    check_request(runs, others, priors or {}, effort)
+    runs, others = as_groups(records, heldout, settings)
+    known = as_priors(priors)
+    check_request(runs, others, known, effort)
     progress("Checking", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
-    known = dict(priors or {})
     begun = Study(
         records=runs,
         heldout=others,

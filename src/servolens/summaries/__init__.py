@@ -4,10 +4,12 @@ from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary
 from servolens.summaries.diagnosis import diagnosis_summary, experiment_summary
 from servolens.summaries.experiment import demo_summary, hidden_summary
+from servolens.summaries.fits import fit_summary
 from servolens.summaries.fleet import fleet_summary
 from servolens.summaries.gains import design_summary, gains_summary, map_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
 from servolens.summaries.reading import reading_summary
+from servolens.summaries.shown import summary_of
 from servolens.summaries.tuning import compared_summary, gain_sentences, tuning_summaries
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "design_summary",
     "diagnosis_summary",
     "experiment_summary",
+    "fit_summary",
     "fleet_summary",
     "gain_sentences",
     "gains_summary",
@@ -27,5 +30,6 @@ __all__ = [
     "model_table",
     "prediction_summary",
     "reading_summary",
+    "summary_of",
     "tuning_summaries",
 ]

@@ -5,16 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.summaries.gains import asked_sentence, least_gain, sentence
-from servolens.summaries.wording import inside, number, percent
+from servolens.summaries.wording import inside, number, number_up, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from servolens.design.found import Comparison, Design, Response
+    from collections.abc import Sequence
+
+    from servolens.design.comparison import Comparison
+    from servolens.design.found import Design
+    from servolens.design.response import Response
     from servolens.design.spec import PDSpec
 
 __all__ = ["comparison_summary", "side_by_side"]
 
 KINDS = ("linear", "nonlinear", "diagnosed")
+DIGITS = range(5, 7)
+"""Of gains that look the same with four."""
+CLIFF = 0.02
+"""Share of the settling time from which on gains that look the same do not do the same."""
 
 
 def comparison_summary(comparison: Comparison, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
@@ -31,9 +39,10 @@ def comparison_summary(comparison: Comparison, *, length_unit: str = "m", comman
     best = KINDS[len(designs) - 1]
     kd_unit = f"{command_unit} s/{length_unit}"
     sentences = [
-        _verdict(kind, design, response, best, kd_unit)
-        for kind, design, response in zip(KINDS, designs, comparison.on_best, strict=False)
+        _verdict(kind, design, gain, response, best, kd_unit)
+        for kind, design, gain, response in zip(KINDS, designs, _told_apart(designs), comparison.on_best, strict=False)
     ]
+    sentences += _cliff(designs, comparison.on_best)
     if comparison.linear.kd and designs[-1].kd:
         sentences.append(_saving(comparison.linear.kd, designs[-1].kd, best))
     sentences.append(asked_sentence(comparison.nonlinear.spec, length_unit, command_unit))
@@ -53,7 +62,7 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
     on = comparison.on_best
     intervals = [", ".join("–".join(inside(*interval)) for interval in d.intervals) or "–" for d in designs]
     rows = (
-        (f"Least {designs[0].spec.free} [{kd_unit}]", *(least_gain(d) for d in designs)),
+        (f"Least {designs[0].spec.free} [{kd_unit}]", *_told_apart(designs)),
         ("All gains on its own model", *intervals),
         ("Settles on its own model [s]", *("–" if r is None else number(r.settling_time) for r in own)),
         (f"Settles on the {best} plant [s]", *("–" if r is None else number(r.settling_time) for r in on)),
@@ -65,12 +74,38 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
     return Table(title="Side by side", columns=columns, rows=rows)
 
 
-def _verdict(kind: str, design: Design, response: Response | None, best: str, kd_unit: str) -> str:
+def _told_apart(designs: Sequence[Design]) -> list[str]:
+    """Return the least gains with as many digits as tell different ones apart: at a cliff they matter."""
+    texts = [least_gain(design) for design in designs]
+    gains = [design.kd for design in designs]
+    for digits in DIGITS:
+        if len(set(texts)) == len(set(gains)):
+            return texts
+        texts = ["–" if kd is None else number_up(kd, digits) for kd in gains]
+    return texts if len(set(texts)) == len(set(gains)) else [least_gain(design) for design in designs]
+
+
+def _cliff(designs: Sequence[Design], on_best: Sequence[Response | None]) -> list[str]:
+    """Say that gains which look the same do not settle alike, where that is so."""
+    texts = _told_apart(designs)
+    times: dict[str, list[float]] = {}
+    for text, response in zip(texts, on_best, strict=False):
+        if response is not None and response.settling_time is not None:
+            times.setdefault(text, []).append(response.settling_time)
+    if all(max(own) - min(own) <= CLIFF * max(own) for own in times.values()):
+        return []
+    return [
+        "Gains that look the same here differ in a later digit and settle differently: a least gain stands on a cliff,"
+        " so leave a margin."
+    ]
+
+
+def _verdict(kind: str, design: Design, gain: str, response: Response | None, best: str, kd_unit: str) -> str:
     if design.withheld:
         return f"{kind.capitalize()} model: its gain is withheld. {sentence(design.reason)}"
     if design.kd is None or response is None:
         return f"{kind.capitalize()} model: {sentence(design.reason)}"
-    start = f"With the least {kind} gain, {design.spec.free} = {least_gain(design)} {kd_unit},"
+    start = f"With the least {kind} gain, {design.spec.free} = {gain} {kd_unit},"
     asked = f"{number(design.spec.settling_time)} s"
     if not response.stable:
         return f"{start} the loop is unstable on the {best} plant."

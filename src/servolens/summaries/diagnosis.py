@@ -34,6 +34,7 @@ __all__ = [
     "other_findings",
     "remaining_sentences",
     "spoken",
+    "tells_noise_again",
     "verdict_sentence",
     "why_enough",
 ]
@@ -61,7 +62,7 @@ def diagnosis_summary(diagnosis: Diagnosis) -> Summary:
         sentences += [f"{capital(spoken(cause.effect))}: {looks}", *rest]
     sentences += next_sentences(diagnosis)
     best = candidates_table(diagnosis)
-    names = listed([record.name for record in diagnosis.records])
+    names = listed([logged.name for logged in diagnosis.experiments])
     return Summary(
         title=f"Diagnosis of {names}: {diagnosis.verdict.replace('_', ' ')}",
         sentences=tuple(sentences),
@@ -152,7 +153,13 @@ def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def noise_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
     found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
-    return [capital(unit(finding.message)) for finding in found]
+    return [capital(unit(finding.message)) for finding in found if not tells_noise_again(finding, diagnosis)]
+
+
+def tells_noise_again(finding: Finding, diagnosis: Diagnosis) -> bool:
+    """Whether a finding says nothing but how large the noise is, and the verdict's sentence says that too."""
+    is_plain = finding.code == "noise_model" and finding.message.endswith("(r.m.s.).") and ";" not in finding.message
+    return is_plain and "the noise is" in verdict_sentence(diagnosis)
 
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -161,7 +168,7 @@ def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict in ("partly_explained", "unexplained"):
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
     samples = sum(len(record) for record in diagnosis.records)
-    if samples <= FEW:
+    if 0 < samples <= FEW:
         seconds = number(sum(record.duration for record in diagnosis.records), 2)
         told.append(
             f"{samples} samples in {seconds} s show little: before you trust this, log whole moves, up to rest."
@@ -238,7 +245,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
-    several = len(diagnosis.records) > 1
+    several = len(diagnosis.experiments) > 1
     noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
     these, they = ("these records", "they") if several else ("this record", "it")
     if any(finding.code == "shaken_axis" for finding in diagnosis.findings):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.diagnosis.errors import KEPT
-from servolens.diagnosis.logs import beyond
+from servolens.diagnosis.logs import BEYOND
 from servolens.summaries.names import spoken
-from servolens.summaries.wording import capital, minus, number, plus_minus, scale, unit
+from servolens.summaries.wording import capital, minus, number, plus_minus, scale, undetermined, unit
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
         for name, quantity in diagnosis.model.quantities.items()
     ]
     title = "Model with the causes" if diagnosis.causes else "Model of gain and damping"
-    return Table(title=title, columns=("Parameter", "Value ± standard error", "Unit"), rows=tuple(rows))
+    columns = ("Parameter", "Value ± standard error", "Unit")
+    note = undetermined({name.replace(".", " "): quantity for name, quantity in diagnosis.model.quantities.items()})
+    return Table(title=title, columns=columns, rows=tuple(rows), note=note)
 
 
 def records_table(diagnosis: Diagnosis) -> Table:
@@ -67,7 +69,7 @@ def kinds_sentence(diagnosis: Diagnosis) -> str:
         )
     if ITS_END in kinds:
         end = f"Its end: the last {100 * (1 - KEPT):.0f} % of the record, by a model fitted to its beginning"
-        alone = len(diagnosis.records) == 1
+        alone = len(diagnosis.experiments) == 1
         told.append(f"{end}." if alone else f"{end} and to the others, whose commands are much smaller.")
     return " ".join(told)
 
@@ -107,7 +109,8 @@ def _value(quantity: Quantity) -> str:
 
 def _held_out(diagnosis: Diagnosis, i: int) -> str:
     """Return how record `i` of those held out was kept from the fit."""
-    if diagnosis.heldout:
+    if diagnosis.tests:
         return HELD_OUT
-    others = [record for k, record in enumerate(diagnosis.records) if k != i]
-    return LEFT_OUT if others and not beyond(others, [diagnosis.records[i]]) else ITS_END
+    most = [max(abs(end) for end in logged.voltage_range) for logged in diagnosis.experiments]
+    others = [most[k] for k in range(len(most)) if k != i]
+    return LEFT_OUT if others and most[i] <= BEYOND * max(others) else ITS_END

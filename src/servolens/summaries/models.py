@@ -10,7 +10,7 @@ import numpy as np
 from servolens.effects import VelocityDecayDamping
 from servolens.model import NORMAL_95, Quantity
 from servolens.plant import Plant
-from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, unit
+from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, undetermined, unit
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from servolens.identification import Identification
     from servolens.identification.varying import VaryingDamping
     from servolens.model import Model
+    from servolens.plant import Plant
     from servolens.prediction import Prediction, RecordError
-    from servolens.record import Record
 
 __all__ = ["identification_summary", "model_table", "prediction_summary"]
 
@@ -30,11 +30,14 @@ KINDS = {
     "varying": "damping that varies in time",
 }
 """In the order in which people are told."""
+LEAST_DAMPING = 1.0
+"""Damping [1/s] below which a standard error as large as the damping still says something."""
+DATA = {True: "held out", False: "used", None: "–"}
+"""Whether a record is held out; None where it is not known what the models were identified from."""
 
 
 def identification_summary(identification: Identification) -> Summary:
     """Tell how well each model simulates its own records, then its parameters."""
-    records = identification.records
     models = {"constant": identification.constant, "velocity": identification.velocity}
     sentences = [_accuracy(identification), *_damping_law(identification.velocity)]
     for kind, model in models.items():
@@ -47,12 +50,12 @@ def identification_summary(identification: Identification) -> Summary:
     if identification.varying is not None:
         tables.insert(
             1 if identification.constant else 0,
-            _varying_table(identification.varying, _gain_unit(records[0]), records[0].length_unit),
+            _varying_table(identification.varying, identification.gain_unit),
         )
     if identification.errors:
         tables.append(_errors_table(identification))
     return Summary(
-        title=f"Identified from {listed([record.name for record in records])}",
+        title=f"Identified from {listed(identification.names)}",
         sentences=tuple(sentences),
         tables=tuple(tables),
         findings=identification.findings,
@@ -65,18 +68,18 @@ def model_table(model: Model, title: str) -> Table:
     for name, quantity in model.quantities.items():
         rows.append((name.rpartition(".")[2], plus_minus(quantity), interval(quantity), unit(quantity.unit)))
     effects = [effect.name for effect in model.plant.effects]
+    unknown = undetermined({name.rpartition(".")[2]: quantity for name, quantity in model.quantities.items()})
     return Table(
         title=title,
         columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
         rows=tuple(rows),
-        note=f"Effects: {listed(effects)}." if effects else "",
+        note=" ".join(part for part in (f"Effects: {listed(effects)}." if effects else "", unknown) if part),
     )
 
 
 def prediction_summary(
     prediction: Prediction,
     *,
-    trained_on: Sequence[str] = (),
     voltage_driven: Sequence[str] = (),
     length_unit: str = "m",
 ) -> Summary:
@@ -86,25 +89,24 @@ def prediction_summary(
     ----------
     prediction : Prediction
         The errors.
-    trained_on : sequence of str
-        Names of the records that the models were identified from; all others are held out.
     voltage_driven : sequence of str
         Names of the records that were simulated from their voltage, not in closed loop.
     length_unit : str
         Of the records.
     """
     names = [row[0].name for row in prediction.errors]
-    held = [name for name in names if name not in trained_on]
+    held = [name for name in names if prediction.is_held_out(name)]
     sentences = [
         f"{model[:1].upper()}{model[1:]} is {percent(average)} of the step off on average over {_records(len(names))}."
         for model, average in zip(prediction.models, prediction.average_percent, strict=True)
     ]
-    sentences.append(_data(names, held))
+    if prediction.identified_from:
+        sentences.append(_data(names, held))
     driven = [name for name in names if name in voltage_driven]
     if driven:
         sentences.append(f"Simulated from the logged voltage, not in closed loop: {listed(driven)}.")
     single = len(prediction.models) == 1
-    table = _single(prediction, held, length_unit) if single else _many(prediction, held)
+    table = _single(prediction, length_unit) if single else _many(prediction)
     return Summary(title="Prediction", sentences=tuple(sentences), tables=(table,))
 
 
@@ -160,7 +162,8 @@ def _bound(plant: Plant, name: str, value: float) -> str:
     return "" if at is None else f"{number(at)} {unit(plant.unit(name))}"
 
 
-def _varying_table(varying: VaryingDamping, gain_unit: str, length_unit: str) -> Table:
+def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
+    length_unit = gain_unit.partition("/")[0]
     errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
     rows = [
         (
@@ -171,27 +174,25 @@ def _varying_table(varying: VaryingDamping, gain_unit: str, length_unit: str) ->
         for start, end, c, error, speed in zip(
             varying.edges[:-1], varying.edges[1:], varying.damping, errors, varying.speed, strict=False
         )
+        if error < max(c, LEAST_DAMPING)
     ]
+    lost = varying.damping.size - len(rows)
+    left_out = f" The data hardly determine the other {lost} of {varying.damping.size} pieces." if lost else ""
     gain = plus_minus(Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit))
     active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
     return Table(
         title="Damping that varies in time (varying)",
         columns=("Time since the step [s]", "Damping ± standard error [1/s]", f"Mean |speed| [{length_unit}/s]"),
         rows=tuple(rows),
-        note=f"Gain {gain} {unit(gain_unit)}.{active}",
+        note=f"Gain {gain} {unit(gain_unit)}.{active}{left_out}",
     )
-
-
-def _gain_unit(record: Record) -> str:
-    plant = Plant(gain=1.0, damping=0.0, length_unit=record.length_unit, command_unit=record.command_unit)
-    return plant.unit("gain")
 
 
 def _errors_table(identification: Identification) -> Table:
     kinds = [kind for kind in ("constant", "varying", "velocity") if kind in identification.errors]
     rows = [
-        (record.name, *(number(identification.errors[kind][i].percent_error, 3) for kind in kinds))
-        for i, record in enumerate(identification.records)
+        (name, *(number(identification.errors[kind][i].percent_error, 3) for kind in kinds))
+        for i, name in enumerate(identification.names)
     ]
     return Table(
         title="Mean error of the simulated step [% of the step]",
@@ -213,7 +214,7 @@ def _records(count: int) -> str:
     return "1 record" if count == 1 else f"{count} records"
 
 
-def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Table:
+def _single(prediction: Prediction, length_unit: str) -> Table:
     errors: list[RecordError] = [row[0] for row in prediction.errors]
     factor, length = scale([e.mean_abs_error for e in errors], length_unit)
     rows = [
@@ -222,7 +223,7 @@ def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Ta
             number(factor * e.mean_abs_error, 3),
             number(e.percent_error, 3),
             number(e.fit_percent),
-            "held out" if e.name in held else "used",
+            DATA[prediction.is_held_out(e.name)],
         )
         for e in errors
     ]
@@ -234,9 +235,9 @@ def _single(prediction: Prediction, held: Sequence[str], length_unit: str) -> Ta
     )
 
 
-def _many(prediction: Prediction, held: Sequence[str]) -> Table:
+def _many(prediction: Prediction) -> Table:
     rows = [
-        (row[0].name, *(number(e.percent_error, 3) for e in row), "held out" if row[0].name in held else "used")
+        (row[0].name, *(number(e.percent_error, 3) for e in row), DATA[prediction.is_held_out(row[0].name)])
         for row in prediction.errors
     ]
     rows.append(("average", *(number(average, 3) for average in prediction.average_percent), ""))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from servolens.effects import catalogue
 from servolens.summaries.wording import value_and_error
 
 if TYPE_CHECKING:
@@ -11,33 +12,8 @@ if TYPE_CHECKING:
 
 __all__ = ["cause_phrase", "spoken", "spoken_parameter"]
 
-NAMES = {
-    "gain_and_damping": "gain and damping alone",
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "presliding": "presliding friction",
-    "asymmetric_friction": "friction that differs by direction",
-    "asymmetric_damping": "damping that differs by direction",
-    "position_friction": "a tight spot",
-    "velocity_decay_damping": "damping that falls with speed",
-    "pendulum_gravity": "gravity on a pendulum",
-    "constant_force": "a constant force",
-    "return_spring": "a spring",
-    "hardening_spring": "a hardening spring",
-    "periodic_disturbance": "a periodic disturbance",
-    "gain_drift": "a gain that drifts",
-    "dead_zone": "a dead zone",
-    "delay": "a delay",
-    "actuator_lag": "a lag of the actuator",
-    "sensor_lag": "a lag of the sensor",
-    "force_limit": "a limit of force",
-    "load_friction": "friction that grows with the load",
-    "friction_map": "friction that differs over the travel",
-    "end_stop": "an end stop",
-    "speed_servo": "a speed loop in the drive",
-    "flexible_coupling": "a flexible coupling",
-}
-"""Where the effect's name, with spaces for underscores, is not what people say."""
+ALONE = {"gain_and_damping": "gain and damping alone"}
+"""What stands for no effect."""
 SIDES = {"level_positive": "level forward", "level_negative": "level backward"}
 """Of parameters whose name is no phrase."""
 
@@ -50,7 +26,11 @@ def spoken(name: str) -> str:
     >>> spoken("coulomb_friction"), spoken("backlash"), spoken("without delay"), spoken("delay + coulomb_friction")
     ('Coulomb friction', 'backlash', 'without delay', 'a delay together with Coulomb friction')
     """
-    return " together with ".join(NAMES.get(part, part.replace("_", " ")) for part in name.split(" + "))
+    known = catalogue()
+    told = [known[part].spoken if part in known else ALONE.get(part, "") for part in name.split(" + ")]
+    return " together with ".join(
+        words or part.replace("_", " ") for words, part in zip(told, name.split(" + "), strict=True)
+    )
 
 
 def spoken_parameter(name: str) -> str:

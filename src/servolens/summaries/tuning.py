@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary, side_by_side
-from servolens.summaries.diagnosis import remaining_sentences, verdict_sentence
+from servolens.summaries.diagnosis import remaining_sentences, tells_noise_again, verdict_sentence
 from servolens.summaries.diagnosis_tables import parameters_table
 from servolens.summaries.gains import (
     asked_sentence,
@@ -33,7 +33,8 @@ def tuning_summaries(study: Study) -> tuple[Summary, Summary]:
         Of one axis.
     """
     record = study.records[0]
-    sentences = [*check_summary(study.check, length_unit=record.length_unit).sentences]
+    checked = check_summary(study.check, length_unit=record.length_unit).sentences
+    sentences = [said for said in checked if said.rstrip(".") not in study.lights["data"].sentence]
     tables = []
     if study.diagnosis is not None:
         sentences += [verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis)]
@@ -46,7 +47,8 @@ def tuning_summaries(study: Study) -> tuple[Summary, Summary]:
     if study.comparison is not None and design is not None and design.kd is not None:
         unit = f"{record.command_unit} s/{record.length_unit}"
         tables.append(side_by_side(study.comparison, unit, record.command_unit))
-    found = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=study.findings)
+    findings = tuple(f for f in study.findings if study.diagnosis is None or not tells_noise_again(f, study.diagnosis))
+    found = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
     told = (*light_sentences(study.lights), *gain_sentences(study))
     return found, Summary(title="The gain", sentences=told)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from servolens.units import prefixed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from servolens.model import Quantity
 
@@ -23,9 +23,11 @@ __all__ = [
     "number_down",
     "number_up",
     "percent",
+    "percents",
     "plus_minus",
     "prefixed",
     "scale",
+    "undetermined",
     "unit",
     "value_and_error",
 ]
@@ -102,20 +104,49 @@ def percent(value: float | None) -> str:
 def plus_minus(quantity: Quantity) -> str:
     """Return a quantity as value ± standard error (percent), without its unit.
 
+    A share of a value that is smaller than its error says nothing and is left out; see :func:`undetermined`.
+
     Examples
     --------
     >>> from servolens.model import Quantity
     >>> plus_minus(Quantity(value=1.91647, stderr=0.00211, unit="m/s^2/V"))
     '1.9165 ± 0.0021 (0.11 %)'
+    >>> plus_minus(Quantity(value=-3e-14, stderr=2160.0, unit="1/s"))
+    '0 ± 2160'
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
         return f"{number(value)} (error not known)"
-    share = f" ({percent(100 * error / abs(value))})" if value else ""
+    share = f" ({percent(100 * error / abs(value))})" if abs(value) > error else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
     decimals = _decimals(error)
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}{share}"
+    return f"{_unsigned_zero(f'{value:.{decimals}f}')} ± {error:.{decimals}f}{share}"
+
+
+def undetermined(quantities: Mapping[str, Quantity]) -> str:
+    """Return a sentence on the quantities whose standard error exceeds their value; empty where there is none.
+
+    Examples
+    --------
+    >>> from servolens.model import Quantity
+    >>> undetermined({"gain": Quantity(value=1.9, stderr=0.1, unit="1"), "a": Quantity(value=0, stderr=9, unit="1")})
+    'Not significantly different from zero: a.'
+    """
+    names = [name for name, q in quantities.items() if q.stderr is not None and q.stderr > abs(q.value)]
+    return f"Not significantly different from zero: {listed(names, most=8)}." if names else ""
+
+
+def percents(low: float, high: float) -> str:
+    """Return a range of percentages, or one where both are written alike.
+
+    Examples
+    --------
+    >>> percents(1.234, 5.678), percents(0.00871, 0.00874)
+    ('1.2 % to 5.7 %', '0.0087 %')
+    """
+    ends = [percent(low), percent(high)]
+    return ends[0] if ends[0] == ends[1] else " to ".join(ends)
 
 
 def interval(quantity: Quantity) -> str:
@@ -223,6 +254,11 @@ def listed(words: Sequence[str], most: int = 4, last: str = "and") -> str:
     if len(words) > most:
         return f"{mark.join(words[: most - 1])} {last} {len(words) - most + 1} more"
     return f" {last} ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)
+
+
+def _unsigned_zero(text: str) -> str:
+    """Return a number; a zero without a sign."""
+    return text.removeprefix("-") if float(text) == 0 else text
 
 
 def _decimals(error: float) -> int:

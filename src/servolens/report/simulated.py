@@ -1,0 +1,105 @@
+"""What the page's simulator has to know of a loop and of its axes, and the scripts that it is made of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from servolens.design.settle import FEASIBLE
+from servolens.effects import Saturation
+from servolens.simulation.javascript import ERF, plant_script
+from servolens.simulation.rates import (
+    FINE_SUBSTEPS,
+    MOST_SUBSTEPS,
+    STEP_TIMES_RATE,
+    STIFF_STEP_TIMES_RATE,
+    rate_of,
+    substeps_for,
+)
+from servolens.simulation.settings import NO_LAW, NO_LOOP, OPEN_LOOP, law_settings, loop_settings
+from servolens.simulation.translated import rule_places, rule_script
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.design import PDSpec
+    from servolens.design.scenarios import Scenario
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+
+__all__ = ["axis_json", "design_json", "plants_script", "simulator_script"]
+
+FOLDER = Path(__file__).parent
+SUBSTEPS = {
+    "fine": STEP_TIMES_RATE,
+    "coarse": STIFF_STEP_TIMES_RATE,
+    "few": FINE_SUBSTEPS,
+    "most": MOST_SUBSTEPS,
+}
+
+
+def simulator_script() -> str:
+    """Return JavaScript that defines ``servolensRule`` and ``servolensSimulator``."""
+    return rule_script() + ERF + (FOLDER / "simulator.js").read_text(encoding="utf-8")
+
+
+def plants_script(plants: Sequence[tuple[str, str]]) -> str:
+    """Return JavaScript that defines ``servolensPlants``, by their names."""
+    members = ",\n".join(f'"{name}": {text}' for name, text in plants)
+    return f"const servolensPlants = {{\n{members}\n}};\n"
+
+
+def plant_of(spec: PDSpec, structure: tuple[type[Effect], ...]) -> str:
+    """Return the JavaScript of plants of a structure in the loop of `spec`."""
+    return plant_script(structure, continuous=spec.control == "continuous")
+
+
+def design_json(spec: PDSpec, plant: Plant) -> dict[str, Any]:
+    """Return what ``servolensSimulator`` has to know of a loop; see ``simulator.js``."""
+    loop = _settings(spec, plant)
+    return {
+        "law": spec.controller,
+        "continuous": spec.control == "continuous",
+        "antiWindup": spec.anti_windup,
+        "reference": spec.reference,
+        "band": spec.band,
+        "settling": spec.settling_time,
+        "sample": spec.sample_time,
+        "overshoot": spec.overshoot,
+        "limit": spec.voltage_limit,
+        "feasible": FEASIBLE,
+        "substeps": SUBSTEPS,
+        "places": rule_places(),
+        "loop": [float(value) if np.isfinite(value) else None for value in loop],
+    }
+
+
+def axis_json(name: str, plant: Plant, spec: PDSpec, scenario: Scenario | None = None) -> dict[str, Any]:
+    """Return what it has to know of an axis whose equations of motion are called `name`.
+
+    A scenario has a plant of its own, and gains that are realised as well as they can be.
+    """
+    saturation = plant.effect(Saturation.name)
+    return {
+        "plant": name,
+        "values": list(plant.values),
+        "gain": plant.gain,
+        "delay": plant.delay,
+        "limit": saturation.limit if isinstance(saturation, Saturation) else None,
+        "rate": rate_of(plant) if spec.control == "continuous" else 0.0,
+        "substeps": substeps_for(plant, spec.sample_time),
+        "realised": 1.0 if scenario is None else scenario.realised,
+        "back": False if scenario is None else scenario.back,
+    }
+
+
+def _settings(spec: PDSpec, plant: Plant) -> list[float]:
+    """Return what the rule is told of the loop, its gains aside."""
+    if spec.control == "continuous":
+        return [*OPEN_LOOP, *NO_LOOP, *NO_LAW]
+    controller = spec.loop(1.0)
+    limit = None if plant.effect(Saturation.name) is not None else np.inf
+    law = law_settings(plant, controller, spec.sample_time, limit)
+    return [1.0, *loop_settings(controller, spec.sample_time), 0.0, *NO_LOOP, *law]

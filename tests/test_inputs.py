@@ -1,0 +1,300 @@
+"""What public functions are given: records, plants and effects in any form, and a sentence for anything else."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import get_type_hints
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+
+from servolens import (
+    Controller,
+    CoulombFriction,
+    Fit,
+    InputError,
+    Model,
+    PDSpec,
+    Plant,
+    assess,
+    bootstrap,
+    check,
+    closed_loop,
+    diagnose,
+    feedforward,
+    fit,
+    gain_map,
+    identify,
+    lab,
+    predict,
+    profile,
+    read_model,
+    recommend,
+    simulate,
+    simulate_continuous,
+    simulate_loop,
+    simulate_many,
+    simulate_voltage,
+    to_control,
+    tune,
+)
+from servolens.inputs import RecordSettings, as_effects, as_groups, as_model, as_plant, as_records, is_model
+from servolens.reading import KEYS
+from servolens.results import write_json
+
+RECORD = lab.step_record(lab.LM1, kp=60, noise=1e-5, seed=1)
+PLANT = Plant(gain=1.9, damping=6.0)
+
+
+def table():
+    return pd.DataFrame({name: getattr(RECORD, name) for name in ("time", "reference", "position", "voltage")})
+
+
+@pytest.fixture
+def csv(tmp_path):
+    path = tmp_path / "run.csv"
+    table().to_csv(path, index=False)
+    return path
+
+
+def response():
+    return control.TimeResponseData(
+        RECORD.time,
+        RECORD.position,
+        inputs=RECORD.reference,
+        issiso=True,
+        output_labels=["position"],
+        input_labels=["reference"],
+    )
+
+
+def test_every_setting_of_a_record_is_a_keyword():
+    assert set(get_type_hints(RecordSettings)) == set(KEYS)
+
+
+@pytest.mark.parametrize("kind", ["path", "text", "table", "response", "list of a table", "iterator"])
+def test_records_in_any_form_are_the_same_samples(kind, csv):
+    given = {
+        "path": lambda: csv,
+        "text": lambda: str(csv),
+        "table": table,
+        "response": response,
+        "list of a table": lambda: [table()],
+        "iterator": lambda: iter([table()]),
+    }[kind]()
+    (found,) = as_records(given, {"kp": 60})
+    np.testing.assert_array_equal(found.position, RECORD.position)
+    assert found.controller.kp == 60
+
+
+def test_a_record_stays_itself_and_a_mixed_list_keeps_its_order(csv):
+    found = as_records([RECORD, table()])
+    assert found[0] is RECORD
+    assert [r.name for r in as_records([table(), table()], {"kp": np.int64(60), "kd": None})] == [
+        "record 1",
+        "record 2",
+    ]
+    assert [r.name for r in as_records([csv, RECORD])] == ["run", RECORD.name]
+
+
+def test_held_out_records_may_be_none_but_not_of_another_axis():
+    assert as_groups(RECORD, ()) == ((RECORD,), ())
+    with pytest.raises(InputError, match="records in A and V cannot be used together; convert one of them"):
+        as_groups(RECORD, [RECORD.with_({"command_unit": "A"})])
+
+
+@pytest.mark.parametrize(
+    ("given", "settings", "said"),
+    [
+        (3, {}, "a Record, a file's path, a DataFrame, a TimeResponseData, or a list of these is needed; got int 3"),
+        (PLANT, {}, "got Plant"),
+        ([RECORD, None], {}, "got None"),
+        ([], {}, "no record was given; at least one is needed"),
+        ("nowhere.csv", {}, "nowhere.csv"),
+        (RECORD, {"kp": 60}, "kp is for tables and files; .* is a Record: set it with"),
+        (table(), {"kq": 60}, "'kq' is no argument and no setting of a record; settings are name, kp"),
+    ],
+)
+def test_what_is_no_record_is_refused_with_a_sentence(given, settings, said):
+    with pytest.raises(InputError, match=said):
+        as_records(given, settings)
+
+
+def test_a_misspelt_argument_is_refused_like_an_unknown_setting():
+    with pytest.raises(InputError, match="'modle' is no argument and no setting of a record"):
+        identify(RECORD, modle="constant")
+
+
+def test_a_plant_is_what_any_result_holds(tmp_path):
+    fit = identify(RECORD, model="constant")
+    path = tmp_path / "model.json"
+    write_json(path, "model", fit.model.to_json())
+    assert as_plant(PLANT) is PLANT
+    assert as_plant(Model(plant=PLANT)) is PLANT
+    assert as_plant(fit) is fit.constant.plant
+    assert as_plant(path) == as_plant(str(path)) == fit.constant.plant
+    assert as_model(fit).evidence is not None
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [(1.9, "got float 1.9"), (Plant, "got the class Plant"), (RECORD, "got Record")]
+)
+def test_what_is_no_plant_is_refused_with_a_sentence(given, said):
+    with pytest.raises(
+        InputError, match=f"a Plant, a model, a fit, a diagnosis, or a model file's path is needed; {said}"
+    ):
+        as_plant(given)
+
+
+def test_effects_are_instances_classes_or_names():
+    friction = CoulombFriction(level=1.0)
+    assert as_effects("coulomb_friction") == as_effects(CoulombFriction) == (CoulombFriction,)
+    assert as_effects(friction) == (friction,)
+    assert as_effects([friction, "delay"])[1].name == "delay"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [("friction", "there is no effect 'friction'"), (5, "got int 5"), (Plant, "got the class Plant")]
+)
+def test_what_is_no_effect_is_refused_with_a_sentence(given, said):
+    with pytest.raises(InputError, match=said):
+        as_effects(given)
+
+
+# --- every public function that takes a plant or records
+
+
+SPEC = PDSpec(kp=100, settling_time=0.5)
+
+
+@pytest.fixture(scope="module")
+def model_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("models") / "model.json"
+    write_json(path, "model", Model(plant=PLANT).to_json())
+    return path
+
+
+OF_A_PLANT = {
+    "simulate": lambda plant: simulate(plant, RECORD).position,
+    "simulate_loop": lambda plant: simulate_loop(plant, Controller(kp=60.0), RECORD.time, RECORD.reference).position,
+    "simulate_voltage": lambda plant: simulate_voltage(plant, RECORD.time, RECORD.voltage).position,
+    "simulate_continuous": lambda plant: simulate_continuous(plant, 60.0, 1.0, RECORD.time, RECORD.reference).position,
+    "simulate_many": lambda plant: simulate_many(plant, RECORD)[0][0].position,
+    "predict": lambda plant: predict(plant, RECORD).positions[0][0],
+    "to_control": lambda plant: to_control(plant).linearize([0.0, 0.0], 0.0).A,
+    "closed_loop": lambda plant: closed_loop(plant, kp=60.0).linearize([0.0, 0.0], 0.0).A,
+    "feedforward": lambda plant: feedforward(plant, RECORD.time, 0.1 * RECORD.time**2),
+    "gain_map": lambda plant: gain_map(plant, SPEC, [100.0], [8.0]).settling_time,
+    "tune": lambda plant: np.array(tune(plant, SPEC).intervals),
+}
+
+
+@pytest.mark.parametrize("name", OF_A_PLANT)
+def test_a_model_a_path_and_a_fit_do_wherever_a_plant_is_wanted(name, model_file):
+    ask = OF_A_PLANT[name]
+    wanted = ask(PLANT)
+    for given in (Model(plant=PLANT), model_file, str(model_file), SimpleNamespace(plant=PLANT)):
+        np.testing.assert_array_equal(ask(given), wanted)
+
+
+@pytest.mark.parametrize("name", [name for name in OF_A_PLANT if name != "tune"])
+def test_a_record_in_place_of_a_plant_is_refused_with_a_sentence(name):
+    with pytest.raises(InputError, match=r"a Plant, a model, a fit, a diagnosis, .* is needed; got Record"):
+        OF_A_PLANT[name](RECORD)
+
+
+def test_an_identification_acts_as_its_velocity_model():
+    found = identify(RECORD)
+    wanted = predict(found.velocity, RECORD)
+    np.testing.assert_array_equal(predict(found, RECORD).positions[0][0], wanted.positions[0][0])
+    assert tune(found, SPEC).plants == (found.velocity.plant,)
+
+
+OF_RECORDS = {
+    "identify": lambda *given, **gains: identify(*given, model="constant", **gains).plant.gain,
+    "fit": lambda *given, **gains: fit((), *given, **gains).plant.gain,
+    "assess": lambda *given, **gains: assess(*given, **gains).samples,
+    "check": lambda *given, **gains: len(check(*given, **gains)),
+    "predict": lambda *given, **gains: predict(PLANT, *given, **gains).errors[0][0].percent_error,
+    "simulate": lambda *given, **gains: simulate(PLANT, *given, **gains).position[-1],
+}
+
+
+@pytest.mark.parametrize("name", OF_RECORDS)
+def test_a_table_a_response_and_a_path_do_wherever_a_record_is_wanted(name, csv):
+    ask = OF_RECORDS[name]
+    wanted = ask(RECORD.with_({"encoder_resolution": None}))
+    for given in (table(), csv, str(csv), response() if name in ("identify", "simulate") else csv):
+        assert ask(given, kp=60) == pytest.approx(wanted, rel=0.02)
+
+
+@pytest.mark.parametrize("name", OF_RECORDS)
+def test_a_plant_in_place_of_a_record_is_refused_with_a_sentence(name):
+    with pytest.raises(InputError, match=r"a Record, a file's path, a DataFrame, .* is needed; got Plant"):
+        OF_RECORDS[name](PLANT)
+
+
+def test_a_number_in_place_of_a_spec_is_refused_with_a_sentence():
+    with pytest.raises(InputError, match=r"a PDSpec is needed, such as .*; got float 0\.5"):
+        tune(PLANT, 0.5)
+
+
+def test_records_and_models_are_not_mixed():
+    with pytest.raises(InputError, match="records and models cannot be mixed"):
+        tune([RECORD, PLANT], SPEC)
+
+
+def test_a_table_with_a_column_named_model_is_a_record_all_the_same():
+    (found,) = as_records(table().assign(model=1.0), {"kp": 60})
+    assert len(found) == len(RECORD)
+    assert not is_model(table().assign(model=1.0))
+
+
+def test_priors_are_pairs_by_name():
+    near = identify(RECORD, model="constant", priors={"gain": (3.0, 1e-6)}).plant
+    assert near.gain == pytest.approx(3.0, rel=1e-3)
+    for ask in (identify, diagnose):
+        with pytest.raises(InputError, match=r"the prior on gain must be a value and its standard deviation"):
+            ask(RECORD, priors={"gain": 3.0})
+        with pytest.raises(InputError, match=r"priors must go by name, such as"):
+            ask(RECORD, priors=[3.0])
+
+
+def test_profile_and_bootstrap_want_a_fit():
+    for ask in (lambda given: profile(given, "gain"), lambda given: bootstrap(given, seed=1)):
+        with pytest.raises(InputError, match=r"what servolens.fit returns is needed; got Plant"):
+            ask(PLANT)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: identify(RECORD),
+        lambda: identify(RECORD, model="constant"),
+        lambda: fit((), RECORD),
+        lambda: diagnose(RECORD, effort="quick"),
+    ],
+    ids=["identification", "constant", "fit", "diagnosis"],
+)
+def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
+    found = make()
+    found.save(tmp_path / "result.json")
+    assert as_plant(tmp_path / "result.json") == found.plant
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: read_model(5), "the path of a model's file is needed; got int"),
+        (lambda: Fit.from_json(5), "what to_json returned, or a file's path, is needed; got int"),
+        (lambda: recommend(PLANT, SPEC), "what servolens.design.tune returns is needed, got PDSpec"),
+        (lambda: fit(RECORD, "coulomb_friction"), "an effect, its class or its name is needed, .*; got Record"),
+        (lambda: fit("coulomb_friction", RECORD, bounds={"gain": 2}), r"the bounds of gain must be .*; got int 2"),
+        (lambda: fit("coulomb_friction", RECORD, fixed="gain"), "gain has no value to be fixed at; write fixed="),
+    ],
+)
+def test_what_cannot_be_used_is_said(ask, said):
+    with pytest.raises(InputError, match=said):
+        ask()

@@ -1,0 +1,230 @@
+"""The manners that fits, identifications, diagnoses, designs and predictions share."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from servolens import (
+    Design,
+    Diagnosis,
+    Fit,
+    Identification,
+    InputError,
+    PDSpec,
+    Plant,
+    Prediction,
+    diagnose,
+    fit,
+    identify,
+    lab,
+    predict,
+    tune,
+)
+from servolens.results import to_text
+from servolens.summary import Summary
+
+mpl.use("Agg")
+
+CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+RECORDS = tuple(lab.step_record(CART, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80))
+SPEC = PDSpec(kp=100, settling_time=0.5)
+MADE = {
+    Fit: lambda: fit("coulomb_friction", RECORDS),
+    Identification: lambda: identify(RECORDS),
+    Diagnosis: lambda: diagnose(RECORDS, effort="quick"),
+    Design: lambda: tune(Plant(gain=1.9, damping=6.0), SPEC),
+    Prediction: lambda: predict(Plant(gain=1.9, damping=6.0), RECORDS),
+}
+FITTED = (Fit, Identification, Diagnosis, Prediction)
+
+
+@cache
+def made(kind):
+    return MADE[kind]()
+
+
+def stored(result):
+    return json.loads(to_text(result.to_json()))
+
+
+@pytest.fixture(params=MADE, ids=lambda kind: kind.__name__)
+def kind(request):
+    return request.param
+
+
+def test_every_result_has_a_plant_near_the_truth(kind):
+    assert made(kind).plant.gain == pytest.approx(1.9, rel=0.25)
+
+
+def test_repr_is_one_short_line_that_says_what_was_found(kind):
+    text = repr(made(kind))
+    assert text.startswith(f"<{kind.__name__}: ")
+    assert "\n" not in text
+    assert len(text) < 400
+
+
+def test_summary_is_text_on_a_terminal_and_html_in_a_notebook(kind):
+    summary = made(kind).summary()
+    assert isinstance(summary, Summary)
+    assert summary.sentences[0] in " ".join(str(summary).split())
+    assert made(kind)._repr_html_().count("<table") == len(summary.tables) >= 1
+
+
+def test_json_holds_the_whole_result(kind, tmp_path):
+    body = made(kind).to_json()
+    again = kind.from_json(body)
+    assert stored(again) == stored(made(kind))
+    path = tmp_path / "result.json"
+    made(kind).save(path)
+    assert stored(kind.from_json(path)) == stored(made(kind))
+
+
+def test_summary_of_a_file_says_the_same(kind, tmp_path):
+    path = tmp_path / "result.json"
+    made(kind).save(path)
+    ours, theirs = made(kind).summary(), kind.from_json(str(path)).summary()
+    assert theirs.sentences == ours.sentences
+    assert theirs.tables == ours.tables
+
+
+def test_what_is_no_such_result_is_refused_with_a_sentence(kind, tmp_path):
+    path = tmp_path / "other.json"
+    path.write_text("[]")
+    for source in (path, tmp_path / "nowhere.json"):
+        with pytest.raises(InputError, match=r"(other|nowhere)\.json: "):
+            kind.from_json(source)
+
+
+@pytest.mark.parametrize("kind", [Fit, Identification, Diagnosis, Design])
+def test_json_of_something_else_is_refused_with_a_sentence(kind):
+    with pytest.raises(InputError, match=r"missing|must be"):
+        kind.from_json({"kd": "five"})
+
+
+@pytest.mark.parametrize("kind", FITTED)
+def test_simulate_and_residuals_belong_to_each_other(kind):
+    found = made(kind)
+    simulated, residuals = found.simulate(), found.residuals()
+    for record, row, residual in zip(RECORDS, simulated.positions, residuals, strict=True):
+        np.testing.assert_allclose(row[0] - record.position, residual, atol=1e-15)
+    (other,) = found.simulate(RECORDS[1]).records
+    assert other is RECORDS[1]
+
+
+def test_table_has_a_row_for_each_thing_and_numbers_in_its_columns(kind):
+    frame = made(kind).to_dataframe()
+    column = {Prediction: "percent_error", Design: "kd"}.get(kind, "value")
+    assert np.isfinite(frame[column].to_numpy(dtype=float)).all()
+    assert len(frame) >= 2
+
+
+def test_table_of_a_fit_holds_its_quantities():
+    frame = made(Fit).to_dataframe()
+    quantity = made(Fit).quantities["coulomb_friction.level"]
+    row = frame.loc["coulomb_friction.level"]
+    assert (row["value"], row["stderr"], row["unit"]) == (quantity.value, quantity.stderr, "m/s^2")
+    assert row["low"] < float(quantity) < row["high"]
+
+
+def test_trajectories_hold_what_was_measured_and_what_was_simulated():
+    frame = made(Prediction).trajectories()
+    assert list(frame.columns) == ["record", "time", "measured", "the model"]
+    first = frame[frame["record"] == RECORDS[0].name]
+    np.testing.assert_array_equal(first["measured"], RECORDS[0].position)
+    np.testing.assert_array_equal(first["the model"], made(Prediction).positions[0][0])
+
+
+def test_plot_draws_on_the_axes_given_and_returns_them(kind):
+    from matplotlib import pyplot as plt
+
+    _, ax = plt.subplots()
+    assert made(kind).plot(ax=ax) is ax
+    labels = ax.get_legend_handles_labels()[1]
+    told = {
+        Fit: "fitted",
+        Identification: "constant damping",
+        Diagnosis: "with the causes",
+        Prediction: "the model",
+        Design: "least, kd = ",
+    }[kind]
+    assert any(label.startswith(told) for label in labels)
+    assert ax.get_ylabel() == "Position [m]"
+    new = made(kind).plot()
+    assert new is not ax
+    plt.close("all")
+
+
+@pytest.mark.parametrize("kind", FITTED)
+def test_results_from_files_ask_for_records_to_simulate_and_to_draw(kind):
+    stored = kind.from_json(made(kind).to_json())
+    for ask in (stored.simulate, stored.residuals, stored.plot):
+        with pytest.raises(InputError, match=r"holds? no (records|plants)"):
+            ask()
+
+
+@pytest.mark.parametrize("kind", [Fit, Identification, Diagnosis])
+def test_results_from_files_predict_as_before(kind):
+    stored = kind.from_json(made(kind).to_json())
+    np.testing.assert_allclose(stored.residuals(RECORDS)[0], made(kind).residuals()[0], atol=1e-12)
+
+
+def test_design_without_records_simulates_its_own_step():
+    run = made(Design).step()
+    assert run.position[-1] == pytest.approx(SPEC.reference, rel=SPEC.band)
+    with pytest.raises(InputError, match="holds no records to simulate; pass them"):
+        made(Design).simulate()
+
+
+def test_design_that_gives_no_gain_has_no_step_to_draw():
+    none = tune(Plant(gain=1.9, damping=6.0), PDSpec(kp=100, settling_time=0.01))
+    assert none.gain is None
+    for ask in (none.step, none.plot):
+        with pytest.raises(InputError, match="this design gives no gain"):
+            ask()
+
+
+def test_fit_report_names_errors_correlations_and_what_was_fixed():
+    found = fit("coulomb_friction", RECORDS, fixed={"damping": 6.0})
+    parameters, correlations = found.summary().tables
+    values = {row[0]: row[1] for row in parameters.rows}
+    assert values["damping"] == "6 (fixed)"
+    assert all("±" in values[name] for name in ("gain", "coulomb_friction.level"))
+    assert correlations.rows[0][0] == "gain, coulomb_friction.level"
+    assert float(correlations.rows[0][1]) == pytest.approx(next(iter(found.correlations.values())), abs=0.006)
+
+
+def test_a_quantity_is_a_number_and_is_formatted_as_one():
+    quantity = made(Fit).quantities["gain"]
+    assert float(quantity) == quantity.value
+    assert f"{quantity:.3f}" == f"{quantity.value:.3f}"
+    assert f"{quantity}".endswith(" m/s^2/V")
+
+
+def test_records_and_models_show_themselves_in_one_line():
+    assert repr(RECORDS[0]) == "<Record kp 40, kd 0: 1501 samples in 1.5 s, position, reference, voltage; kp 40, kd 0>"
+    assert re.match(r"<Model: gain [\d.]+ ± \S+ m/s\^2/V, damping ", repr(made(Fit).model))
+    assert "\n" not in repr(made(Fit).model)
+
+
+def test_the_law_of_identify_is_what_fit_finds():
+    record = lab.step_record(lab.NLM3, kp=100, encoder=1e-5, noise=1e-5, seed=1)
+    law, found = identify(record, model="velocity").velocity, fit("velocity_decay_damping", record)
+    for name, quantity in found.quantities.items():
+        assert law.quantities[name].value == pytest.approx(quantity.value, abs=0.1 * quantity.stderr)
+        assert law.quantities[name].stderr == pytest.approx(quantity.stderr, rel=0.05)
+
+
+def test_pieces_that_the_data_do_not_determine_are_a_sentence_and_no_rows():
+    short = identify(RECORDS[0].slice(0.0, 0.06))
+    (table,) = (table for table in short.summary().tables if table.title.startswith("Damping that varies"))
+    errors = np.sqrt(np.diag(short.varying.covariance))[:-1]
+    vague = int((errors > np.maximum(short.varying.damping, 1.0)).sum())
+    assert vague > 0
+    assert len(table.rows) == errors.size - vague
+    assert f"The data hardly determine the other {vague} of {errors.size} pieces." in table.note
