@@ -31,12 +31,13 @@ if TYPE_CHECKING:
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
 PROMISING = 0.5
-"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
+"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
+causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
-SIMPLE = 0.5
+SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take."""
 SHARE, SPENT = 0.25, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
@@ -144,7 +145,8 @@ def search(
         early = False
     else:
         explorer.with_last_resorts = True
-        path, early = explorer.walked(base, effort.work)
+        further, early = explorer.walked(base, effort.work)
+        path = min(path, further, key=lambda steps: steps[-1].total)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=_worse)}.values(), key=_total)
@@ -269,7 +271,8 @@ class _Explorer:
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
-        scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
+        share = 1.0 if hypothesis.causes and not is_observed and self.is_enough(hypothesis) else PROMISING
+        scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
         if scored:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]
@@ -299,7 +302,7 @@ class _Explorer:
     ) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        tried = [s for place, s in enumerate(starts) if place < several or (several > 1 and s.is_guess)]
+        tried = [s for place, s in enumerate(starts) if place < several or s.is_guess]
         led = [
             self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=allowance / len(tried))
             for s in tried
