@@ -204,12 +204,15 @@ class _Explorer:
         it follows; one effect that then leaves nothing is all that is looked for.
         """
         unshaken: list[Hypothesis] = []
-        if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
+        noise = beam[0].noise
+        if self.likelihood.simulates or noise.is_model_error:
+            pass
+        elif noise.rate > 0.0:
+            unshaken = self._unobserved(beam[0])
+        else:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
-        elif not self.likelihood.simulates:
-            unshaken = self._unobserved(beam[0])
         members = [*unshaken, *beam]
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
