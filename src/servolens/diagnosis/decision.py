@@ -136,8 +136,9 @@ def _confirmed(case: Case, found: Search) -> Decision:
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
-    Where these would not tell the two apart, as of a limit that they do not reach, those fitted decide. An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more
-    than that of any simpler model, either, of those with the same waves: whose phases no simulation foretells.
+    Where these would not tell the two apart, as of a limit that they do not reach, those fitted decide. An observer
+    that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more than that of
+    any simpler model, either, of those with the same waves: whose phases no simulation foretells.
     """
     is_likelier = case.misfit(path[-1]) < case.misfit(path[-2])
     if not is_likelier and case.difference(path[-1], path[-2]) > INDISTINCT:
