@@ -189,6 +189,7 @@ class _Explorer:
             if self.left <= self.effort.work - (1.0 - SPENT) * work:
                 return path, True
             found = self.extended(beam, len(path[-1].causes))
+            path[-1] = self._beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
                 break
@@ -232,6 +233,11 @@ class _Explorer:
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=_total)
+
+    def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
+        own = [h for h in others if h.noise.rate > 0.0 and h.total < hypothesis.total]
+        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=_total)
 
     def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
         """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
