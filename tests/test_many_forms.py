@@ -46,28 +46,52 @@ def lvm():
     return head + lines(T, Y * 1e3, R * 1e3, U, separator="\t", decimal=",").replace("\n", "\t\n")
 
 
-def scope():
-    """TwinCAT Scope: a time column for each channel, labels repeated in the header, decimal commas."""
-    names = ("NC.ActPos", "NC.SetPos", "NC.DriveVoltage")
+def scope(*, every_channel=True, symbols=("", "", ""), units=("mm", "mm", "V"), filetime=False, separator="\t"):
+    """TwinCAT Scope: header rows that begin with what they tell, a time line for each channel or one for all."""
+    names = ("ActPos", "SetPos", "DriveVoltage")
+    start = 132_959_733_843_760_000
 
     def row(label, values):
-        return "\t".join(f"{label}\t{value}" for value in values) + "\n"
+        cells = [part for value in values for part in (label, value)] if every_channel else [label, *values]
+        return separator.join(str(cell) for cell in cells) + "\n"
 
     head = (
-        "Name\tYT Scope Project\nFile\tC:\\run.tcscopex\nStarttime of export\t133238090039920000\t01.05.2024\n"
-        "Endtime of export\t133238090045920000\t01.05.2024\n\n"
+        f"Name{separator}YT Scope Project\nFile{separator}C:\\run.tcscopex\n"
+        f"Starttime of export{separator}{start}{separator}Montag, 2. Mai 2022{separator}15:56:24.376\n"
+        f"Endtime of export{separator}{start + 18_000_000}{separator}Montag, 2. Mai 2022{separator}15:56:26.176\n\n\n"
         + row("Name", names)
         + row("SymbolComment", ("", "", ""))
         + row("Data-Type", ("REAL64",) * 3)
         + row("SampleTime[ms]", (1, 1, 1))
         + row("VariableSize", (8, 8, 8))
+        + row("SymbolBased", ("True",) * 3)
+        + row("IndexGroup", (16448,) * 3)
+        + (row("SymbolName", symbols) if any(symbols) else "")
+        + row("NetID", ("192.168.178.20.1.1",) * 3)
+        + row("Port", (501,) * 3)
         + row("Offset", (0, 0, 0))
         + row("ScaleFactor", (1, 1, 1))
-        + row("Unit", ("mm", "mm", "V"))
+        + row("BitMask", ("0xffffffffffffffff",) * 3)
+        + row("Unit", units)
+        + row("Unit ScaleFactor", (1, 1, 1))
+        + row("Unit Offset", (0, 0, 0))
         + "\n"
     )
-    ms = T * 1e3
-    return head + lines(ms, Y * 1e3, ms, R * 1e3, ms, U, separator="\t", decimal=",") + "EOF\n"
+    decimal = "," if separator == "\t" and not filetime else "."
+    times = [f"{start + round(t * 1e7)}" if filetime else f"{t * 1e3:.9g}".replace(".", decimal) for t in T]
+    lines_ = []
+    for time, *values in zip(times, Y * 1e3, R * 1e3, U, strict=True):
+        cells = [f"{value:.9g}".replace(".", decimal) for value in values]
+        lines_.append(
+            separator.join(part for cell in cells for part in (time, cell))
+            if every_channel
+            else separator.join([time, *cells])
+        )
+    return head + "\n".join(lines_) + "\nEOF\n"
+
+
+AXIS = ("Axes.Axis 1.ToPlc.ActPos", "Axes.Axis 1.ToPlc.SetPos", "MAIN.fCmd")
+KINDS_OF_UNITS = ("mm (Length)", "mm (Length)", "V (Voltage)")
 
 
 def iso_german():
@@ -200,6 +224,30 @@ def bag(plugin):
     return write
 
 
+def mcap(*, schema=True, encoding="json", chunks="ZSTD"):
+    """MCAP as Foxglove's library writes it; the messages are JSON, with or without a schema."""
+
+    def write(path):
+        from mcap.writer import CompressionType, Writer
+
+        with path.open("wb") as stream:
+            writer = Writer(stream, compression=CompressionType[chunks])
+            writer.start()
+            known = writer.register_schema("axis", "jsonschema", b'{"type": "object"}') if schema else 0
+            states = writer.register_channel("/axis/state", encoding, known)
+            target = writer.register_channel("/axis/target", encoding, known)
+            for t, y, r, u in zip(T, Y, R, U, strict=True):
+                now = NS + round(t * 1e9)
+                stamp = {"sec": now // 10**9, "nsec": now % 10**9}
+                state = {"timestamp": stamp, "position_mm": y * 1e3, "motor": {"voltage": u, "name": "M1"}}
+                for channel, message in ((target, {"timestamp": stamp, "setpoint_mm": r * 1e3}), (states, state)):
+                    data = json.dumps(message).encode()
+                    writer.add_message(channel, log_time=now + 50_000, data=data, publish_time=now)
+            writer.finish()
+
+    return write
+
+
 def matrix(path):
     import scipy.io
 
@@ -274,6 +322,9 @@ READ = [
     ("gzip", "a.csv.gz", lambda p: p.write_bytes(gzip.compress(("t,q,qg,u\n" + lines(T, Y, R, U)).encode())), {}),
     ("LabVIEW", "a.lvm", text(lvm()), {}),
     ("TwinCAT Scope", "a.csv", text(scope()), {}),
+    ("TwinCAT Scope, symbols", "a.csv", text(scope(symbols=AXIS, units=KINDS_OF_UNITS)), {}),
+    ("TwinCAT Scope, one time", "a.csv", text(scope(every_channel=False, symbols=AXIS, separator=";")), {}),
+    ("TwinCAT Scope, FILETIME", "a.csv", text(scope(filetime=True, units=KINDS_OF_UNITS)), {}),
     ("workbook", "a.xlsx", workbook, {}),
     ("Parquet", "a.parquet", parquet, {}),
     ("TDMS", "a.tdms", tdms, {}),
@@ -294,6 +345,8 @@ READ = [
     ("JSON lines", "a.jsonl", text(json_lines()), {}),
     ("ROS 2, MCAP", "bag", bag("MCAP"), {}),
     ("ROS 2, SQLite", "bag", bag("SQLITE3"), {}),
+    ("MCAP with JSON", "a.mcap", mcap(), {}),
+    ("MCAP with JSON, no schema, LZ4", "a.mcap", mcap(schema=False, chunks="LZ4"), {}),
     (
         "ODrive",
         "a.csv",
@@ -383,6 +436,15 @@ ASKED = [
         "no column named time",
     ),
     (
+        "CODESYS, sampling trace",
+        "a.txt",
+        text(
+            "CODESYS Trace\nD:\\PROJECTS\\AXIS.PRO\nCycle PLC_PRG.fActPos PLC_PRG.fSetPos PLC_PRG.fU\n"
+            + lines(np.arange(T.size), Y, R, U, separator=" ")
+        ),
+        "no column named time",
+    ),
+    (
         "a command that may be the reference",
         "a.csv",
         text("t,pos,command\n" + lines(T, Y, R)),
@@ -435,9 +497,10 @@ def test_a_file_that_ends_early_is_read_or_refused_by_one_sentence(tmp_path, nam
     read_or_refuse(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.tdms", "a.mf4", "a.h5", "a.npz", "a.mat"])
+@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.tdms", "a.mf4", "a.h5", "a.npz", "a.mat", "a.mcap"])
 def test_a_file_with_wrong_bytes_is_read_or_refused_by_one_sentence(tmp_path, name):
     writers = {"a.xlsx": workbook, "a.parquet": parquet, "a.tdms": tdms, "a.mf4": mdf, "a.h5": hdf5, "a.mat": mat73}
+    writers["a.mcap"] = mcap(chunks="NONE")
     writers["a.npz"] = lambda path: np.savez_compressed(path, t=T, q=Y, ref=R, u=U)
     writers[name](tmp_path / name)
     content = bytearray((tmp_path / name).read_bytes())
@@ -489,6 +552,53 @@ def test_a_bag_that_names_a_file_outside_is_refused(tmp_path):
     metadata.write_text(metadata.read_text().replace(f"../{data.name}", data.name))
     (tmp_path / "bag" / data.name).symlink_to(tmp_path / data.name)
     assert "outside its folder" in read_or_refuse(tmp_path / "bag")
+
+
+def test_a_slower_channel_of_a_scope_is_held(tmp_path):
+    """Fewer rows for the channel of 2 ms: blank cells below them, as in TwinCAT's exports of several rates."""
+    whole = scope(symbols=AXIS).splitlines()
+    first = whole.index("", 6) + 1
+    rows = [line.split("\t") for line in whole[first:-1]]
+    half = [row[:4] + (rows[2 * k][4:] if 2 * k < len(rows) else ["", ""]) for k, row in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join([*whole[:first], *("\t".join(row) for row in half), "EOF", ""]))
+    record = read_log(tmp_path / "a.csv").record
+    assert record.position == pytest.approx(Y, abs=1e-9)
+    assert record.voltage == pytest.approx(np.repeat(U[::2], 2)[: U.size], abs=1e-6)
+
+
+def test_blank_cells_between_tabs_are_never_skipped(tmp_path):
+    """Six blank cells in a table of six columns: as many numbers as in one row less."""
+    rows = np.column_stack([T, Y, R, U, Y, U])[:50]
+    cells = [[f"{x:.9g}" for x in row] for row in rows]
+    for k in range(6):
+        cells[20 + k][4] = ""
+    (tmp_path / "a.tsv").write_text(
+        "t\tpos\tref\tu\tmotor temperature\thousing temperature\n" + "\n".join("\t".join(row) for row in cells) + "\n"
+    )
+    record = read_log(tmp_path / "a.tsv").record
+    assert record.time == pytest.approx(T[:50])
+    assert record.position == pytest.approx(Y[:50])
+
+
+def test_mcap_of_other_messages_is_refused(tmp_path):
+    mcap(encoding="protobuf")(tmp_path / "a.mcap")
+    assert "without messages in JSON or by ROS" in read_or_refuse(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [(b"{", "says to be JSON and is not"), (b"[1, 2]", "no object of names"), (b"[" * 5000, "says to be JSON")],
+)
+def test_mcap_with_wrong_json_is_refused(tmp_path, data, part):
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/axis", "json", 0)
+        writer.add_message(channel, log_time=NS, data=data, publish_time=NS)
+        writer.finish()
+    assert part in read_or_refuse(tmp_path / "a.mcap")
 
 
 def test_bombs_are_refused(tmp_path, monkeypatch):

@@ -278,7 +278,8 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (
             "time,position\n0,0\n1,1\n",
             "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"
-            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5",
+            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5"
+            " or --reference-file FILE",
         ),
         (
             GAIN + "time,reference\n0,0\n1,1\n",
