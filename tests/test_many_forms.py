@@ -261,12 +261,46 @@ def json_lines():
     )
 
 
-def klipper(path):
-    """Klipper's data logger: documents that a control character ends, packed."""
-    parts = [{"id": "angle:a", "result": {"header": ["time", "angle"]}}]
-    rows = [[float(t), float(y)] for t, y in zip(T, Y, strict=True)]
-    parts += [{"q": "angle:a", "params": {"data": rows[k : k + 100]}} for k in range(0, len(rows), 100)]
-    path.write_bytes(gzip.compress(b"".join(json.dumps(part).encode() + b"\x03" for part in parts)))
+PER_MM = 65536 / 40
+"""Counts of Klipper's angle sensor on a belt that moves 40 mm a revolution."""
+MOVES = (
+    [10.0, 0.1, 0.0, 1000.0, [30.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+    [10.1, 0.4, 100.0, 0.0, [35.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+    [10.5, 0.1, 100.0, -1000.0, [75.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+)
+"""Time, duration, speed, acceleration, place, direction: 50 mm in x, as the toolhead plans it."""
+
+
+def klipper(moves=MOVES, *, sensor=True):
+    """Klipper's data logger: documents that a control character ends, packed; times since the printer's start."""
+
+    def write(path):
+        time = np.arange(9.9, 10.9, 1e-3)
+        counts = np.round(PER_MM * np.interp(time - 0.01, *COMMANDED))
+        parts = [{"id": "info", "result": {"state": "ready", "software_version": "v0.12.0"}}]
+        header = ["time", "duration", "start_velocity", "acceleration", "start_position", "direction"]
+        parts += [{"id": "trapq:toolhead", "result": {"header": header}}]
+        parts += [{"id": "stepq:stepper_x", "result": {"header": ["interval", "count", "add"]}}]
+        parts += [{"id": "angle:belt", "result": {"header": ["time", "angle"]}}] * sensor
+        parts += [{"q": "trapq:toolhead", "params": {"data": [move]}} for move in moves]
+        parts += [{"q": "stepq:stepper_x", "params": {"data": [[1200, 8, -3]], "start_position": 30.0}}]
+        rows = [[float(t), int(c)] for t, c in zip(time, counts, strict=True)]
+        for k in range(0, len(rows) * sensor, 100):
+            parts += [{"q": "angle:belt", "params": {"position_offset": 3.15, "errors": 0, "data": rows[k : k + 100]}}]
+        path.write_bytes(gzip.compress(b"".join(json.dumps(part).encode() + b"\x03" for part in parts)))
+
+    return write
+
+
+def commanded(time):
+    """The same moves, integrated on a fine grid: an answer that the reader's formula did not make."""
+    grid = np.arange(9.0, 12.0, 1e-5)
+    speed = np.interp(grid, [10.0, 10.1, 10.5, 10.6], [0.0, 100.0, 100.0, 0.0])
+    place = 30.0 + np.concatenate([[0.0], np.cumsum(0.5e-5 * (speed[1:] + speed[:-1]))])
+    return np.interp(time, grid, place)
+
+
+COMMANDED = (np.arange(9.0, 12.0, 1e-4), commanded(np.arange(9.0, 12.0, 1e-4)))
 
 
 def lerobot(path):
@@ -457,7 +491,10 @@ ASKED = [
         "counts of a PWM are plausible",
     ),
     ("joints", "a.parquet", lerobot, "say --unit position="),
-    ("no command", "a.json.gz", klipper, "neither reference nor voltage is given"),
+    ("Klipper: what is a count", "a.json.gz", klipper(), "give counts_per_unit, counts per m or rad"),
+    ("Klipper: no sensor", "a.json.gz", klipper(sensor=False), "commanded moves alone; log a sensor"),
+    ("Klipper: damaged moves", "a.json.gz", klipper([[10.0, 0.1]]), "damaged rows"),
+    ("no command", "a.json.gz", klipper(()), "neither reference nor voltage is given"),
 ]
 
 
@@ -467,6 +504,15 @@ def test_what_can_be_read_in_two_ways_is_a_question(tmp_path, name, write, part)
     with pytest.raises(InputError) as asked:
         read_log(tmp_path / name)
     assert part in str(asked.value)
+
+
+def test_klipper_s_moves_are_the_reference(tmp_path):
+    klipper()(tmp_path / "a.json.gz")
+    reading = read_log(tmp_path / "a.json.gz", settings={"counts_per_unit": PER_MM * 1e3, "kp": 60})
+    record = reading.record
+    assert record.reference * 1e3 == pytest.approx(commanded(record.time), abs=1e-3)
+    assert record.position * 1e3 == pytest.approx(commanded(record.time - 0.01), abs=0.5 / PER_MM + 1e-3)
+    assert {"target x", "angle", "time"} == {guess.source.rpartition(".")[2] for guess in reading.guesses}
 
 
 def test_an_answer_settles_the_question(tmp_path):
