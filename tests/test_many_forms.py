@@ -8,12 +8,15 @@ import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from servolens import lab
 from servolens.campaign import read_records
+from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import files, isolated, read_log
 
@@ -118,7 +121,7 @@ def parquet(path):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    stamps = pa.array((NS + np.round(T * 1e9)).astype("int64"), pa.timestamp("ns"))
+    stamps = pa.array(NS + np.round(T * 1e9).astype("int64"), pa.timestamp("ns"))
     columns = {"timestamp": stamps, "pos_actual_mm": Y * 1e3, "pos_target_mm": R * 1e3, "motor_voltage": U}
     pq.write_table(pa.table(columns), path)
 
@@ -504,6 +507,61 @@ def test_what_can_be_read_in_two_ways_is_a_question(tmp_path, name, write, part)
     with pytest.raises(InputError) as asked:
         read_log(tmp_path / name)
     assert part in str(asked.value)
+
+
+ORDER = ["--columns", "time,reference,position,voltage"]
+ANSWERS = {
+    "named by their order": (ORDER, 1.0),
+    "matrix": (ORDER, 1.0),
+    "counts and PWM": (["--setting", "counts_per_rev=4096"], 1.0),
+    "counts without a scale": (["--setting", "counts_per_rev=4096"], 2 * np.pi / 4096),
+    "CODESYS, sampling trace": (["--setting", "sample_time=1 ms"], 1.0),
+    "joints": (["--unit", "position=deg"], 500 / DEG),
+    "Klipper: what is a count": (["--setting", f"counts_per_unit={PER_MM * 1e3}"], None),
+}
+"""Forms about which there is a question, the answer, and the position in units of the truth (Klipper has its own)."""
+FORMS = [case[:3] for case in READ] + [case[:3] for case in ASKED if case[0] in ANSWERS]
+REAL = 25
+NO_COMMAND = ("joints", "Klipper: what is a count")
+"""Logs without a command: which gains moved the axis is a second question."""
+
+
+def test_most_forms_are_read_in_one_command_and_the_others_after_one_question(tmp_path):
+    """The raw log, no option: a campaign that reads it as it was made, or one question that one answer settles."""
+    read, asked, twice = [], [], []
+    for k, (form, name, write) in enumerate(FORMS):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        write(folder / name)
+        done = convert(folder / name, folder / "c.toml")
+        answer, factor = ANSWERS.get(form, ([], 1.0))
+        if answer:
+            assert done.exit_code == 2, form
+            assert done.output.startswith("servolens: error: "), form
+            assert done.output.count("\n") == 1, form
+            assert not (folder / "c.toml").exists(), form
+            done = convert(folder / name, folder / "c.toml", *answer)
+        if form in NO_COMMAND:
+            assert done.exit_code == 2, form
+            assert "give kp and kd" in done.output, form
+            done = convert(folder / name, folder / "c.toml", *answer, "--record-kp", "60")
+        assert done.exit_code == 0, (form, done.output)
+        (twice if form in NO_COMMAND else asked if answer else read).append(form)
+        (record,) = read_records(folder / "c.toml")
+        expected = commanded(record.time - 0.01) * 1e-3 if factor is None else factor * Y
+        assert np.max(np.abs(record.position - expected)) < 2e-3 * np.ptp(expected), form
+        assert record.sample_time == pytest.approx(1e-3, abs=1e-6), form
+        if form == "duty and supply":
+            assert record.command_unit == "%", form
+    assert len(FORMS) >= REAL
+    assert len(read) >= 0.8 * len(FORMS)
+    page = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
+    told = f"{len(read)} become a campaign in one command, {len(asked)} after one question, {len(twice)} after two"
+    assert f"The tests hold {len(FORMS)} logs in as many forms: {told}" in " ".join(page.split())
+
+
+def convert(log, campaign, *options):
+    return CliRunner().invoke(group, ["convert", str(log), "--out", str(campaign), *options])
 
 
 def test_klipper_s_moves_are_the_reference(tmp_path):
