@@ -190,7 +190,7 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
 
 def _decimal(content: bytes, separator: str) -> str:
     """Return the decimal sign: a comma where digits stand around commas and nowhere around points."""
-    if separator == "," or not _DECIMAL_COMMA.search(content):
+    if separator == "," or b"," not in content or not _DECIMAL_COMMA.search(content):
         return "."
     return "." if _DECIMAL_POINT.search(content) else ","
 
