@@ -564,6 +564,23 @@ def convert(log, campaign, *options):
     return CliRunner().invoke(group, ["convert", str(log), "--out", str(campaign), *options])
 
 
+@pytest.mark.parametrize(
+    "moves",
+    [
+        [[10.0, 0.1, 0.0, 1000.0, [30.0, 20.0, 0.0], "x"]],
+        [[10.0, 0.1, 0.0, 1000.0, [30.0, 20.0], [1.0, 0.0]]],
+        [{"time": 10.0}],
+        [[11.0, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]], [10.0, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]]],
+        [[10**400, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]]],
+        [None],
+    ],
+    ids=["text", "two axes", "object", "backward", "huge", "nothing"],
+)
+def test_klipper_s_damaged_moves_are_refused(tmp_path, moves):
+    klipper(moves)(tmp_path / "a.json.gz")
+    assert "damaged rows" in read_or_refuse(tmp_path / "a.json.gz")
+
+
 def test_klipper_s_moves_are_the_reference(tmp_path):
     klipper()(tmp_path / "a.json.gz")
     reading = read_log(tmp_path / "a.json.gz", settings={"counts_per_unit": PER_MM * 1e3, "kp": 60})

@@ -67,7 +67,7 @@ def _add_targets(rows: dict[str, Any], clock: int, moves: Sequence[Any]) -> None
     try:
         time = np.array([row[clock] for row in rows["data"]], dtype=np.float64)
         places = _commanded(moves, time)
-    except (TypeError, ValueError, IndexError, OverflowError) as error:
+    except (TypeError, ValueError, LookupError, OverflowError) as error:
         raise InputError("is Klipper's log with damaged rows; log it again") from error
     moving = [k for k in range(len(AXES)) if np.ptp(places[:, k]) > 0]
     rows["header"] = [*rows["header"], *(f"target {AXES[k]} [mm]" for k in moving)]
