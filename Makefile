@@ -15,7 +15,7 @@ SCAN_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan fleet-kills pictures bench examples clean help
+.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan fleet-kills paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -61,11 +61,14 @@ design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense
 fleet-kills: $(DEV_STAMP) ## a fleet whose processes are killed at 200 random moments (half an hour)
 	@SERVOLENS_KILLS=200 $(BIN)/python -m pytest tests/test_fleet_faults.py -k random_moments
 
-pictures: $(DEV_STAMP) ## the pictures of the README, made by the demo, and of the effects
+paper: $(DEV_STAMP) ## the paper's numbers computed again, into docs/paper.md
+	@$(BIN)/python benchmarks/paper.py
+
+pictures: $(DEV_STAMP) ## the pictures of the README and of the paper's page, made by the demo, and of the effects
 	@$(BIN)/python docs/pictures.py
 	@$(BIN)/python docs/effect_pictures.py
 
-bench: $(DEV_STAMP) ## the figures of the README, measured here
+bench: $(DEV_STAMP) ## the figures of docs/speed.md, measured here
 	@$(BIN)/python benchmarks/run.py
 
 examples: $(DEV_STAMP) ## run every example

@@ -1,4 +1,4 @@
-"""Measure what the README claims: ``make bench`` prints a table and writes ``latest.json`` beside this file.
+"""Measure what docs/speed.md claims: ``make bench`` prints a table and writes ``latest.json`` beside this file.
 
 Every ratio is measured in one run, its two sides in turn. ``python benchmarks/run.py varying_fit`` measures one part
 and writes nothing.

@@ -1,4 +1,4 @@
-"""Make the pictures of the README from what the demo finds (``make pictures``)."""
+"""Make the pictures of the README and of the paper's page from what the demo finds (``make pictures``)."""
 
 from __future__ import annotations
 

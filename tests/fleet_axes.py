@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -38,10 +39,18 @@ def command(folder, out, *more):
 
 
 def start(folder, out, *more):
-    """Begin a run of the command, as a process of its own."""
-    return subprocess.Popen(
-        command(folder, out, *more), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    """Begin a run of the command, as a process of its own that heeds interrupts even where this one does not."""
+    heeded = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(
+            command(folder, out, *more),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, heeded)
 
 
 def finish(folder, out, *more):

@@ -294,6 +294,15 @@ def test_answer_beyond_the_records_is_amber_and_then_red(least, quantity, times,
     assert (quantity in of_gain.sentence) == (light != "green")
 
 
+def test_plant_that_never_settles_is_a_doubt_even_if_it_is_one_of_many(least):
+    design = recommend(NLM3, least, scenarios=60)
+    never = replace(design.recommended.worst, settling_time=None)
+    doubtful = replace(design, recommended=replace(design.recommended, worst=never))
+    of_gain = trust(NLM3, doubtful)[1]
+    assert of_gain.light == "amber"
+    assert "does not settle at all" in of_gain.sentence
+
+
 def reached_with(kd):
     run = lab.step_record(lab.NLM3, SPEC.kp, kd, encoder=0.0)
     speed = float(np.abs(np.gradient(run.position, run.time)).max())

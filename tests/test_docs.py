@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -54,3 +55,28 @@ def test_pages_link_only_to_files_that_exist():
     for page in (ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
         targets = re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text(encoding="utf-8"))
         assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+@pytest.mark.slow
+def test_the_paper_s_numbers_are_those_that_the_code_gives(tmp_path, monkeypatch):
+    script = ROOT / "benchmarks" / "paper.py"
+    found = importlib.util.spec_from_file_location("paper", script)
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    page = ROOT / "docs" / "paper.md"
+    monkeypatch.setattr(module, "PAGE", tmp_path / "paper.md")
+    marks = re.compile(r"(<!-- [a-z ]+ begin -->).*?(<!-- [a-z ]+ end -->)", flags=re.DOTALL)
+    text = page.read_text(encoding="utf-8")
+    (tmp_path / "paper.md").write_text(marks.sub(r"\1\2", text), encoding="utf-8")
+    module.main()
+    numbers = re.compile(r"[−+]?\d+\.?\d*")
+    ours, written = ((tmp_path / "paper.md").read_text(encoding="utf-8"), text)
+    assert marks.sub("", numbers.sub("", ours)) == marks.sub("", numbers.sub("", written))
+    for own, table in zip(_tables(marks, ours), _tables(marks, written), strict=True):
+        assert [float(x.replace("−", "-")) for x in numbers.findall(own)] == pytest.approx(
+            [float(x.replace("−", "-")) for x in numbers.findall(table)], rel=0.02, abs=0.021
+        )
+
+
+def _tables(marks, page):
+    return [match.group() for match in marks.finditer(page) if "speed" not in match[1]]

@@ -8,12 +8,15 @@ import os
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from servolens import lab
 from servolens.campaign import read_records
+from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import files, isolated, read_log
 
@@ -46,28 +49,52 @@ def lvm():
     return head + lines(T, Y * 1e3, R * 1e3, U, separator="\t", decimal=",").replace("\n", "\t\n")
 
 
-def scope():
-    """TwinCAT Scope: a time column for each channel, labels repeated in the header, decimal commas."""
-    names = ("NC.ActPos", "NC.SetPos", "NC.DriveVoltage")
+def scope(*, every_channel=True, symbols=("", "", ""), units=("mm", "mm", "V"), filetime=False, separator="\t"):
+    """TwinCAT Scope: header rows that begin with what they tell, a time line for each channel or one for all."""
+    names = ("ActPos", "SetPos", "DriveVoltage")
+    start = 132_959_733_843_760_000
 
     def row(label, values):
-        return "\t".join(f"{label}\t{value}" for value in values) + "\n"
+        cells = [part for value in values for part in (label, value)] if every_channel else [label, *values]
+        return separator.join(str(cell) for cell in cells) + "\n"
 
     head = (
-        "Name\tYT Scope Project\nFile\tC:\\run.tcscopex\nStarttime of export\t133238090039920000\t01.05.2024\n"
-        "Endtime of export\t133238090045920000\t01.05.2024\n\n"
+        f"Name{separator}YT Scope Project\nFile{separator}C:\\run.tcscopex\n"
+        f"Starttime of export{separator}{start}{separator}Montag, 2. Mai 2022{separator}15:56:24.376\n"
+        f"Endtime of export{separator}{start + 18_000_000}{separator}Montag, 2. Mai 2022{separator}15:56:26.176\n\n\n"
         + row("Name", names)
         + row("SymbolComment", ("", "", ""))
         + row("Data-Type", ("REAL64",) * 3)
         + row("SampleTime[ms]", (1, 1, 1))
         + row("VariableSize", (8, 8, 8))
+        + row("SymbolBased", ("True",) * 3)
+        + row("IndexGroup", (16448,) * 3)
+        + (row("SymbolName", symbols) if any(symbols) else "")
+        + row("NetID", ("192.168.178.20.1.1",) * 3)
+        + row("Port", (501,) * 3)
         + row("Offset", (0, 0, 0))
         + row("ScaleFactor", (1, 1, 1))
-        + row("Unit", ("mm", "mm", "V"))
+        + row("BitMask", ("0xffffffffffffffff",) * 3)
+        + row("Unit", units)
+        + row("Unit ScaleFactor", (1, 1, 1))
+        + row("Unit Offset", (0, 0, 0))
         + "\n"
     )
-    ms = T * 1e3
-    return head + lines(ms, Y * 1e3, ms, R * 1e3, ms, U, separator="\t", decimal=",") + "EOF\n"
+    decimal = "," if separator == "\t" and not filetime else "."
+    times = [f"{start + round(t * 1e7)}" if filetime else f"{t * 1e3:.9g}".replace(".", decimal) for t in T]
+    lines_ = []
+    for time, *values in zip(times, Y * 1e3, R * 1e3, U, strict=True):
+        cells = [f"{value:.9g}".replace(".", decimal) for value in values]
+        lines_.append(
+            separator.join(part for cell in cells for part in (time, cell))
+            if every_channel
+            else separator.join([time, *cells])
+        )
+    return head + "\n".join(lines_) + "\nEOF\n"
+
+
+AXIS = ("Axes.Axis 1.ToPlc.ActPos", "Axes.Axis 1.ToPlc.SetPos", "MAIN.fCmd")
+KINDS_OF_UNITS = ("mm (Length)", "mm (Length)", "V (Voltage)")
 
 
 def iso_german():
@@ -94,7 +121,7 @@ def parquet(path):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    stamps = pa.array((NS + np.round(T * 1e9)).astype("int64"), pa.timestamp("ns"))
+    stamps = pa.array(NS + np.round(T * 1e9).astype("int64"), pa.timestamp("ns"))
     columns = {"timestamp": stamps, "pos_actual_mm": Y * 1e3, "pos_target_mm": R * 1e3, "motor_voltage": U}
     pq.write_table(pa.table(columns), path)
 
@@ -200,6 +227,30 @@ def bag(plugin):
     return write
 
 
+def mcap(*, schema=True, encoding="json", chunks="ZSTD"):
+    """MCAP as Foxglove's library writes it; the messages are JSON, with or without a schema."""
+
+    def write(path):
+        from mcap.writer import CompressionType, Writer
+
+        with path.open("wb") as stream:
+            writer = Writer(stream, compression=CompressionType[chunks])
+            writer.start()
+            known = writer.register_schema("axis", "jsonschema", b'{"type": "object"}') if schema else 0
+            states = writer.register_channel("/axis/state", encoding, known)
+            target = writer.register_channel("/axis/target", encoding, known)
+            for t, y, r, u in zip(T, Y, R, U, strict=True):
+                now = NS + round(t * 1e9)
+                stamp = {"sec": now // 10**9, "nsec": now % 10**9}
+                state = {"timestamp": stamp, "position_mm": y * 1e3, "motor": {"voltage": u, "name": "M1"}}
+                for channel, message in ((target, {"timestamp": stamp, "setpoint_mm": r * 1e3}), (states, state)):
+                    data = json.dumps(message).encode()
+                    writer.add_message(channel, log_time=now + 50_000, data=data, publish_time=now)
+            writer.finish()
+
+    return write
+
+
 def matrix(path):
     import scipy.io
 
@@ -213,12 +264,46 @@ def json_lines():
     )
 
 
-def klipper(path):
-    """Klipper's data logger: documents that a control character ends, packed."""
-    parts = [{"id": "angle:a", "result": {"header": ["time", "angle"]}}]
-    rows = [[float(t), float(y)] for t, y in zip(T, Y, strict=True)]
-    parts += [{"q": "angle:a", "params": {"data": rows[k : k + 100]}} for k in range(0, len(rows), 100)]
-    path.write_bytes(gzip.compress(b"".join(json.dumps(part).encode() + b"\x03" for part in parts)))
+PER_MM = 65536 / 40
+"""Counts of Klipper's angle sensor on a belt that moves 40 mm a revolution."""
+MOVES = (
+    [10.0, 0.1, 0.0, 1000.0, [30.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+    [10.1, 0.4, 100.0, 0.0, [35.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+    [10.5, 0.1, 100.0, -1000.0, [75.0, 20.0, 0.0], [1.0, 0.0, 0.0]],
+)
+"""Time, duration, speed, acceleration, place, direction: 50 mm in x, as the toolhead plans it."""
+
+
+def klipper(moves=MOVES, *, sensor=True):
+    """Klipper's data logger: documents that a control character ends, packed; times since the printer's start."""
+
+    def write(path):
+        time = np.arange(9.9, 10.9, 1e-3)
+        counts = np.round(PER_MM * np.interp(time - 0.01, *COMMANDED))
+        parts = [{"id": "info", "result": {"state": "ready", "software_version": "v0.12.0"}}]
+        header = ["time", "duration", "start_velocity", "acceleration", "start_position", "direction"]
+        parts += [{"id": "trapq:toolhead", "result": {"header": header}}]
+        parts += [{"id": "stepq:stepper_x", "result": {"header": ["interval", "count", "add"]}}]
+        parts += [{"id": "angle:belt", "result": {"header": ["time", "angle"]}}] * sensor
+        parts += [{"q": "trapq:toolhead", "params": {"data": [move]}} for move in moves]
+        parts += [{"q": "stepq:stepper_x", "params": {"data": [[1200, 8, -3]], "start_position": 30.0}}]
+        rows = [[float(t), int(c)] for t, c in zip(time, counts, strict=True)]
+        for k in range(0, len(rows) * sensor, 100):
+            parts += [{"q": "angle:belt", "params": {"position_offset": 3.15, "errors": 0, "data": rows[k : k + 100]}}]
+        path.write_bytes(gzip.compress(b"".join(json.dumps(part).encode() + b"\x03" for part in parts)))
+
+    return write
+
+
+def commanded(time):
+    """The same moves, integrated on a fine grid: an answer that the reader's formula did not make."""
+    grid = np.arange(9.0, 12.0, 1e-5)
+    speed = np.interp(grid, [10.0, 10.1, 10.5, 10.6], [0.0, 100.0, 100.0, 0.0])
+    place = 30.0 + np.concatenate([[0.0], np.cumsum(0.5e-5 * (speed[1:] + speed[:-1]))])
+    return np.interp(time, grid, place)
+
+
+COMMANDED = (np.arange(9.0, 12.0, 1e-4), commanded(np.arange(9.0, 12.0, 1e-4)))
 
 
 def lerobot(path):
@@ -274,6 +359,9 @@ READ = [
     ("gzip", "a.csv.gz", lambda p: p.write_bytes(gzip.compress(("t,q,qg,u\n" + lines(T, Y, R, U)).encode())), {}),
     ("LabVIEW", "a.lvm", text(lvm()), {}),
     ("TwinCAT Scope", "a.csv", text(scope()), {}),
+    ("TwinCAT Scope, symbols", "a.csv", text(scope(symbols=AXIS, units=KINDS_OF_UNITS)), {}),
+    ("TwinCAT Scope, one time", "a.csv", text(scope(every_channel=False, symbols=AXIS, separator=";")), {}),
+    ("TwinCAT Scope, FILETIME", "a.csv", text(scope(filetime=True, units=KINDS_OF_UNITS)), {}),
     ("workbook", "a.xlsx", workbook, {}),
     ("Parquet", "a.parquet", parquet, {}),
     ("TDMS", "a.tdms", tdms, {}),
@@ -294,6 +382,8 @@ READ = [
     ("JSON lines", "a.jsonl", text(json_lines()), {}),
     ("ROS 2, MCAP", "bag", bag("MCAP"), {}),
     ("ROS 2, SQLite", "bag", bag("SQLITE3"), {}),
+    ("MCAP with JSON", "a.mcap", mcap(), {}),
+    ("MCAP with JSON, no schema, LZ4", "a.mcap", mcap(schema=False, chunks="LZ4"), {}),
     (
         "ODrive",
         "a.csv",
@@ -383,6 +473,15 @@ ASKED = [
         "no column named time",
     ),
     (
+        "CODESYS, sampling trace",
+        "a.txt",
+        text(
+            "CODESYS Trace\nD:\\PROJECTS\\AXIS.PRO\nCycle PLC_PRG.fActPos PLC_PRG.fSetPos PLC_PRG.fU\n"
+            + lines(np.arange(T.size), Y, R, U, separator=" ")
+        ),
+        "no column named time",
+    ),
+    (
         "a command that may be the reference",
         "a.csv",
         text("t,pos,command\n" + lines(T, Y, R)),
@@ -395,7 +494,10 @@ ASKED = [
         "counts of a PWM are plausible",
     ),
     ("joints", "a.parquet", lerobot, "say --unit position="),
-    ("no command", "a.json.gz", klipper, "neither reference nor voltage is given"),
+    ("Klipper: what is a count", "a.json.gz", klipper(), "give counts_per_unit, counts per m or rad"),
+    ("Klipper: no sensor", "a.json.gz", klipper(sensor=False), "commanded moves alone; log a sensor"),
+    ("Klipper: damaged moves", "a.json.gz", klipper([[10.0, 0.1]]), "damaged rows"),
+    ("no command", "a.json.gz", klipper(()), "neither reference nor voltage is given"),
 ]
 
 
@@ -405,6 +507,87 @@ def test_what_can_be_read_in_two_ways_is_a_question(tmp_path, name, write, part)
     with pytest.raises(InputError) as asked:
         read_log(tmp_path / name)
     assert part in str(asked.value)
+
+
+ORDER = ["--columns", "time,reference,position,voltage"]
+ANSWERS = {
+    "named by their order": (ORDER, 1.0),
+    "matrix": (ORDER, 1.0),
+    "counts and PWM": (["--setting", "counts_per_rev=4096"], 1.0),
+    "counts without a scale": (["--setting", "counts_per_rev=4096"], 2 * np.pi / 4096),
+    "CODESYS, sampling trace": (["--setting", "sample_time=1 ms"], 1.0),
+    "joints": (["--unit", "position=deg"], 500 / DEG),
+    "Klipper: what is a count": (["--setting", f"counts_per_unit={PER_MM * 1e3}"], None),
+}
+"""Forms about which there is a question, the answer, and the position in units of the truth (Klipper has its own)."""
+FORMS = [case[:3] for case in READ] + [case[:3] for case in ASKED if case[0] in ANSWERS]
+REAL = 25
+NO_COMMAND = ("joints", "Klipper: what is a count")
+"""Logs without a command: which gains moved the axis is a second question."""
+
+
+def test_most_forms_are_read_in_one_command_and_the_others_after_one_question(tmp_path):
+    """The raw log, no option: a campaign that reads it as it was made, or one question that one answer settles."""
+    read, asked, twice = [], [], []
+    for k, (form, name, write) in enumerate(FORMS):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        write(folder / name)
+        done = convert(folder / name, folder / "c.toml")
+        answer, factor = ANSWERS.get(form, ([], 1.0))
+        if answer:
+            assert done.exit_code == 2, form
+            assert done.output.startswith("servolens: error: "), form
+            assert done.output.count("\n") == 1, form
+            assert not (folder / "c.toml").exists(), form
+            done = convert(folder / name, folder / "c.toml", *answer)
+        if form in NO_COMMAND:
+            assert done.exit_code == 2, form
+            assert "give kp and kd" in done.output, form
+            done = convert(folder / name, folder / "c.toml", *answer, "--record-kp", "60")
+        assert done.exit_code == 0, (form, done.output)
+        (twice if form in NO_COMMAND else asked if answer else read).append(form)
+        (record,) = read_records(folder / "c.toml")
+        expected = commanded(record.time - 0.01) * 1e-3 if factor is None else factor * Y
+        assert np.max(np.abs(record.position - expected)) < 2e-3 * np.ptp(expected), form
+        assert record.sample_time == pytest.approx(1e-3, abs=1e-6), form
+        if form == "duty and supply":
+            assert record.command_unit == "%", form
+    assert len(FORMS) >= REAL
+    assert len(read) >= 0.8 * len(FORMS)
+    page = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
+    told = f"{len(read)} become a campaign in one command, {len(asked)} after one question, {len(twice)} after two"
+    assert f"The tests hold {len(FORMS)} logs in as many forms: {told}" in " ".join(page.split())
+
+
+def convert(log, campaign, *options):
+    return CliRunner().invoke(group, ["convert", str(log), "--out", str(campaign), *options])
+
+
+@pytest.mark.parametrize(
+    "moves",
+    [
+        [[10.0, 0.1, 0.0, 1000.0, [30.0, 20.0, 0.0], "x"]],
+        [[10.0, 0.1, 0.0, 1000.0, [30.0, 20.0], [1.0, 0.0]]],
+        [{"time": 10.0}],
+        [[11.0, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]], [10.0, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]]],
+        [[10**400, 0.1, 0.0, 1.0, [0.0] * 3, [1.0, 0.0, 0.0]]],
+        [None],
+    ],
+    ids=["text", "two axes", "object", "backward", "huge", "nothing"],
+)
+def test_klipper_s_damaged_moves_are_refused(tmp_path, moves):
+    klipper(moves)(tmp_path / "a.json.gz")
+    assert "damaged rows" in read_or_refuse(tmp_path / "a.json.gz")
+
+
+def test_klipper_s_moves_are_the_reference(tmp_path):
+    klipper()(tmp_path / "a.json.gz")
+    reading = read_log(tmp_path / "a.json.gz", settings={"counts_per_unit": PER_MM * 1e3, "kp": 60})
+    record = reading.record
+    assert record.reference * 1e3 == pytest.approx(commanded(record.time), abs=1e-3)
+    assert record.position * 1e3 == pytest.approx(commanded(record.time - 0.01), abs=0.5 / PER_MM + 1e-3)
+    assert {"target x", "angle", "time"} == {guess.source.rpartition(".")[2] for guess in reading.guesses}
 
 
 def test_an_answer_settles_the_question(tmp_path):
@@ -435,9 +618,10 @@ def test_a_file_that_ends_early_is_read_or_refused_by_one_sentence(tmp_path, nam
     read_or_refuse(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.tdms", "a.mf4", "a.h5", "a.npz", "a.mat"])
+@pytest.mark.parametrize("name", ["a.xlsx", "a.parquet", "a.tdms", "a.mf4", "a.h5", "a.npz", "a.mat", "a.mcap"])
 def test_a_file_with_wrong_bytes_is_read_or_refused_by_one_sentence(tmp_path, name):
     writers = {"a.xlsx": workbook, "a.parquet": parquet, "a.tdms": tdms, "a.mf4": mdf, "a.h5": hdf5, "a.mat": mat73}
+    writers["a.mcap"] = mcap(chunks="NONE")
     writers["a.npz"] = lambda path: np.savez_compressed(path, t=T, q=Y, ref=R, u=U)
     writers[name](tmp_path / name)
     content = bytearray((tmp_path / name).read_bytes())
@@ -489,6 +673,53 @@ def test_a_bag_that_names_a_file_outside_is_refused(tmp_path):
     metadata.write_text(metadata.read_text().replace(f"../{data.name}", data.name))
     (tmp_path / "bag" / data.name).symlink_to(tmp_path / data.name)
     assert "outside its folder" in read_or_refuse(tmp_path / "bag")
+
+
+def test_a_slower_channel_of_a_scope_is_held(tmp_path):
+    """Fewer rows for the channel of 2 ms: blank cells below them, as in TwinCAT's exports of several rates."""
+    whole = scope(symbols=AXIS).splitlines()
+    first = whole.index("", 6) + 1
+    rows = [line.split("\t") for line in whole[first:-1]]
+    half = [row[:4] + (rows[2 * k][4:] if 2 * k < len(rows) else ["", ""]) for k, row in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join([*whole[:first], *("\t".join(row) for row in half), "EOF", ""]))
+    record = read_log(tmp_path / "a.csv").record
+    assert record.position == pytest.approx(Y, abs=1e-9)
+    assert record.voltage == pytest.approx(np.repeat(U[::2], 2)[: U.size], abs=1e-6)
+
+
+def test_blank_cells_between_tabs_are_never_skipped(tmp_path):
+    """Six blank cells in a table of six columns: as many numbers as in one row less."""
+    rows = np.column_stack([T, Y, R, U, Y, U])[:50]
+    cells = [[f"{x:.9g}" for x in row] for row in rows]
+    for k in range(6):
+        cells[20 + k][4] = ""
+    (tmp_path / "a.tsv").write_text(
+        "t\tpos\tref\tu\tmotor temperature\thousing temperature\n" + "\n".join("\t".join(row) for row in cells) + "\n"
+    )
+    record = read_log(tmp_path / "a.tsv").record
+    assert record.time == pytest.approx(T[:50])
+    assert record.position == pytest.approx(Y[:50])
+
+
+def test_mcap_of_other_messages_is_refused(tmp_path):
+    mcap(encoding="protobuf")(tmp_path / "a.mcap")
+    assert "without messages in JSON or by ROS" in read_or_refuse(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [(b"{", "says to be JSON and is not"), (b"[1, 2]", "no object of names"), (b"[" * 5000, "says to be JSON")],
+)
+def test_mcap_with_wrong_json_is_refused(tmp_path, data, part):
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/axis", "json", 0)
+        writer.add_message(channel, log_time=NS, data=data, publish_time=NS)
+        writer.finish()
+    assert part in read_or_refuse(tmp_path / "a.mcap")
 
 
 def test_bombs_are_refused(tmp_path, monkeypatch):

@@ -40,7 +40,8 @@ NAMELESS = (
     "has no row that names its {} columns, which begin with {}; name them in their order, e.g."
     " --columns time,position,voltage (- for one that is not needed)"
 )
-MAP = " (map names of your own, e.g. --column {}=NAME)"
+MAP = " (map names of your own, e.g. --column position=NAME)"
+CLOCKLESS = " (map names of your own, e.g. --column time=NAME, or for rows at even times --setting 'sample_time=1 ms')"
 PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
 SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS
@@ -278,15 +279,16 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (
             "time,position\n0,0\n1,1\n",
             "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"
-            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5",
+            " e.g. --column voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5"
+            " or --reference-file FILE",
         ),
         (
             GAIN + "time,reference\n0,0\n1,1\n",
-            "no column named position; the columns are 'time, reference'" + MAP.format("position"),
+            "no column named position; the columns are 'time, reference'" + MAP,
         ),
         (
             "a,b\n0,0\n1,1\n",
-            "no column named time and none named position; the columns are 'a, b'" + MAP.format("time"),
+            "no column named time and none named position; the columns are 'a, b'" + CLOCKLESS,
         ),
         (",\n0,0\n1,1\n", NAMELESS.format(2, "0, 0")),
         ("time,position,position\n0,0,0\n1,1,1\n", "2 columns are named 'position'; names must differ"),
@@ -562,7 +564,7 @@ def test_mat_is_known_by_its_content(write):
     [
         (
             mat(data={"t": [1, 2]}),
-            "no column named position; the columns are 't, data'" + MAP.format("position"),
+            "no column named position; the columns are 't, data'" + MAP,
         ),
         (mat(time=COLUMN, position={"a": 1}), "variable 'position' is a struct, " + PLAIN_VECTOR),
         (mat(time=COLUMN, position=np.array([1, "a"], dtype=object)), "variable 'position' is a cell, " + PLAIN_VECTOR),
@@ -575,7 +577,7 @@ def test_mat_is_known_by_its_content(write):
         (mat(time=COLUMN, position=COLUMN * 1j), "variable 'position' is complex; a signal is real"),
         (mat(time=COLUMN, position=np.arange(3.0), voltage=COLUMN), "position has 3 samples, time has 5"),
         (mat(time=COLUMN, position=COLUMN * np.nan, voltage=COLUMN), "position must be finite; sample 0 is nan"),
-        (mat(time=COLUMN), "no column named position; the columns are 'time'" + MAP.format("position")),
+        (mat(time=COLUMN), "no column named position; the columns are 'time'" + MAP),
         (mat(time=COLUMN, position=COLUMN, voltage=COLUMN)[:200], "is a damaged MAT file; save it again with -v7"),
         (b"junk", "is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB"),
         (
@@ -668,7 +670,7 @@ def test_index_of_a_dataframe_is_the_time(index):
             pd.DataFrame([[0, 1, 2, 3], [1, 1, 2, 3]], columns=["time", "position", "position", "voltage"]),
             "2 columns are named 'position'; names must differ",
         ),
-        (pd.DataFrame({"position": [0, 1.0]}), "no column named time; the columns are 'position'" + MAP.format("time")),
+        (pd.DataFrame({"position": [0, 1.0]}), "no column named time; the columns are 'position'" + CLOCKLESS),
         (
             pd.DataFrame(),
             "holds no columns of numbers",

@@ -65,11 +65,26 @@ def page_of(diagnosis, folder):
     return text
 
 
+def test_page_has_sliders_and_recommends_no_gain(rubbing, tmp_path):
+    text = page_of(rubbing, tmp_path)
+    assert text.index('data-name="wrong-gains"') < text.index('class="playground"')
+    assert "A diagnosis recommends no gain" in text
+    assert "as designed with" not in text
+    found = re.search(r'<script type="application/json" class="design">(.*?)</script>', text, flags=re.DOTALL)[1]
+    kp, kd = json.loads(found)["sliders"]
+    assert (kp["key"], kp["value"], kd["key"]) == ("kp", 60, "free")
+
+
+def test_page_without_a_known_loop_has_no_sliders(rubbing, tmp_path):
+    blind = replace(rubbing, records=tuple(replace(record, controller=None) for record in rubbing.records))
+    assert 'class="playground"' not in page_of(blind, tmp_path)
+
+
 def test_page_says_the_cause_first_and_shows_it(rubbing, tmp_path):
     text = page_of(rubbing, tmp_path)
     lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
     assert "Coulomb friction" in lead
-    assert text.count("<figure ") == 6
+    assert text.count("<figure ") == 7
     assert text.index('data-name="prediction"') < text.index('data-name="wrong-shares"')
     assert "the missing force correlates with the direction of motion" in text
     assert "is what the model with its causes says" in text
@@ -79,8 +94,9 @@ def test_page_says_the_cause_first_and_shows_it(rubbing, tmp_path):
 
 def test_every_figure_says_whether_its_data_are_held_out(rubbing, tmp_path):
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", page_of(rubbing, tmp_path))
-    assert len(captions) == 6
-    assert [caption for caption in captions if "held out" not in caption.lower()] == []
+    assert len(captions) == 7
+    told = ("held out", "no measured data")
+    assert [caption for caption in captions if not any(words in caption.lower() for words in told)] == []
 
 
 @pytest.mark.parametrize(
@@ -108,7 +124,7 @@ def test_record_beyond_all_others_is_not_said_to_be_left_out(rubbing):
 
 def test_page_of_a_healthy_axis_shows_no_cause(healthy, tmp_path):
     text = page_of(healthy, tmp_path)
-    assert text.count("<figure ") == 2 + bool(healthy.candidates)
+    assert text.count("<figure ") == 3 + bool(healthy.candidates)
     assert "correlates significantly with anything that was measured" in text
     assert f"None of the {len(CATALOGUE)} effects of the catalogue makes these records more likely" in text
     assert "with the causes" not in text.lower()

@@ -96,7 +96,9 @@ def read_logs(
     """
     named = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     root = None if data_root is None else _real(Path(data_root))
-    sources = [source for path in named for source in _sources(Path(path), root)]
+    beside = (settings or {}).get("reference_file")
+    own = None if beside is None else _real(Path(str(beside)))
+    sources = [source for path in named for source in _sources(Path(path), root) if _real(source.path) != own]
     if not sources:
         raise InputError("no records are given; name files, folders or a campaign TOML")
     _check_distinct(sources)
@@ -196,10 +198,22 @@ def _campaign(path: Path, root: Path | None) -> Iterator[_Source]:
             yield _Source(
                 path=_inside(path.parent / file, path.parent, root),
                 label=label,
-                settings={key: value for key, value in {**defaults, **entry}.items() if key in KEYS},
+                settings=_settings({**defaults, **entry}, path.parent, root),
                 columns={**_table(defaults, "columns"), **_table(entry, "columns")},
                 units={**_table(defaults, "units"), **_table(entry, "units")},
             )
+
+
+def _settings(entry: Mapping[str, Any], folder: Path, root: Path | None) -> dict[str, object]:
+    """Return the settings of an entry; a file that it names is found beside the campaign."""
+    found = {key: value for key, value in entry.items() if key in KEYS}
+    file = found.get("reference_file")
+    if file is not None:
+        if not isinstance(file, str) or not file:
+            raise InputError("reference_file must be the name of a file, relative to the TOML")
+        with located(f"reference_file ({printable(file)[:80]})"):
+            found["reference_file"] = str(_inside(folder / file, folder, root))
+    return found
 
 
 def _toml(path: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servolens.errors import InputError
@@ -13,7 +14,6 @@ from servolens.reading.reading import units_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
     from servolens.campaign import Log
 
@@ -28,7 +28,7 @@ def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
     logs : sequence of Log
         From :func:`~servolens.campaign.read_logs`.
     path : Path
-        The TOML file. Logs that do not lie below its folder are copied into it.
+        The TOML file. Logs, and files of references, that do not lie below its folder are copied into it.
 
     Returns
     -------
@@ -43,23 +43,31 @@ def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
         If a file cannot be written.
     """
     folder = path.resolve().parent
-    taken: set[Path] = {path.resolve()}
+    taken: dict[Path, Path] = {}
     entries, copies = [], []
     for log in logs:
-        source = log.path.resolve()
-        target = source if source.is_relative_to(folder) else _free(folder / source.name, taken, source)
-        taken.add(target)
-        if target != source:
-            if source.is_dir():
-                raise InputError(f"{log.path}: is a bag outside the campaign's folder; copy its folder there first")
-            copies.append((source, target))
-        entries.append(_entry(log, target.relative_to(folder)))
+        beside = log.reading.settings.get("reference_file")
+        places = []
+        for source in [log.path.resolve(), *([Path(str(beside)).resolve()] if beside else [])]:
+            target = taken.get(source) or _target(source, folder, {path.resolve(), *taken.values()})
+            if target != source and source not in taken:
+                if source.is_dir():
+                    raise InputError(f"{log.path}: is a bag outside the campaign's folder; copy its folder there first")
+                copies.append((source, target))
+            taken[source] = target
+            places.append(target.relative_to(folder))
+        entries.append(_entry(log, *places))
     for source, target in copies:
         shutil.copyfile(source, target)
     path.write_text(
         "# Written by servolens convert: change what was guessed wrong.\n\n" + "\n".join(entries), encoding="utf-8"
     )
     return tuple(target for _, target in copies)
+
+
+def _target(source: Path, folder: Path, taken: set[Path]) -> Path:
+    """Return where the campaign finds a file: where it is, or a copy beside the campaign."""
+    return source if source.is_relative_to(folder) else _free(folder / source.name, taken, source)
 
 
 def _free(target: Path, taken: set[Path], source: Path) -> Path:
@@ -77,13 +85,13 @@ def _equal(first: Path, second: Path) -> bool:
     )
 
 
-def _entry(log: Log, file: Path) -> str:
+def _entry(log: Log, file: Path, beside: Path | None = None) -> str:
     reading = log.reading
     lines = ["[[records]]", f"file = {_text(file.as_posix())}"]
     if reading.record.name != file.name.removesuffix(".gz").rpartition(".")[0]:
         lines.append(f"name = {_text(reading.record.name)}")
     for key in KEYS:
-        value = reading.settings.get(key)
+        value = beside.as_posix() if key == "reference_file" and beside else reading.settings.get(key)
         if key != "name" and value is not None:
             lines.append(f"{key} = {_text(value) if isinstance(value, str | os.PathLike) else repr(value)}")
     lines.append(f"columns = {_table(reading.columns)}")

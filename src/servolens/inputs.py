@@ -66,6 +66,7 @@ class RecordSettings(TypedDict, total=False):
     control_period: float | str
     sample_time: float | str
     reference: str
+    reference_file: str
     encoder_resolution: float | str
     counts_per_unit: float | str
     counts_per_rev: float | str

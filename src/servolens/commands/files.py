@@ -69,7 +69,7 @@ def load_records(
     """Read the records; refuse `outputs` that are one of their files, which a folder or a campaign may name."""
     from servolens.campaign import read_records
 
-    check_outputs(outputs, recordings.paths)
+    check_outputs(outputs, _inputs(recordings))
     progress("Reading", 0, 0)
     records = read_records(recordings.paths, **_options(recordings))
     check_outputs(outputs, [record.source for record in records if record.source])
@@ -82,11 +82,17 @@ def load_logs(
     """Read the records and how they were found; otherwise as :func:`load_records`."""
     from servolens.campaign import read_logs
 
-    check_outputs(outputs, recordings.paths)
+    check_outputs(outputs, _inputs(recordings))
     progress("Reading", 0, 0)
     logs = read_logs(recordings.paths, **_options(recordings))
     check_outputs(outputs, [log.reading.record.source for log in logs])
     return logs
+
+
+def _inputs(recordings: Recordings) -> list[str]:
+    """Return the files that the command line names."""
+    file = recordings.settings.get("reference_file")
+    return [*recordings.paths, *([str(file)] if file else [])]
 
 
 def _options(recordings: Recordings) -> dict[str, Any]:

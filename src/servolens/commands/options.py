@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from functools import wraps
 from typing import TYPE_CHECKING, Any, final
@@ -181,6 +182,7 @@ def recordings(
                 "kp": options.pop("record_kp"),
                 "kd": options.pop("record_kd"),
                 "reference": options.pop("reference_step"),
+                "reference_file": options.pop("reference_file"),
             }
             stated = {name: value for name, value in gains.items() if value is not None}
             ordered = options.pop("column_order") or {}
@@ -371,6 +373,12 @@ def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[
             "--reference-step",
             metavar="LEVEL[@TIME],...",
             help="A reference that was not logged: 0.1@0.5 is 0.1 from 0.5 s on, 0 before.",
+        ),
+        click.option(
+            "--reference-file",
+            metavar="FILE",
+            type=os.path.abspath,
+            help="The same from a file of two columns, time and reference; each value holds until the next.",
         ),
         click.option(
             "--setting",

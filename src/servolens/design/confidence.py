@@ -136,6 +136,10 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
         )
     if chosen is None:
         return Light(light="green", sentence=f"{design.spec.free} = {kd:.4g} meets the spec on the model.")
+    if chosen.worst.settling_time is None:
+        return Light(
+            light="amber", sentence=f"The worst of {chosen.scenarios} plants does not settle at all: {chosen.why}."
+        )
     if chosen.interval[0] < NINE_OF_TEN:
         return Light(light="amber", sentence=f"It meets the spec in hardly nine of ten plants: {chosen.why}.")
     return Light(light="green", sentence=_sentence(chosen.why))

@@ -24,6 +24,7 @@ from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
 from servolens.identification.structure import can_tell, depends_on_inputs, loop_depends_on_inputs
 from servolens.processors import in_parallel
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -219,6 +220,22 @@ class Case:
         if self.heldout:
             return self.likelihood.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+
+    def difference(self, one: Hypothesis, other: Hypothesis) -> float:
+        """Return how far apart two hypotheses are on the records, or ends of records, to which they were not fitted.
+
+        The squared distance of what they predict there, whitened: by about so much −2 log-likelihood would tell them
+        apart if either were the axis.
+        """
+        likelihood = self.likelihood.on(self.heldout) if self.heldout else self.likelihood
+        cuts = [0] * len(self.heldout) or self.cuts
+        pairs = [[h.plant] * len(self.heldout) if self.heldout else self.left_out(h) for h in (one, other)]
+        total = 0.0
+        for run, a, b, cut in zip(likelihood.runs(one.noise, unpowered=one.unpowered), *pairs, cuts, strict=True):
+            seen = [run.missed(plant, run.start, substeps_for(plant, run.sample_time)) for plant in (a, b)]
+            apart_by = run.whiten(seen[0] - seen[1])[cut // likelihood.every :]
+            total += float(apart_by @ apart_by)
+        return total
 
     @property
     def travel(self) -> float:

@@ -65,7 +65,7 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = search(
         case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
     )
-    if found.chosen.noise.rate > 0.0 and not case.is_enough(found.chosen):
+    if found.chosen.noise.rate > 0.0 and (len(found.chosen.causes) > 1 or not case.is_enough(found.chosen)):
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)
     first = _explaining(case, found)
@@ -136,10 +136,12 @@ def _confirmed(case: Case, found: Search) -> Decision:
 def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
-    An observer that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more
-    than that of any simpler model, either, of those with the same waves: whose phases no simulation foretells.
+    Where these would not tell the two apart, as of a limit that they do not reach, those fitted decide. An observer
+    that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more than that of
+    any simpler model, either, of those with the same waves: whose phases no simulation foretells.
     """
-    if not case.misfit(path[-1]) < case.misfit(path[-2]):
+    is_likelier = case.misfit(path[-1]) < case.misfit(path[-2])
+    if not is_likelier and case.difference(path[-1], path[-2]) > INDISTINCT:
         return False
     if path[-1].noise.rate == 0.0:
         return True

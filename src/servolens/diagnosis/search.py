@@ -31,12 +31,13 @@ if TYPE_CHECKING:
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
 PROMISING = 0.5
-"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet."""
+"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
+causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
-SIMPLE = 0.5
+SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take."""
 SHARE, SPENT = 0.25, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
@@ -144,7 +145,8 @@ def search(
         early = False
     else:
         explorer.with_last_resorts = True
-        path, early = explorer.walked(base, effort.work)
+        further, early = explorer.walked(base, effort.work)
+        path = min(path, further, key=lambda steps: steps[-1].total)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=_worse)}.values(), key=_total)
@@ -187,6 +189,7 @@ class _Explorer:
             if self.left <= self.effort.work - (1.0 - SPENT) * work:
                 return path, True
             found = self.extended(beam, len(path[-1].causes))
+            path[-1] = self._beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
                 break
@@ -202,12 +205,15 @@ class _Explorer:
         it follows; one effect that then leaves nothing is all that is looked for.
         """
         unshaken: list[Hypothesis] = []
-        if beam[0].noise.rate == 0.0 and not self.likelihood.simulates:
+        noise = beam[0].noise
+        if self.likelihood.simulates or noise.is_model_error:
+            pass
+        elif noise.rate > 0.0:
+            unshaken = self._unobserved(beam[0])
+        else:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
-        elif not self.likelihood.simulates:
-            unshaken = self._unobserved(beam[0])
         members = [*unshaken, *beam]
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
@@ -227,6 +233,11 @@ class _Explorer:
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=_total)
+
+    def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
+        own = [h for h in others if h.noise.rate > 0.0 and h.total < hypothesis.total]
+        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=_total)
 
     def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
         """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
@@ -269,7 +280,8 @@ class _Explorer:
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
-        scored = [s for s in scored if s[0].gain > PROMISING * trials.price(effect_class(s[0].effect))]
+        share = 1.0 if hypothesis.causes and not is_observed and self.is_enough(hypothesis) else PROMISING
+        scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
         if scored:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]
@@ -299,7 +311,7 @@ class _Explorer:
     ) -> Hypothesis | None:
         """Return where the best starts of one effect lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        tried = [s for place, s in enumerate(starts) if place < several or (several > 1 and s.is_guess)]
+        tried = [s for place, s in enumerate(starts) if place < several or s.is_guess]
         led = [
             self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=allowance / len(tried))
             for s in tried

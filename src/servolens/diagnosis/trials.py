@@ -50,7 +50,7 @@ class Start:
     gain : float
         By how much −2 log-likelihood falls to first order, all sizes free: the score statistic.
     is_guess : bool
-        Whether it is what the effect, or the integral equation, proposes first.
+        Whether it is what the effect, or the integral equation, proposes first, or far from all others.
     """
 
     plant: Plant
@@ -170,7 +170,9 @@ class Trials:
         except (InputError, NumericalError):
             return []
         whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))
+        far = _swapped(plant, cls, self.likelihood.rate)
         found = [Start(p, test.gain(p), place == 0) for place, p in enumerate(whole)]
+        found += [Start(p, test.gain(p), is_guess=True) for p in far if not self.likelihood.is_too_stiff(p)]
         for general in cls.generalised(parts, self.seen) if parts else ():
             same = plant.with_effect(general)
             found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))
@@ -185,7 +187,7 @@ class Trials:
         tried += [free.with_effect(effect) for effect in proposals if (free := self._free_of(plant, effect))]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
-        return [*tried, *_swapped(plant, cls, self.likelihood.rate)]
+        return tried
 
     def _free_of(self, plant: Plant, effect: Effect) -> Plant | None:
         """Return `plant` as the integral equation finds it where the axis runs free of `effect`; else None."""

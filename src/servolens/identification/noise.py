@@ -30,6 +30,9 @@ REWEIGHTED, LEAST = 8, 1e-4
 WANDERS = 12.0
 """Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
 constant is 290 samples."""
+SWINGS, LINES = 0.5, 2048
+"""Share of its variance that no noise of a sensor has about one frequency: its spectrum falls. Of what swings the mains
+are taken out before, and the rest is the axis. Frequencies at which a spectrum is looked at."""
 NEGLIGIBLE = 2e-5
 """Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
 MOST_ORDER = 24
@@ -129,6 +132,18 @@ class NoiseModel:
         """Whether it spreads farther than any sensor's: that is what the model lacks, taken up by the filter."""
         return self.rate == 0.0 and self.spread > WANDERS * self.innovation
 
+    @property
+    def swings(self) -> bool:
+        """Whether most of it is about one frequency, and more than rounding is: what the model lacks, again.
+
+        Most of its spectrum is above all that is lower in frequency.
+        """
+        if self.order < 2:
+            return False
+        spectrum = 1.0 / np.abs(np.fft.rfft(self.filters[-1], LINES)) ** 2
+        above = float(np.sum(spectrum - np.minimum.accumulate(spectrum)) / np.sum(spectrum))
+        return above > SWINGS and above > self.share
+
     def memory(self) -> float:
         """Return for how many samples the noise remembers: the sum of its autocorrelation from −∞ to ∞, at least 1."""
         total = float(np.sum(self.filters[-1]))
@@ -162,13 +177,18 @@ class NoiseModel:
         return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread)
 
     def coloured(
-        self, residuals: Sequence[NDArray[np.float64]], whiteners: Sequence[Whitener], *, for_errors: bool = False
+        self,
+        residuals: Sequence[NDArray[np.float64]],
+        whiteners: Sequence[Whitener],
+        *,
+        for_errors: bool = False,
+        most_order: int = MOST_ORDER,
     ) -> NoiseModel:
         """Return the model whose autoregressive part suits `residuals` beside the observer that left them."""
         weighed = [whitener.weighed(r) for whitener, r in zip(whiteners, residuals, strict=True)]
         samples = sum(r.size for r in residuals)
         price = 2.0 if for_errors else float(np.log(samples))
-        filters, scales = burg(weighed, MOST_ORDER, price)
+        filters, scales = burg(weighed, most_order, price)
         parameters = len(filters) - 1
         if parameters >= min(SLOW_PARAMETERS):
             others = [(parameters, filters, scales), *slow_filters(weighed, MOST_ORDER)]

@@ -119,8 +119,10 @@ class NoiseTrials:
             self._left = missed
         whiteners = [run.whiten for run in runs]
         noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
-        if noise.wanders and noise.spread > NEGLIGIBLE * likelihood.travel:
+        if noise.spread > NEGLIGIBLE * likelihood.travel and noise.rate == 0.0 and (noise.wanders or noise.swings):
             noise = replace(first.scaled(missed), is_model_error=True)
+        elif noise.swings:
+            noise = first.coloured(missed, whiteners, most_order=0)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:
             return np.inf
         parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)

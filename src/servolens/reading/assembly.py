@@ -10,6 +10,7 @@ from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.counts import Scales
 from servolens.reading.files import quote
+from servolens.reading.reference_file import read_reference_file
 from servolens.reading.roles import check_mapping
 from servolens.reading.settings import Settings, parse_settings
 from servolens.reading.stated import stated_reference
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
     import numpy as np
     from numpy.typing import NDArray
+
+    from servolens.reading.reference_file import ReferenceFile
 
 __all__ = ["assemble"]
 
@@ -96,6 +99,9 @@ def assemble(
     parsed = parse_settings(comments or {}, settings)
     stated = _column_units(signals, {**header_units, **check_mapping(units, "units")})
     stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
+    beside = read_reference_file(parsed.texts["reference_file"]) if "reference_file" in parsed.texts else None
+    if beside is not None and beside.unit is not None and "reference" not in signals:
+        stated["reference"] = beside.unit
     scales = Scales.of(parsed, stated, signals)
     stated = {key: (text, scales.converted(unit)) for key, (text, unit) in stated.items()}
     length, command = _settle(stated, _kinds(parsed))
@@ -103,6 +109,8 @@ def assemble(
     numbers = {key: amount.value * _factor(key, stated) for key, amount in parsed.amounts.items()}
     if "reference" in parsed.texts:
         values["reference"] = stated_reference(parsed.texts["reference"], values, stated, scales, length)
+    if beside is not None:
+        values["reference"] = _held(beside, values, stated)
     _check_size({**values, **numbers})
     controller, remarks = _controller(numbers, parsed)
     title = parsed.name or name
@@ -115,6 +123,19 @@ def assemble(
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
     }
     return _record(values, made, (length, command), title, source)
+
+
+def _held(beside: ReferenceFile, values: Signals, stated: Stated) -> NDArray[np.float64]:
+    """Return the reference of a file beside the log, at the log's instants."""
+    if "reference" in values:
+        raise InputError("a reference is logged and a file of one is given too; keep one of the two")
+    position = stated.get("position")
+    if beside.unit is None and position is not None and position[1].factor != 1.0:
+        raise InputError(
+            f"{beside.label}: states no unit, and the position is logged in {quote(position[0])}; write the unit into"
+            f" the heading, e.g. reference [{position[0]}]"
+        )
+    return beside.held(values["time"], _factor("reference", stated))
 
 
 def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> Stated:

@@ -1,4 +1,4 @@
-"""ROS bags (ROS 1, ROS 2 in SQLite or MCAP), by rosbags: a table for each topic, its messages' numbers as columns."""
+"""ROS bags (ROS 1, ROS 2 in SQLite or MCAP) and MCAP with JSON: a table for each topic, with its numbers as columns."""
 
 from __future__ import annotations
 
@@ -21,6 +21,14 @@ __all__ = ["read"]
 LONGEST_ARRAY = 64
 """Elements of an array of a message that become columns; joints of a robot are fewer."""
 DEEPEST = 6
+MCAP = b"\x89MCAP0\r\n"
+OTHER = "is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR or JSON"
+STAMPS = (
+    ("header.stamp.sec", "header.stamp.nanosec"),
+    ("header.stamp.sec", "header.stamp.nsec"),
+    ("timestamp.sec", "timestamp.nsec"),
+)
+"""Where messages keep their own time: those of ROS 2, those of ROS 1, and Foxglove's."""
 
 
 def read(path: Path) -> list[Table]:
@@ -37,26 +45,49 @@ def read(path: Path) -> list[Table]:
     _check_inside(path)
     rows: dict[str, list[tuple[int, dict[str, float]]]] = {}
     left = files.LARGEST // 8
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            for connection, recorded, raw in reader.messages():
-                row = dict(_numbers(reader.deserialize(raw, connection.msgtype), "", 0))
-                stamp = _stamp(row)
-                left -= len(row) + 1
-                if left < 0:
-                    raise InputError(
-                        f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read"
-                    )
-                rows.setdefault(connection.topic, []).append((recorded if stamp is None else stamp, row))
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError("is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR") from error
+    for topic, recorded, message in _messages(path):
+        row = dict(_numbers(message, "", 0))
+        stamp = _stamp(row)
+        left -= len(row) + 1
+        if left < 0:
+            raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+        rows.setdefault(topic, []).append((recorded if stamp is None else stamp, row))
     start = min((instant for group in rows.values() for instant, _ in group), default=0)
     tables = [table for topic, group in rows.items() if (table := _table(topic, group, start)) is not None]
     if not tables:
         raise InputError("is a bag without messages that hold numbers")
     return tables
+
+
+def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
+    """Yield topic, time of recording [ns] and content of each message: ROS's serialisation, or JSON in MCAP."""
+    if path.is_file() and files.read_start(path, len(MCAP)) == MCAP and not _is_ros(path):
+        yield from _json(path)
+        return
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            for connection, recorded, raw in reader.messages():
+                yield connection.topic, recorded, reader.deserialize(raw, connection.msgtype)
+    except Exception as error:
+        raise InputError(OTHER) from error
+
+
+def _is_ros(path: Path) -> bool:
+    """Tell whether an MCAP file says that ROS wrote it: the profile that its header begins with."""
+    start = files.read_start(path, 64)[len(MCAP) + 9 :]
+    size = int.from_bytes(start[:4], "little")
+    return start[4 : 4 + size] in (b"ros1", b"ros2")
+
+
+def _json(path: Path) -> Iterator[tuple[str, int, Any]]:
+    from servolens.reading.mcap_json import json_messages
+
+    found = False
+    for message in json_messages(path):
+        found = True
+        yield message
+    if not found:
+        raise InputError("is MCAP without messages in JSON or by ROS; what else writes it (protobuf …) is not read")
 
 
 def _check_inside(path: Path) -> None:
@@ -78,22 +109,26 @@ def _numbers(message: Any, path: str, depth: int) -> Iterator[tuple[str, float]]
     if isinstance(message, bool | np.bool_ | int | float | np.number):
         yield path, float(message)
         return
+    if depth > DEEPEST:
+        return
     if isinstance(message, np.ndarray | list | tuple):
         for k, item in enumerate(message[:LONGEST_ARRAY]):
             if not isinstance(item, str):
                 yield from _numbers(item, f"{path}[{k}]", depth + 1)
         return
-    fields = getattr(message, "__dataclass_fields__", None)
-    if fields is None or depth > DEEPEST:
-        return
-    names: list[str] = next(
-        (getattr(message, key) for key in ("name", "joint_names") if isinstance(getattr(message, key, None), list)), []
-    )
-    for field in fields:
-        if field.startswith("__"):
-            continue
-        for key, value in _numbers(getattr(message, field), f"{path}.{field}" if path else field, depth + 1):
+    fields = _fields(message)
+    names: list[str] = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
+    for field, own in fields.items():
+        for key, value in _numbers(own, f"{path}.{field}" if path else field, depth + 1):
             yield _titled(key, names), value
+
+
+def _fields(message: Any) -> dict[str, Any]:
+    """Return what a message of either kind consists of, by name."""
+    if isinstance(message, dict):
+        return {str(key): value for key, value in message.items()}
+    names = getattr(message, "__dataclass_fields__", ())
+    return {name: getattr(message, name) for name in names if not name.startswith("__")}
 
 
 def _titled(key: str, names: list[str]) -> str:
@@ -106,8 +141,11 @@ def _titled(key: str, names: list[str]) -> str:
 
 def _stamp(row: dict[str, float]) -> int | None:
     """Take a message's own stamp [ns] out of its numbers; None without one or where it was not set."""
-    seconds, rest = row.pop("header.stamp.sec", None), row.pop("header.stamp.nanosec", 0.0)
-    return None if not seconds else int(seconds) * 10**9 + int(rest)
+    for whole, part in STAMPS:
+        if whole in row and part in row:
+            seconds, rest = row.pop(whole), row.pop(part)
+            return None if not seconds else int(seconds) * 10**9 + int(rest)
+    return None
 
 
 def _table(topic: str, rows: list[tuple[int, dict[str, float]]], start: int) -> Table | None:

@@ -101,7 +101,7 @@ def interpret(
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
     for signal, choice in chosen.items():
         _check_numbers(signal, choice)
-    if not {"reference", "voltage"} & set(chosen) and (settings or {}).get("reference") is None:
+    if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
@@ -129,14 +129,19 @@ def interpret(
     )
 
 
+def _states_reference(settings: Mapping[str, object]) -> bool:
+    return any(settings.get(key) is not None for key in ("reference", "reference_file"))
+
+
 def _check_stated(tables: Sequence[Table]) -> None:
     """Refuse a log without reference and command, unless a comment states the reference."""
-    if any("reference" in table.comments for table in tables):
+    if any({"reference", "reference_file"} & set(table.comments) for table in tables):
         return
     names = quote(", ".join(column.name for table in tables for column in table.columns))
     raise InputError(
         f"neither reference nor voltage is given, and none of the columns {names} is named so; name one, e.g. --column"
-        " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5"
+        " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5 or"
+        " --reference-file FILE"
     )
 
 

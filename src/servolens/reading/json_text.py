@@ -6,6 +6,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from servolens.errors import InputError
+from servolens.reading.klipper import stream_tree
 from servolens.reading.nested import tables_of
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ def read_json(content: bytes) -> tuple[Table, ...]:
         raise InputError(f"is JSON of more than {LARGEST / 2**20:.0f} MiB, the longest that is read; export it as CSV")
     try:
         tree = _documents(content.decode("utf-8-sig"))
+    except InputError:
+        raise
     except UnicodeDecodeError as error:
         raise InputError(f"is not UTF-8 text (byte {error.start})") from error
     except json.JSONDecodeError as error:
@@ -46,7 +49,7 @@ def read_json(content: bytes) -> tuple[Table, ...]:
 
 def _documents(text: str) -> Any:
     if "\x03" in text:
-        return _stream([json.loads(part) for part in text.split("\x03") if part.strip()])
+        return stream_tree([json.loads(part) for part in text.split("\x03") if part.strip()])
     try:
         return json.loads(text)
     except json.JSONDecodeError:
@@ -54,18 +57,3 @@ def _documents(text: str) -> Any:
         if len(lines) < 2:
             raise
         return [json.loads(line) for line in lines]
-
-
-def _stream(messages: list[Any]) -> dict[str, Any]:
-    """Return the rows of each query of a stream below the header that its subscription was answered with."""
-    found: dict[str, Any] = {}
-    for message in messages:
-        if not isinstance(message, dict):
-            continue
-        result, query, params = message.get("result"), message.get("q"), message.get("params")
-        if isinstance(result, dict) and isinstance(result.get("header"), list):
-            found[str(message.get("id"))] = {"header": result["header"], "data": []}
-        elif isinstance(params, dict) and isinstance(params.get("data"), list):
-            rows = found.setdefault(str(query), {"data": []})
-            rows["data"] += params["data"]
-    return found

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
 from servolens.reading.cells import is_stamp, number
+from servolens.reading.words import meaning
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -168,16 +169,25 @@ def properties_of(rows: Iterable[Sequence[str]]) -> dict[str, str]:
 def _scope(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...], tuple[str | None, ...]] | None:
     """Return names and units of a TwinCAT Scope export, whose header rows begin with what they tell.
 
-    With a time line for each channel the labels are repeated: ``Name, a, Name, b`` above ``time, a, time, b``. Times
-    are milliseconds from the first sample, or FILETIME (100 ns) where the export says so.
+    Where a time line begins, the label stands again: ``Name, a, b, Name, c`` above ``time, a, b, time, c``. Times are
+    milliseconds from the beginning. A channel has a name for people and a symbol; the one that says more is taken.
     """
     labelled = {row[0].lower(): row for row in above if row and row[0]}
     if "name" not in labelled or not any(label in labelled for label in _SCOPE):
         return None
-    names = _padded(labelled.get("symbolname", labelled["name"]), width)
-    units: list[str | None] = [_unit(cell) for cell in _padded(labelled.get("unit", []), width)]
-    label = names[0]
-    for j, name in enumerate(names):
-        if name == label:
+    spoken = _padded(labelled["name"], width)
+    symbols = _padded(labelled.get("symbolname", labelled["name"]), width)
+    names = [
+        name if meaning(name).roles and not meaning(own).roles else own
+        for name, own in zip(spoken, symbols, strict=True)
+    ]
+    units: list[str | None] = [_scope_unit(cell) for cell in _padded(labelled.get("unit", []), width)]
+    for j, name in enumerate(spoken):
+        if name == spoken[0]:
             names[j], units[j] = "time", "ms"
     return tuple(names), tuple(units)
+
+
+def _scope_unit(cell: str) -> str | None:
+    """Return ``mm`` of ``mm (Length)``, None of ``(None)``."""
+    return _unit(cell if _BRACKETED.fullmatch(cell) and cell != "(None)" else cell.partition("(")[0].strip())

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 from servolens.findings import Finding
 from servolens.reading.assembly import assemble
+from servolens.reading.files import printable
 from servolens.reading.gains import guessed_gains
 from servolens.reading.guess import Guess, told
 
@@ -100,6 +102,10 @@ def made(
     if "reference" in given:
         text = str(given["reference"])
         guesses.append(Guess(quantity="reference", source="stated", value=text, evidence="by you", is_stated=True))
+    if "reference_file" in given:
+        file = printable(Path(str(given["reference_file"])).name)[:40]
+        evidence = "a file named by you, each value held until the next"
+        guesses.append(Guess(quantity="reference", source=file, value="", evidence=evidence, is_stated=True))
     si = units_of(record)
     guesses = [guess if guess.value else replace(guess, value=si.get(guess.quantity, "")) for guess in guesses]
     return Reading(

@@ -366,10 +366,14 @@ def _nameless(tables: Sequence[Table]) -> str:
     )
 
 
+def _clockless(missing: Sequence[str]) -> str:
+    return ", or for rows at even times --setting 'sample_time=1 ms'" if "time" in missing else ""
+
+
 def _check_found(chosen: Mapping[str, Choice], found: Sequence[Choice]) -> None:
     missing = [signal for signal in ("time", "position") if signal not in chosen]
     if missing:
         raise InputError(
             f"no column named {' and none named '.join(missing)}; {offer(found)}"
-            f" (map names of your own, e.g. --column {missing[0]}=NAME)"
+            f" (map names of your own, e.g. --column {missing[0]}=NAME{_clockless(missing)})"
         )

@@ -26,7 +26,7 @@ PURE = (
     "derivative_filter", "derivative_window", "counts_per_rev", "pwm_full_scale", "setpoint_weight",
     "feedforward_speed",
 )  # fmt: skip
-TEXTS = ("reference",)
+TEXTS = ("reference", "reference_file")
 WORDS = {
     "controller": ("pd", "pid", "cascade"),
     "anti_windup": ("none", "clamping", "back_calculation"),
@@ -111,12 +111,16 @@ def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] |
     for key in override:
         if key not in KEYS:
             raise InputError(f"no setting is named {quote(key)}; known are {', '.join(KEYS)}")
+    if "reference_file" in comments and override.get("reference_file") is None:
+        raise InputError("the comment lines name a reference_file, which is not followed; give --reference-file")
     merged = {**comments, **{key: value for key, value in override.items() if value is not None}}
     remarks = _unknown(key for key in merged if key not in KEYS)
     amounts: dict[str, Amount] = {}
     for key in DIMENSIONED:
         if key in merged:
             amounts[key] = _amount(key, merged[key], remarks)
+    if "reference" in merged and "reference_file" in merged:
+        raise InputError("reference and reference_file are given both; keep one")
     if "inertia" in amounts and "mass" in amounts:
         raise InputError("inertia and mass are given both; keep the one that the axis moves")
     if "voltage_limit" in amounts and "current_limit" in amounts:

@@ -33,6 +33,8 @@ CHUNK = 50_000
 """Lines that are split at once, so that memory stays bounded."""
 LARGE = 4 * 2**20
 """From this size on [bytes] importing pyarrow's reader pays, where it is installed."""
+FILETIME = 1e16
+"""Times of a scope from which on they count 100 ns since 1601: such of this century begin with 1.2e17."""
 LAST_WORDS = 5
 """Lines at the end that may be no numbers, as ``EOF``."""
 _COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
@@ -77,15 +79,43 @@ def read_text(content: bytes) -> tuple[Table, ...]:
 
 
 def _by_clock(table: Table) -> tuple[Table, ...]:
-    """Split a table whose columns have times of their own before them; columns of one clock stay together."""
+    """Split a table whose columns have times of their own before them; columns of one clock stay together.
+
+    Slower channels end above the last row, and times may be FILETIME: both are how TwinCAT Scope exports.
+    """
+    clocks = [column.values for column in table.columns if column.name == "time"]
+    start = min((float(clock[0]) for clock in clocks if clock.size), default=0.0)
     groups: list[list[Column]] = []
     for column in table.columns:
         if column.name != "time":
             groups[-1].append(column)
             continue
-        same = next((group for group in groups if np.array_equal(group[0].values, column.values)), None)
-        groups = [group for group in groups if group is not same] + [same or [column]]
-    return tuple(replace(table, columns=tuple(group)) for group in groups)
+        clock = replace(column, values=_milliseconds(column.values, start))
+        same = next((group for group in groups if np.array_equal(group[0].values, clock.values, equal_nan=True)), None)
+        groups = [group for group in groups if group is not same] + [same or [clock]]
+    return tuple(replace(table, columns=_ended(group)) for group in groups)
+
+
+def _milliseconds(clock: Matrix, start: float) -> Matrix:
+    """Return the times of a scope from its `start` [ms]; FILETIME counts 100 ns since 1601, even in part."""
+    if not start >= FILETIME:
+        return clock
+    known = np.isfinite(clock)
+    ticks = clock - start
+    count = int(np.count_nonzero(known))
+    even = ticks[0] + (ticks[known][-1] - ticks[0]) / max(count - 1, 1) * np.arange(clock.size)
+    rounding = np.spacing(start)  # of numbers as large as FILETIME: 1.6 µs
+    if np.all(np.abs(even - ticks)[known] <= rounding):
+        ticks = np.where(known, np.round(even), np.nan)
+    return ticks * 1e-4
+
+
+def _ended(group: Sequence[Column]) -> tuple[Column, ...]:
+    """Return the columns of a clock up to its last instant."""
+    known = np.flatnonzero(np.isfinite(group[0].values))
+    end = int(known[-1]) + 1 if known.size else 0
+    cut = [replace(column, values=column.values[:end]) for column in group]
+    return tuple(replace(c, fault=None) if np.isfinite(c.values).all() else c for c in cut)
 
 
 def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
@@ -160,7 +190,7 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
 
 def _decimal(content: bytes, separator: str) -> str:
     """Return the decimal sign: a comma where digits stand around commas and nowhere around points."""
-    if separator == "," or not _DECIMAL_COMMA.search(content):
+    if separator == "," or b"," not in content or not _DECIMAL_COMMA.search(content):
         return "."
     return "." if _DECIMAL_POINT.search(content) else ","
 
@@ -183,7 +213,7 @@ def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
     at = 0
     for _ in range(form.first):
         at = content.index(b"\n", at) + 1
-    body = _without_last_words(content[at:].rstrip(b" \t\n"), form)
+    body = _without_last_words(_trimmed(content[at:]), form)
     matrix = _fast(body, form)
     if matrix is None or not np.isfinite(matrix).all():
         return _slow(body, form)
@@ -201,8 +231,15 @@ def _without_last_words(body: bytes, form: _Form) -> bytes:
         given = [cell for cell in cells if cell.strip()]
         if at < 0 or len(given) != 1 or number(given[0], form.decimal) is not None or is_stamp(given[0]):
             break
-        body = body[:at].rstrip(b" \t\n")
+        body = _trimmed(body[:at])
     return body
+
+
+def _trimmed(body: bytes) -> bytes:
+    """Leave out blank lines at the end; blank cells at the end of the last row stay."""
+    while body and not body[body.rfind(b"\n") + 1 :].strip():
+        body = body[: max(body.rfind(b"\n"), 0)]
+    return body.rstrip(b" ")
 
 
 def _fast(body: bytes, form: _Form) -> Matrix | None:
@@ -220,13 +257,22 @@ def _fast(body: bytes, form: _Form) -> Matrix | None:
             return matrix
     if form.separator == " ":
         return _spaced(body, width)
+    return _separated(body, separator, width)
+
+
+def _separated(body: bytes, separator: bytes, width: int) -> Matrix | None:
     signs = np.frombuffer(body, dtype=np.uint8)
     ends = signs[np.flatnonzero((signs == ord(separator)) | (signs == ord("\n")))] == ord("\n")
     if (ends.size + 1) % width or not np.append(ends, True).reshape(-1, width)[:, -1].all():
         return None
     if int(ends.sum()) + 1 != (ends.size + 1) // width:
         return None
-    return _parsed(body.replace(b"\n", separator), form.separator, width)
+    if separator == b"\t":  # NumPy takes tabs for white space, and would skip blank cells
+        if b"," in body:
+            return None
+        body, separator = body.replace(b"\t", b","), b","
+    matrix = _parsed(body.replace(b"\n", separator), separator.decode(), width)
+    return matrix if matrix is not None and matrix.size == ends.size + 1 else None
 
 
 def _spaced(body: bytes, width: int) -> Matrix | None:

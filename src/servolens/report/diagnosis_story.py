@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.design import tune
+from servolens.errors import ServolensError
 from servolens.report.content import Details, Findings, Lights, Section
 from servolens.report.figures import plant_equation
 from servolens.report.figures_diagnosis import (
@@ -18,8 +20,9 @@ from servolens.report.figures_diagnosis import (
 from servolens.report.figures_prediction import prediction_figure
 from servolens.report.figures_residuals import residuals_figure
 from servolens.report.page import write_page
+from servolens.report.playground import playground
 from servolens.report.wording import shown, symbol_text
-from servolens.study import diagnosis_lights
+from servolens.study import diagnosis_lights, suggested_spec
 from servolens.summaries.diagnosis import (
     advice,
     findings_of_logs,
@@ -70,6 +73,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
     names = [shown(record.name) for record in diagnosis.records]
     sections = [
         *diagnosis_sections(diagnosis),
+        *_gains_to_try(diagnosis),
         Section(key="findings", title="Warnings and notes", blocks=_findings(diagnosis)),
     ]
     more = [Lights(lights=diagnosis_lights(diagnosis)), *_log(diagnosis), *remaining_sentences(diagnosis)]
@@ -92,6 +96,23 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
         ),
         Section(key="causes", title=WHY[diagnosis.verdict], blocks=_why(diagnosis)),
     ]
+
+
+def _gains_to_try(diagnosis: Diagnosis) -> list[Section]:
+    """Return the model with sliders for the gains; nothing where no loop is known, or none settles."""
+    try:
+        spec = suggested_spec(diagnosis.records, diagnosis.plant)
+        design = None if spec is None else tune(diagnosis.plant, spec).withhold("a diagnosis recommends none")
+    except ServolensError:
+        design = None
+    if design is None:
+        return []
+    said = (
+        "The model in simulation, with the largest kp of the records to begin with and a settling time that it can"
+        " reach: what it says of gains, not what the axis will do. A diagnosis recommends no gain; `servolens tune`"
+        " does, and says how far it can be trusted."
+    )
+    return [Section(key="try", title="Try gains", blocks=(said, playground("gain", diagnosis.model, design)))]
 
 
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:

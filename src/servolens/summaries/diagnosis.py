@@ -241,6 +241,13 @@ def _verdict(diagnosis: Diagnosis) -> str:
     errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
     before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
+    if any(effect.phase_per_record for effect in diagnosis.plant.effects) and not errors[1] < errors[0]:
+        times = number(diagnosis.remainder.times_noise or 1.0, 2)
+        return (
+            f"{start}; {'they leave' if len(causes) > 1 else 'it leaves'} {times} times the noise, {noise} (r.m.s.), in"
+            f" the phase that each record has of its own. No simulation foretells that phase: the {held}error is"
+            f" {after}, and {before} without."
+        )
     return f"{start}; with {them} the {held}error falls from {before} to {after} (r.m.s., the noise is {noise})."
 
 
