@@ -12,10 +12,11 @@ DEMO_ARGS ?=
 COVERAGE_ARGS ?=
 CONFUSION_ARGS ?=
 SCAN_ARGS ?=
+FUZZ_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan fleet-kills paper pictures bench examples clean help
+.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan fleet-kills fuzz paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -57,6 +58,9 @@ confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what
 
 design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense scan of the gain (minutes)
 	@$(BIN)/python benchmarks/design_scan.py $(SCAN_ARGS)
+
+fuzz: $(DEV_STAMP) ## damaged and hostile files for every reader; what breaks one is kept in fuzz-findings/
+	@$(BIN)/python benchmarks/fuzz.py $(FUZZ_ARGS)
 
 fleet-kills: $(DEV_STAMP) ## a fleet whose processes are killed at 200 random moments (half an hour)
 	@SERVOLENS_KILLS=200 $(BIN)/python -m pytest tests/test_fleet_faults.py -k random_moments

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import scipy.io
 
+from servolens import diagnose, lab
 from servolens.campaign import read_logs
 from servolens.diagnosis.proposal import propose
 from servolens.errors import ServolensError
@@ -61,11 +62,6 @@ RESULT = {
         "diagnosis": {"verdict": "explained", "model": MODEL, "remainder": {"of_travel": 0.1, "material": True},
                       "causes": [{"effect": "coulomb_friction", "sentence": "s", "rivals": ["delay"]}]}},
 }  # fmt: skip
-EXPERIMENT = {
-    "name": "a", "kp": 60.0, "kd": 0.0, "start": 0.0, "reference": 0.1, "duration": 0.5, "sample_time": 1e-3,
-    "position_range": [0.0, 0.12], "voltage_range": [-2.0, 6.0], "voltage_limit": None,
-    "controller": {"derivative_filter": 1.0, "anti_windup": "none"},
-}  # fmt: skip
 CAMPAIGN = b"""[defaults]
 kp = 60
 [[records]]
@@ -86,6 +82,13 @@ def text(separator=",", point="."):
     )
 
 
+def diagnosed():
+    """Return what a diagnosis of a short step keeps, with a rival for what it asks next."""
+    runs = [lab.step_record(lab.LM1, kp, duration=0.3, noise=1e-5, seed=kp, name=f"kp {kp}") for kp in (40, 80)]
+    found = diagnose(runs, effort="quick").to_json()
+    return {**found, "rival_models": {"delay": [MODEL]}}
+
+
 def seeds():
     """Return good files by kind."""
     lists = {name: values.tolist() for name, values in COLUMNS.items()}
@@ -101,8 +104,7 @@ def seeds():
         "campaign": [CAMPAIGN],
         "model": [json.dumps(MODEL).encode()],
         "result": [json.dumps(RESULT).encode()],
-        "diagnosis": [json.dumps({"schema": "servolens.diagnosis/1", "model": MODEL, "causes": [],
-                      "noise_floor": 1e-5, "rival_models": {}, "experiments": [EXPERIMENT]}).encode()],
+        "diagnosis": [json.dumps({"schema": "servolens.diagnosis/1", **diagnosed()}).encode()],
         "names": [b"feed_2026-05-01", b"lift", "Ä b".encode()],
     }  # fmt: skip
 

@@ -26,7 +26,7 @@ def axis_content(result: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the template shows of a result of schema ``servolens.fleet-axis/1``."""
     tuning = result["tuning"] or {}
     diagnosis = tuning.get("diagnosis") or {}
-    lights = [(name, tuning[name]) for name in ("data", "model", "gain") if tuning.get(name)]
+    lights = [(name, _light(tuning[name])) for name in ("data", "model", "gain") if tuning.get(name)]
     return {
         "lead": _lead(result, diagnosis),
         "lights": lights,
@@ -34,7 +34,7 @@ def axis_content(result: Mapping[str, Any]) -> dict[str, Any]:
         "parameters": list(_parameters(diagnosis.get("model"))),
         "gain": list(_gain(result, tuning)),
         "reason": printable(str(tuning.get("reason") or "")),
-        "findings": [{**f, "message": printable(f["message"])} for f in result["findings"]],
+        "findings": [_finding(finding) for finding in result["findings"]],
         "records": [printable(name) for name in result["records"]],
     }
 
@@ -43,6 +43,15 @@ def _lead(result: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
     if result["status"] != "done":
         return f"This axis could not be studied: {printable(result['sentence'])}"
     return VERDICTS.get(diagnosis.get("verdict", ""), "What the model misses could not be told.")
+
+
+def _light(light: Mapping[str, Any]) -> dict[str, str]:
+    return {"light": str(light["light"]), "sentence": str(light["sentence"])}
+
+
+def _finding(finding: Mapping[str, Any]) -> dict[str, str]:
+    told = {name: str(finding[name]) for name in ("severity", "message")}
+    return {**told, "message": printable(told["message"]), "record": printable(str(finding["record"] or ""))}
 
 
 def _cause(cause: Mapping[str, Any]) -> tuple[str, str]:
