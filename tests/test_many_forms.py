@@ -748,11 +748,14 @@ def test_a_reader_that_needs_too_much_memory_is_ended(tmp_path, monkeypatch):
     assert "MemoryError" in done.stderr
 
 
-def test_a_missing_library_is_named(tmp_path, monkeypatch):
-    hdf5(tmp_path / "a.h5")
+@pytest.mark.parametrize(
+    ("name", "write", "library", "kind"), [("a.h5", hdf5, "h5py", "HDF5"), ("a.mcap", mcap(), "mcap", "MCAP")]
+)
+def test_a_missing_library_is_named(tmp_path, monkeypatch, name, write, library, kind):
+    write(tmp_path / name)
     (tmp_path / "without").mkdir()
-    (tmp_path / "without" / "h5py.py").write_text("raise ImportError('no module', name='h5py')\n")
+    (tmp_path / "without" / f"{library}.py").write_text(f"raise ImportError('no module', name='{library}')\n")
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path / 'without'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    assert read_or_refuse(tmp_path / "a.h5").endswith(
-        "is HDF5; to read it install h5py, or all readers: pip install 'servolens[formats]'"
+    assert read_or_refuse(tmp_path / name).endswith(
+        f"is {kind}; to read it install {library}, or all readers: pip install 'servolens[formats]'"
     )

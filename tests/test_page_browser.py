@@ -13,7 +13,7 @@ from test_report import HOSTILE
 from servolens import lab
 from servolens.design import PDSpec, evaluate
 from servolens.design.settle import step_response
-from servolens.report import write_study
+from servolens.report import write_diagnosis_report, write_study
 from servolens.report.printing import chromium
 from servolens.study import study_records
 
@@ -302,3 +302,23 @@ def test_slider_is_moved_by_keys_within_a_frame(shown):
     assert len(frames) > 10
     assert np.median(frames) <= 16.0
     assert one.told == []
+
+
+@pytest.mark.parametrize("width", WIDTHS.values(), ids=WIDTHS)
+def test_page_of_a_diagnosis_fits_and_has_sliders_that_move_its_model(browser, study, tmp_path, width):
+    file = tmp_path / "diagnosis.html"
+    write_diagnosis_report(file, study.diagnosis)
+    one = Shown(browser, file, width=width)
+    figure = one.figure("gain")
+    one.page.wait_for_function("servolensPlaygrounds[0].isWarm")
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= width
+    kp, kd = figure.locator("input[type=range]").all()
+    move(kp, 120)
+    move(kd, 4.5)
+    one.page.wait_for_function("!servolensPlaygrounds[0].isRunning && !servolensPlaygrounds[0].isNew", timeout=60_000)
+    line = one.page.evaluate("(({x, y}) => [x, y])(servolensPlaygrounds[0].left.lines[0])")
+    spec = PDSpec(kp=120, settling_time=0.5, reference=study.design.spec.reference)
+    run = step_response(study.diagnosis.plant, spec, 4.5, max(line[0]) + 0.1)
+    assert np.abs(np.array(line[1]) - np.interp(line[0], run.time, run.position)).max() <= OF_THE_STEP * 0.1
+    assert (one.told, one.asked) == ([], [file.as_uri()])
+    one.context.close()
