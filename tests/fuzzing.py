@@ -254,7 +254,7 @@ class Readers:
 
 def judged(readers, kind, content):
     """Return what is wrong with how a content was taken; None where it was read or refused with one sentence."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         getattr(readers, kind)(content)
     except ServolensError as error:
@@ -267,7 +267,7 @@ def judged(readers, kind, content):
         if isinstance(error, KeyboardInterrupt):
             raise
         return "".join(traceback.format_exception_only(error)) + "".join(traceback.format_tb(error.__traceback__)[-2:])
-    took = time.perf_counter() - began
+    took = time.process_time() - began
     return f"takes {took:.1f} s" if took > LONGEST else None
 
 
