@@ -231,6 +231,10 @@ class Whitener:
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
 
+    def beside(self, noise: NoiseModel) -> Whitener:
+        """Return the whitener of the same record beside `noise` with other filters, but no other observer or jitter."""
+        return Whitener(self.position, self.speed, noise, self._weight)
+
     def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), each by its weight."""
         return rows if self._weight is None else np.asarray((rows.T * self._weight).T)

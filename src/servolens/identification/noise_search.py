@@ -127,9 +127,10 @@ class NoiseTrials:
             return np.inf
         parameters = noise.parameters + 2 * (noise.rate > 0.0) + (noise.jitter > 0.0)
         misfit = parameters * float(np.log(likelihood.counted))
-        for run, error, start in zip(likelihood.runs(noise, unpowered=self.unpowered), missed, begun, strict=True):
-            white, initial = run.whiten(error), run.signals.initial
-            misfit += run.whiten.log_determinant + float(white @ white)
+        for run, error, start in zip(runs, missed, begun, strict=True):
+            whiten, initial = run.whiten.beside(noise), run.signals.initial
+            white = whiten(error)
+            misfit += whiten.log_determinant + float(white @ white)
             misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2)) if run.start.size else 0.0
         if self.best is None or misfit < self.best[1]:
             self.best = noise, misfit

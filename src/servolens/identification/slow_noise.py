@@ -8,8 +8,8 @@ with the spectrum (Whittle 1953, doi:10.1007/BF02590998).
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -29,8 +29,6 @@ LONGEST, TIMES, SHARES = 2000.0, 24, 14
 FINER = 3
 """Times that the grid about the likeliest is made finer by half."""
 
-Grid = tuple["NDArray[np.float64]", ...]
-
 
 def slow_filters(
     signals: Sequence[NDArray[np.float64]], most: int
@@ -46,48 +44,71 @@ def slow_filters(
     most : int
         Highest order of a filter.
     """
-    frequencies, counts, power = _banded(signals)
-    if counts.size == 0 or not power.min() > 0.0:
+    bands = _bands(tuple(signal.size for signal in signals))
+    power = bands.power(signals)
+    if power.size == 0 or not power.min() > 0.0:
         return []
     found = []
     for parameters in SLOW_PARAMETERS:
-        place = _likeliest(frequencies, counts, power, parameters)
+        place = bands.likeliest(power, parameters)
         filters, scales = _filters(_spectra(place, np.linspace(0.0, np.pi, FREQUENCIES + 1))[0], most)
         size = np.sqrt(_left(filters[-1], signals)) / scales[-1]
         found.append((parameters, filters, size * scales))
     return found
 
 
-def _banded(
-    signals: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return centre [rad/sample], number of frequencies and mean periodogram of each band that has any."""
-    edges = np.geomspace(np.pi / 4096.0, np.pi * (1.0 + 1e-9), BANDS + 1)
-    sums = np.zeros((3, BANDS))
-    for signal in signals:
-        power = np.abs(np.fft.rfft(signal)[1:]) ** 2 / signal.size
-        frequencies = np.arange(1, power.size + 1) * (2.0 * np.pi / signal.size)
-        band = np.clip(np.searchsorted(edges, frequencies) - 1, 0, BANDS - 1)
-        for row, weights in zip(sums, (None, frequencies, power), strict=True):
-            row += np.bincount(band, weights, BANDS)
-    kept = sums[0] > 0
-    counts = sums[0][kept]
-    return sums[1][kept] / counts, counts, sums[2][kept] / counts
+@final
+class _Bands:
+    """Bands of the periodogram of signals of these sizes, and the spectra of a first grid in them."""
+
+    def __init__(self, sizes: tuple[int, ...]) -> None:
+        edges = np.geomspace(np.pi / 4096.0, np.pi * (1.0 + 1e-9), BANDS + 1)
+        counts, sums, self._places = np.zeros(BANDS), np.zeros(BANDS), {}
+        for size in sizes:
+            frequencies = np.arange(1, size // 2 + 1) * (2.0 * np.pi / size)
+            band = self._places[size] = np.clip(np.searchsorted(edges, frequencies) - 1, 0, BANDS - 1)
+            counts += np.bincount(band, minlength=BANDS)
+            sums += np.bincount(band, frequencies, BANDS)
+        self._kept = counts > 0
+        self.counts = counts[self._kept]
+        self.frequencies = sums[self._kept] / self.counts
+        self._first = {parameters: self._compared(_first_grid(parameters)) for parameters in SLOW_PARAMETERS}
+
+    def power(self, signals: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the mean periodogram of `signals` in each band."""
+        sums = np.zeros(BANDS)
+        for signal in signals:
+            sums += np.bincount(self._places[signal.size], np.abs(np.fft.rfft(signal)[1:]) ** 2 / signal.size, BANDS)
+        return sums[self._kept] / self.counts
+
+    def likeliest(self, power: NDArray[np.float64], parameters: int) -> NDArray[np.float64]:
+        """Return the logarithms of time constants and share of white noise that make the periodogram likeliest."""
+        steps = np.array([np.log(LONGEST) / (TIMES - 1)] * (parameters - 1) + [np.log(1e5) / (SHARES - 1)])
+        grid, compared = _first_grid(parameters), self._first[parameters]
+        for finer in range(FINER + 1):
+            best = grid[int(np.argmin(self._misfits(compared, power)))]
+            if finer < FINER:
+                steps = 0.5 * steps
+                axes = [value + step * np.array([-1.0, 0.0, 1.0]) for value, step in zip(best, steps, strict=True)]
+                grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, parameters)
+                compared = self._compared(grid)
+        return np.asarray(best[None, :])
+
+    def _compared(self, grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the inverse of each spectrum of `grid`, shape (rows, bands), and the logarithm of its determinant."""
+        spectra = _spectra(grid, self.frequencies)
+        return 1.0 / spectra, np.log(spectra) @ self.counts
+
+    def _misfits(
+        self, compared: tuple[NDArray[np.float64], NDArray[np.float64]], power: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return −2 log-likelihood of the periodogram beside each spectrum, the size of each the likeliest."""
+        inverse, determinants = compared
+        total = self.counts.sum()
+        return np.asarray(total * np.log(inverse @ (self.counts * power) / total) + determinants)
 
 
-def _likeliest(
-    frequencies: NDArray[np.float64], counts: NDArray[np.float64], power: NDArray[np.float64], parameters: int
-) -> NDArray[np.float64]:
-    """Return the logarithms of time constants and share of white noise that make the periodogram likeliest."""
-    grid = _first_grid(parameters)
-    steps = np.array([np.log(LONGEST) / (TIMES - 1)] * (parameters - 1) + [np.log(1e5) / (SHARES - 1)])
-    best = grid[int(np.argmin(_whittle(_spectra(grid, frequencies), counts, power)))]
-    for _ in range(FINER):
-        steps = 0.5 * steps
-        axes = [value + step * np.array([-1.0, 0.0, 1.0]) for value, step in zip(best, steps, strict=True)]
-        around = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, parameters)
-        best = around[int(np.argmin(_whittle(_spectra(around, frequencies), counts, power)))]
-    return np.asarray(best[None, :])
+_bands = lru_cache(maxsize=8)(_Bands)
 
 
 @cache
@@ -106,15 +127,6 @@ def _spectra(grid: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDA
         pole = np.exp(-np.exp(-times))[:, None]
         found /= 1.0 + pole * pole - 2.0 * pole * cosine
     return np.asarray(found + np.exp(grid[:, -1:]))
-
-
-def _whittle(
-    spectra: NDArray[np.float64], counts: NDArray[np.float64], power: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return −2 log-likelihood of the periodogram beside each of the `spectra`, the size of each the likeliest."""
-    total = counts.sum()
-    sizes = (counts * power / spectra).sum(axis=1) / total
-    return np.asarray(total * np.log(sizes) + np.log(spectra) @ counts)
 
 
 def _filters(spectrum: NDArray[np.float64], most: int) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
