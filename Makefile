@@ -7,7 +7,6 @@ BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-input --constraint constraints.txt
 RUN_STAMP := $(VENV)/.installed
 DEV_STAMP := $(VENV)/.installed-dev
-SLOW ?=
 DEMO_ARGS ?=
 COVERAGE_ARGS ?=
 CONFUSION_ARGS ?=
@@ -16,16 +15,18 @@ FUZZ_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test check static format format-check lint types layers docs coverage confusion design-scan fleet-kills fuzz paper pictures bench examples clean help
+.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion design-scan fleet-kills fuzz paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
 
-test: $(DEV_STAMP) ## the tests but for the slow studies; SLOW=1 adds those
-	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(if $(SLOW),,-m "not slow")
+test: $(DEV_STAMP) ## the tests, in minutes
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow"
 
-check: SLOW = 1
-check: static test ## everything that must be green: static checks and all tests
+studies: $(DEV_STAMP) ## the slow tests: more seeds, more worlds, all examples (half an hour)
+	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m slow
+
+check: static test ## everything that must be green before a change lands
 
 static: format-check lint types layers docs ## format check, lint, types, layers, docs
 
