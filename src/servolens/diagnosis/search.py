@@ -275,12 +275,18 @@ class _Explorer:
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
         is_observed = hypothesis.noise.rate > 0.0
-        tried = [name for name, cls in catalogue().items() if self.with_last_resorts or not cls.is_last_resort]
+        is_enough = bool(hypothesis.causes) and not is_observed and self.is_enough(hypothesis)
+        kin = set() if is_observed or is_enough else set(hypothesis.causes)
+        tried = [
+            name
+            for name, cls in catalogue().items()
+            if self.with_last_resorts or not cls.is_last_resort or kin & set(cls.generalises)
+        ]
         names = [n for n in tried if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
-        share = 1.0 if hypothesis.causes and not is_observed and self.is_enough(hypothesis) else PROMISING
+        share = 1.0 if is_enough else PROMISING
         scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
         if scored:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
