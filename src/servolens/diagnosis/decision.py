@@ -137,8 +137,9 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
 
     Where these would not tell the two apart, as of a limit that they do not reach, those fitted decide. An observer
-    that follows a shaken axis may follow what a wrong cause does: there the simulation must not miss more than that of
-    any simpler model, either, of those with the same waves: whose phases no simulation foretells.
+    that follows a shaken axis may follow what a wrong cause does: there the simulation of all records, to which neither
+    was fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
+    simulation foretells.
     """
     is_likelier = case.misfit(path[-1]) < case.misfit(path[-2])
     if not is_likelier and case.difference(path[-1], path[-2]) > INDISTINCT:
@@ -147,7 +148,7 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
         return True
     alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
     gains = case.gains(alike)
-    return not any(gains.is_worse(-1, i, case.likelihood.rate) for i in range(len(alike) - 1))
+    return not any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:

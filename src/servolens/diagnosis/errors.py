@@ -100,14 +100,17 @@ class Gains:
         """Return the same where the plant was not fitted."""
         return pooled(self.held[i])
 
-    def is_worse(self, i: int, j: int, rate: float) -> bool:
+    def is_worse(self, i: int, j: int, rate: float, *, with_training: bool = False) -> bool:
         """Tell whether plant `i` misses by more than plant `j` where neither was fitted, beyond chance.
 
-        Of loops whose time constants are 1/`rate` [s].
+        Of loops whose time constants are 1/`rate` [s]. With the training records too if neither was fitted to what
+        simulations miss of them.
         """
-        records = self.heldout or self.records
+        is_whole = with_training and bool(self.heldout)
+        records = (*self.records, *self.heldout) if is_whole else self.heldout or self.records
         blocks = [max(int(2.0 / (rate * record.sample_time)), 1) for record in records]
-        return are_larger(self.held[i], self.held[j], blocks)
+        these, others = ((*self.trained[k], *self.held[k]) if is_whole else self.held[k] for k in (i, j))
+        return are_larger(these, others, blocks)
 
     def with_others(self, other: Gains) -> Gains:
         """Return these with the plants of another, on the same records, after them."""

@@ -193,7 +193,7 @@ class _Explorer:
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
                 break
-            best = self.exchanged(self.reduced(better[0]))
+            best = self.improved(better[0])
             path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
             beam = _families([best, *better[1:]])[: self.effort.beam]
         return path, False
@@ -335,6 +335,14 @@ class _Explorer:
             allowance=allowance,
         )
 
+    def improved(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` reduced and exchanged, until neither finds more."""
+        while True:
+            best = self.exchanged(self.reduced(hypothesis))
+            if best.total >= hypothesis.total - NO_BETTER:
+                return min(best, hypothesis, key=_total)
+            hypothesis = best
+
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` without the effects that do not pay for themselves."""
         while len(hypothesis.causes) > 1:
@@ -365,11 +373,18 @@ class _Explorer:
         """Yield the plant with a cause replaced by one that explained about as much while it was alone."""
         alone = {h.causes[0]: h for h in sorted(self.singles, key=_worse) if len(h.causes) == 1}
         for name in hypothesis.causes:
-            limit = alone[name].total + INDISTINCT if name in alone else -np.inf
+            limit = alone[name].total + self._indistinct(alone[name]) if name in alone else -np.inf
             for other, single in alone.items():
                 if single.total <= limit and other not in hypothesis.causes:
                     with suppress(InputError):  # two that do not go together
                         yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
+
+    def _indistinct(self, hypothesis: Hypothesis) -> float:
+        """Return by how much −2 log-likelihood may be more for one that explains about as much.
+
+        What a model gets wrong is no noise: a loop remembers it, and as long it counts once.
+        """
+        return INDISTINCT * (self.likelihood.remembered if hypothesis.noise.is_model_error else 1.0)
 
     def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by another one that generalises the same."""

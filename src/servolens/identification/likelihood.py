@@ -149,10 +149,15 @@ class Likelihood:
         are observed as slowly as that.
         """
         other = copy(self)
-        steps = [signals.record.sample_time for signals in self.signals]
-        other.white = replace(self.white, share=0.0, discount=max(REMEMBERS / self.rate / float(np.median(steps)), 1.0))
+        other.white = replace(self.white, share=0.0, discount=self.remembered)
         other.simulates, other.work = True, 0
         return other
+
+    @property
+    def remembered(self) -> float:
+        """Samples over which the errors of a loop are correlated, at least 1."""
+        steps = [signals.record.sample_time for signals in self.signals]
+        return max(REMEMBERS / self.rate / float(np.median(steps)), 1.0)
 
     def unshaken(self) -> Likelihood:
         """Return the likelihood of an axis that nothing shakes: no observer follows what a model lacks."""
