@@ -17,7 +17,7 @@ from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
 from servolens.identification.noise_in_loop import drawn_loop_errors
-from servolens.identification.observed import clock_error
+from servolens.identification.observed import clock_error, shaking_memory
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
@@ -158,7 +158,7 @@ class Case:
         errors = [residual(hypothesis.plant_of(i), record) for i, record in enumerate(self.records)]
         if not all(np.isfinite(error).all() for error in errors):
             return True
-        remembered = noise.memory() * self.records[0].sample_time
+        remembered = max(noise.memory() * self.records[0].sample_time, shaking_memory(noise, self.records))
         rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
         if noise.rate > 0.0 and not can_tell(self.records, errors, rate):
             return True

@@ -172,14 +172,23 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)
-    refits = (case.likelihood.judged(step.plant, allowance=SHARE * work) for step in other.path)
-    again = tuple(h for h in refits if h is not None)
-    explains = len(again) == len(other.path) and again[-1].total < chosen.total and case.is_enough(again[-1])
+    again = _refitted(case, other.path, SHARE * work)
+    explains = bool(again) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
         return Decision(case, replace(found, path=again), again, ())
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):
         return _confirmed(case, found)
     return Decision(simulating, other, other.path, ())
+
+
+def _refitted(case: Case, path: Sequence[Hypothesis], work: float) -> tuple[Hypothesis, ...]:
+    """Return `path` fitted to prediction errors, as far as its causes pay for themselves; empty where a fit fails."""
+    refits = (case.likelihood.judged(step.plant, allowance=work) for step in path)
+    again = tuple(h for h in refits if h is not None)
+    if len(again) < len(path):
+        return ()
+    least = min(range(len(again)), key=lambda k: again[k].total)
+    return again[: least + 1]
 
 
 def _is_stand_in(case: Case, hypothesis: Hypothesis) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import InputError, NumericalError, ServolensError
+from servolens.identification.observed import shaking_memory
 from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.model_evidence import MATERIAL
@@ -86,9 +87,10 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     except (InputError, NumericalError):
         return False
     errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    if not can_tell(likelihood.records, errors, likelihood.rate):
+    rate = min(likelihood.rate, 2.0 / max(shaking_memory(hypothesis.noise, likelihood.records), 1e-9))
+    if not can_tell(likelihood.records, errors, rate):
         return False
-    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, likelihood.rate)
+    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, rate)
 
 
 def can_tell(records: Sequence[Record], errors: Sequence[NDArray[np.float64]], rate: float) -> bool:
