@@ -252,6 +252,28 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
 
 
+def test_friction_map_is_no_wave_of_friction_beside_cogging():
+    campaign = lab.hidden_campaign(901200, effects=["friction_map"], world="coloured")
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["friction_map"])
+    truth = campaign.truth.effects["friction_map"]
+    found = diagnosis.causes[0].quantities
+    assert found["positive_1"].value == pytest.approx(truth["positive_1"], rel=0.05)
+
+
+def test_dead_zone_of_a_shaken_axis_need_not_foretell_where_it_rests_in_one_record():
+    campaign = lab.hidden_campaign(700767, effects=["dead_zone"], world="shaken")
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["dead_zone"])
+
+
+@pytest.mark.slow
+def test_pair_is_found_though_another_effect_explains_about_as_much_as_one_of_it():
+    campaign = lab.hidden_campaign(712367, effects=["presliding", "gain_drift"], world="coloured")
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert {cause.effect for cause in diagnosis.causes} == {"presliding", "gain_drift"}
+
+
 @pytest.mark.slow
 def test_lag_that_passes_for_damping_is_found_once_the_force_is_limited():
     effects = {"actuator_lag": {"time_constant": 0.16}, "force_limit": {"acceleration": 5.0}}
