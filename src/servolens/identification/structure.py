@@ -211,13 +211,14 @@ def _is_smoother_in_motion(test: ScoreTest) -> bool:
 
     Noise of a sensor, ripple and shaking are the same at rest; what a model lacks shows in motion. Compared are the
     mean squares of block means, in units of the squared differences within the blocks (which a jittering clock
-    enlarges in motion), by an F test. A shaken axis that dry friction holds at rest is shaken in motion only, and where
-    rounding dominates an axis at rest shows no noise: there the test says nothing.
+    enlarges in motion), by an F test. A shaken axis that dry friction or a play holds at rest is shaken in motion only,
+    and where rounding dominates an axis at rest shows no noise: there the test says nothing.
     """
     from scipy.stats import f
 
     hypothesis = test.hypothesis
-    sticks = any(isinstance(effect, DryFriction | Presliding) for effect in hypothesis.plant.effects)
+    plant = hypothesis.plant
+    sticks = plant.has_contacts or any(isinstance(effect, DryFriction | Presliding) for effect in plant.effects)
     if dominates(hypothesis.noise) or (hypothesis.noise.rate > 0.0 and sticks):
         return False
     moves, left = _moving(test), np.split(test.left, np.cumsum([run.samples for run in test.runs])[:-1])
