@@ -15,6 +15,7 @@ import numpy as np
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
+from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
@@ -195,7 +196,7 @@ class _Explorer:
                 break
             best = self.improved(better[0])
             path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
-            beam = _families([best, *better[1:]])[: self.effort.beam]
+            beam = _beam(_families([best, *better[1:]]), self.effort.beam)
         return path, False
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
@@ -214,14 +215,15 @@ class _Explorer:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
-        members = [*unshaken, *beam]
+        members = [*unshaken, *sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))]
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
         for place, hypothesis in enumerate(members):
             extensions = self._fitted(hypothesis, (number + place / len(members)) / self.effort.causes)
             first += sorted(extensions, key=_total)[:1]
             found += extensions
-            if place < len(unshaken) and self._leaves_nothing(first, beam[0]):
+            leaves_less = noise.is_model_error and any(not h.noise.is_model_error for h in first)
+            if (place < len(unshaken) or leaves_less) and self._leaves_nothing(first, beam[0]):
                 break
         found.sort(key=_total)
         if number == 0:
@@ -414,6 +416,16 @@ class _Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=_total)
+
+
+def _beam(families: Sequence[Hypothesis], places: int) -> list[Hypothesis]:
+    """Return the hypotheses that are extended: the best, and as many that know no wave in time.
+
+    A wave explains a part of whatever is left, so it is as close as any and says least.
+    """
+    best = families[:places]
+    others = [h for h in families if not own_phases(h.plant)][:places]
+    return [*best, *(h for h in others if h not in best)]
 
 
 def _families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
