@@ -64,6 +64,6 @@ class Presliding(Force):
     def starts(cls, seen: Seen) -> Iterator[Presliding]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for share in (0.2, 0.05, 0.01, 0.002, 5e-4, 1e-4):
-            for slip in (1e-4, 1e-3, 1e-2):
+            for slip in (1e-4, 1e-3, 1e-2, 5e-2):
                 level = share * seen.push
                 yield within(cls, stiffness=level / (slip * seen.travel), level=level)
