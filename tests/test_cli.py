@@ -117,8 +117,9 @@ def test_check_says_no_to_a_record_that_stands_still_and_writes_its_json(here):
     assert "error" in {f["severity"] for f in body["findings"]}
 
 
-def test_check_finds_gains_that_contradict_the_log(bench):
-    body = result("check", "check", bench / "kp60.csv", "--kp", "70")
+@pytest.mark.parametrize("option", ["--kp", "--record-kp"])
+def test_check_finds_gains_that_contradict_the_log(bench, option):
+    body = result("check", "check", bench / "kp60.csv", option, "70")
     assert "gains_contradict_log" in {f["code"] for f in body["findings"]}
 
 

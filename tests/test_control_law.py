@@ -114,7 +114,7 @@ def test_a_million_samples_take_less_than_a_second():
     [
         (
             Record(time=[0, 1], position=[0, 1], voltage=[0, 1], reference=[0, 1]),
-            "record: the control law needs the gains; give kp and kd",
+            "record: the control law needs the gains; give kp and kd (on the command line --record-kp and --record-kd)",
         ),
         (
             Record(time=[0, 1], position=[0, 1], voltage=[0, 1], controller=Controller(kp=1)),

@@ -275,7 +275,11 @@ def test_loop_settings_without_gains_are_a_remark(write):
             "0,1,2\n3,4,5\n",
             NAMELESS.format(3, "0, 1, 2"),
         ),
-        (HEADER + ROWS, "no voltage is logged and the gains are unknown; give kp and kd"),
+        (
+            HEADER + ROWS,
+            "no voltage is logged and the gains are unknown; give kp and kd (on the command"
+            " line --record-kp and --record-kd)",
+        ),
         (
             "time,position\n0,0\n1,1\n",
             "neither reference nor voltage is given, and none of the columns 'time, position' is named so; name one,"

@@ -57,7 +57,8 @@ def test_signals_are_read_only_copies():
         ),
         (
             {"controller": None},
-            "record: no voltage is logged and the gains are unknown; give kp and kd",
+            "record: no voltage is logged and the gains are unknown; give kp and kd (on the command"
+            " line --record-kp and --record-kd)",
         ),
         ({"encoder_resolution": 0.0}, "record: encoder_resolution must be positive, got 0.0"),
         ({"encoder_resolution": -1.0}, "record: encoder_resolution must be positive, got -1.0"),

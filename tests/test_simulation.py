@@ -13,11 +13,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from servolens.effects import ActuatorLag, CoulombFriction, Delay, Saturation, SensorLag, VelocityDecayDamping
+from servolens.effects import ActuatorLag, Backlash, CoulombFriction, Delay, Saturation, SensorLag, VelocityDecayDamping
 from servolens.errors import InputError, NumericalError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
+from servolens.simulation import loop as simulation_loop
 from servolens.simulation import simulate, simulate_continuous, simulate_loop, simulate_voltage
+from servolens.simulation.rates import substeps_for
 
 LINEAR = Plant(gain=1.8545, damping=6.152)
 NLM1 = Plant(gain=1.9165, damping=5.9986, effects=(VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068),))
@@ -314,3 +316,12 @@ def test_lag_begins_at_what_was_applied_before():
     plant = Plant(gain=1.0, damping=0.0).with_effect(ActuatorLag(time_constant=lag))
     velocity = simulate_voltage(plant, time, np.ones(time.size), before=-1.0).velocity
     np.testing.assert_allclose(velocity, time - 2.0 * lag * (1.0 - np.exp(-time / lag)), atol=1e-9)
+
+
+def test_axis_with_play_that_rests_on_a_flank_needs_no_more_steps_than_one_in_motion(monkeypatch):
+    """It is on either side of the contact by rounding alone, which is no reason to split steps."""
+    loose = Plant(gain=1.8, damping=6.0, effects=(Backlash(gap=1e-3, load_share=0.3),))
+    time = 1e-3 * np.arange(5001)
+    monkeypatch.setattr(simulation_loop, "ANY_NUMBER", 1.2 * substeps_for(loose, 1e-3) * time.size)
+    run = simulate_loop(loose, Controller(kp=100.0, kd=11.2), time, np.full(time.size, 0.1))
+    assert abs(run.position[-1] - 0.1) < 1e-12

@@ -138,5 +138,8 @@ def _answer(record: Record) -> Answer:
 
 def _controller(record: Record) -> Controller:
     if record.controller is None:
-        raise InputError(f"{record.name}: the control law needs the gains; give kp and kd")
+        raise InputError(
+            f"{record.name}: the control law needs the gains; give kp and kd (on the command line --record-kp and"
+            " --record-kd)"
+        )
     return record.controller

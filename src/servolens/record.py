@@ -116,7 +116,8 @@ class Record:
         )
         _require(
             self.voltage is not None or self.controller is not None,
-            f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd",
+            f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd (on the command"
+            " line --record-kp and --record-kd)",
         )
         for quantity in ("encoder_resolution", "voltage_limit", "inertia"):
             value = getattr(self, quantity)

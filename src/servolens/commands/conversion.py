@@ -16,7 +16,7 @@ __all__ = ["convert"]
 
 
 @click.command(cls=Documented, epilog="servolens convert run1.xlsx run2.xlsx --out campaign.toml")
-@recordings(kp=("--record-kp", "--kp"), kd=("--record-kd", "--kd"))
+@recordings()
 @click.option(
     "--out", metavar="FILE", required=True, help="Write the campaign (.toml); logs outside its folder are copied."
 )

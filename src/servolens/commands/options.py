@@ -158,14 +158,18 @@ class SpecOptions:
 
 
 def recordings(
-    *, kp: tuple[str, ...] = ("--kp",), kd: tuple[str, ...] = ("--kd",), folder: bool = False
+    *,
+    kp: tuple[str, ...] = ("--record-kp", "--kp"),
+    kd: tuple[str, ...] = ("--record-kd", "--kd"),
+    folder: bool = False,
 ) -> Callable[[Command], Command]:
     """Give a command the argument ``RECORD…`` and its options, as one ``recordings``.
 
     Parameters
     ----------
     kp, kd : tuple of str
-        How the gains of the loop that made the records are called; ``--kp`` may be taken by the design.
+        How the gains of the loop that made the records are called: in every command ``--record-kp``; the short
+        form too where nothing is designed.
     folder : bool
         Whether the argument is one ``FOLDER`` of them.
     """

@@ -54,6 +54,7 @@ from servolens.simulation.kalman import kalman
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SLIVER, SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1e-9, 1.2e-4, 1e-3, 1e-7, 4096, 100
+SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
 Y, V, T, U, D, MOVING, SHAKING, STATES = 0, 1, 2, 3, 4, 5, 6, 7
 FARTHEST = 1e6
 
@@ -151,13 +152,14 @@ def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, 
 def first_kink(before: Any, after: Any, nk: int) -> float:
     """Return the share of a piece after which the first of the kinks' functions changes its sign; 1 if none does.
 
-    A piece that begins right on a kink belongs to neither side of it: it is left by a short one.
+    A piece that begins right on a kink belongs to neither side of it: it is left by a short one. Where one of them is
+    crossed so slightly that only rounding can tell, the piece is left whole.
     """
     share = 1.0
     for i in range(nk):
-        if before[i] == 0.0 and after[i] != 0.0:
+        if before[i] == 0.0 and abs(after[i]) > SLIGHT:
             share = min(share, SHORTEST)
-        if before[i] * after[i] < 0.0 and abs(after[i]) > SHORTEST * abs(before[i]):
+        if before[i] * after[i] < 0.0 and abs(after[i]) > max(SHORTEST * abs(before[i]), SLIGHT):
             share = min(share, before[i] / (before[i] - after[i]))
     return share
 
