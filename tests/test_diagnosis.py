@@ -261,6 +261,14 @@ def test_friction_map_is_no_wave_of_friction_beside_cogging():
     assert found["positive_1"].value == pytest.approx(truth["positive_1"], rel=0.05)
 
 
+def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
+    campaign = lab.hidden_campaign(900010, effects=["actuator_lag"], world="coloured")
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.causes[0].effect in {"actuator_lag", "sensor_lag"}
+    assert diagnosis.extended.heldout_rms_error < diagnosis.baseline.heldout_rms_error
+
+
 def test_dead_zone_of_a_shaken_axis_need_not_foretell_where_it_rests_in_one_record():
     campaign = lab.hidden_campaign(700767, effects=["dead_zone"], world="shaken")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 import servolens
-from servolens.effects import CoulombFriction, Saturation
+from servolens.effects import ActuatorLag, CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.lab import LM1, NLM1, Truth, step_record, table_one
 from servolens.plant import Plant
 from servolens.prediction import predict, prediction_error
+from servolens.record import Controller, Record
+from servolens.simulation import simulate_loop
 
 LINEAR = Plant(gain=LM1.gain, damping=LM1.damping)
 
@@ -34,6 +36,16 @@ def test_fit_percent_is_the_normalised_root_mean_square_error() -> None:
     y = record.position
     expected = 100.0 * (1.0 - np.linalg.norm(y - model) / np.linalg.norm(y - y.mean()))
     assert prediction_error(wrong, record).fit_percent == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("before", [0.0, None])
+def test_a_record_that_begins_at_its_step_may_be_of_an_axis_without_a_voltage_before_or_with_it(before) -> None:
+    time, controller = np.arange(1000) * 1e-3, Controller(kp=60.0)
+    plant = Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=0.02),))
+    reference = np.full(time.size, 0.1)
+    run = simulate_loop(plant, controller, time, reference, before=before)
+    record = Record(time=time, position=run.position, reference=reference, voltage=run.voltage, controller=controller)
+    assert prediction_error(plant, record).rms_error < 1e-9
 
 
 def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:

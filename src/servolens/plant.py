@@ -133,6 +133,12 @@ class Plant:
         return any(isinstance(effect, Transmission) and not effect.linear for effect in self.effects)
 
     @property
+    def remembers_voltage(self) -> bool:
+        """Whether the voltage before a record still shows in it."""
+        late = (TimeShift, Transmission, Sensor)
+        return any(isinstance(e, late) or (isinstance(e, Actuator) and bool(e.states)) for e in self.effects)
+
+    @property
     def delay(self) -> float:
         """By how much the command comes late [s]."""
         return float(sum(effect.physics(effect) for effect in self.effects if isinstance(effect, TimeShift)))

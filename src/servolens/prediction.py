@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
@@ -202,9 +202,13 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
     """Return what the simulation misses from the likelier beginning: at rest, or as fast as the first samples tell.
 
-    A lagging axis that is pushed off at once looks as if it had been moving.
+    A lagging axis that is pushed off at once looks as if it had been moving. Where a record does not say what was
+    applied before it, that was its first voltage, or nothing.
     """
-    found = [_from(plant, record, velocity) for velocity in dict.fromkeys((0.0, initial_motion(record)))]
+    is_open = record.voltage_before is None and plant.remembers_voltage
+    begun = [record, replace(record, voltage_before=0.0)] if is_open else [record]
+    velocities = dict.fromkeys((0.0, initial_motion(record)))
+    found = [_from(plant, same, velocity) for same in begun for velocity in velocities]
     return min(found, key=lambda missed: float(missed @ missed))
 
 

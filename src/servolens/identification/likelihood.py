@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Actuator, Delay, Sensor, Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
@@ -136,6 +135,7 @@ class Likelihood:
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        self.knows_beginning = True
         self.work, self._counting = 0, Lock()
         self.simulates = False
 
@@ -211,7 +211,7 @@ class Likelihood:
         allowance : float
             Samples times substeps after which no descent goes on.
         """
-        choices = (False, True) if self.may_be_unpowered and _remembers(plant) else (False,)
+        choices = (False, True) if self.may_be_unpowered and plant.remembers_voltage else (False,)
         share = allowance / len(choices)
         found = [h for h in (self._in_turn(plant, like, iterations, share, unpowered=u) for u in choices) if h]
         return min(found, key=lambda h: h.total, default=None)
@@ -385,15 +385,19 @@ class Likelihood:
         other.records = tuple(records)
         other.signals = self._signals(records)
         other.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        other.knows_beginning = self.may_be_unpowered
         return other
 
     def misfit(self, hypothesis: Hypothesis, plants: Sequence[Plant], cuts: Sequence[int] | None = None) -> float:
         """Return −2 log-likelihood of the records, each by its own of the `plants`, but for samples before its cut.
 
-        Initial states, phases of each record's own and the size of its noise are fitted; nothing else is.
+        Initial states, phases of each record's own and the size of its noise are fitted; nothing else is. What was
+        applied before them is asked of these records where those that were fitted could not tell.
         """
         if not self.simulates and not any(cuts or ()):
-            return self._profiled_misfit(hypothesis, plants)
+            is_open = self.may_be_unpowered and not self.knows_beginning and hypothesis.plant.remembers_voltage
+            choices = (False, True) if is_open else (hypothesis.unpowered,)
+            return min(self._profiled_misfit(replace(hypothesis, unpowered=u), plants) for u in choices)
         total = 0.0
         first = cuts or [0] * len(self.signals)
         for run, plant, cut in zip(
@@ -402,7 +406,7 @@ class Likelihood:
             begin = cut // self.every
 
             def missed(plant: Plant, run: ObservedRun | SimulatedRun = run, begin: int = begin) -> float:
-                return least_missed(run, plant, begin)
+                return least_missed(run, plant, begin)[0]
 
             compared = max(run.samples - begin, 1)
             size = missed(synchronised(plant, missed)) / compared
@@ -419,10 +423,11 @@ class Likelihood:
         for run, plant in zip(self.runs(self.white, unpowered=hypothesis.unpowered), plants, strict=True):
 
             def missed(plant: Plant, run: ObservedRun | SimulatedRun = run) -> float:
-                return least_missed(run, plant, 0)
+                return least_missed(run, plant, 0)[0]
 
             own.append(synchronised(plant, missed))
-        starts = [run.start for run in self.runs(self.white)]
+        runs = self.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+        starts = [least_missed(run, plant, 0)[1] for run, plant in zip(runs, own, strict=True)]
         found = self._noises(
             own, starts, replace(hypothesis.noise, filters=self.white.filters), unpowered=hypothesis.unpowered
         )
@@ -436,9 +441,3 @@ class Likelihood:
 def found_last(plant: Plant) -> list[str]:
     """Return the parameters of the plant's effects that a fit holds until it has found the others."""
     return [f"{effect.name}.{name}" for effect in plant.effects for name in effect.found_last]
-
-
-def _remembers(plant: Plant) -> bool:
-    """Tell whether the voltage before a record still shows in it."""
-    late = (Delay, Transmission, Sensor)
-    return any(isinstance(e, late) or (isinstance(e, Actuator) and e.states) for e in plant.effects)

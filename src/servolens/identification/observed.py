@@ -299,22 +299,22 @@ class SimulatedRun:
         return self.whiten(self.missed(plant, start, substeps))
 
 
-def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> float:
-    """Return the squared residual of `run` from sample `begin` on, from its best initial state."""
-    substeps, start = substeps_for(plant, run.sample_time), run.start
+def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:
+    """Return the squared residual of `run` from sample `begin` on, from its best initial state, and that."""
+    substeps, start, best = substeps_for(plant, run.sample_time), run.start, run.start
     least = np.inf
     for _ in range(3):
         try:
             found = run.residual(plant, start, substeps)
         except (InputError, NumericalError):
-            return least
+            break
         size = float(found[begin:] @ found[begin:])
         if not size < least:
             break
-        least = size
+        least, best = size, start
         if not start.size:
             break
         moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
         slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
         start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
-    return least
+    return least, best
