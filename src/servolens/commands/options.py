@@ -50,15 +50,16 @@ SPEC_FIELDS = (
     "kiv",
     "anti_windup",
     "hunting",
+    "peak_sensitivity",
+    "peak_complementary",
+    "delay_margin",
 )
 WISHES = (
     "free",
     "objective",
-    "peak_sensitivity",
-    "peak_complementary",
-    "delay_margin",
     "voltage_noise",
     "position_noise",
+    "scenarios",
 )
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
@@ -235,6 +236,9 @@ def specification(
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
         *_law(records),
+        _number("--peak-sensitivity", "Largest Ms of the linearised loop."),
+        _number("--peak-complementary", "Largest Mt of the linearised loop."),
+        _number("--delay-margin", "By how much the command must be able to come later [s]."),
     )
 
     def decorate(command: Command) -> Command:
@@ -265,10 +269,13 @@ def several_gains() -> Callable[[Command], Command]:
             type=click.Choice(["noise", "kd", "settling_time", "margin"]),
             help="What free gains are to be best for.  [default with --free: noise]",
         ),
-        _number("--peak-sensitivity", "Of free gains: largest Ms of the linearised loop."),
-        _number("--peak-complementary", "Of free gains: largest Mt."),
-        _number("--delay-margin", "Of free gains: by how much the command may come later [s]."),
         _number("--voltage-noise", "Of free gains: largest r.m.s. noise of the command [V]."),
+        click.option(
+            "--scenarios",
+            type=click.IntRange(min=0),
+            metavar="NUMBER",
+            help="Of free gains: scenarios in which all has to hold too.  [default: 100]",
+        ),
         _number("--position-noise", "R.m.s. of the measurement noise [m or rad].  [default: that of the records]"),
     )
 

@@ -35,6 +35,9 @@ class GainWishes:
         Largest r.m.s. of the command for the measurement noise [V], positive.
     position_noise : float, optional
         R.m.s. of that noise, white [m or rad], positive; by default that of the records, which model files remember.
+    scenarios : int
+        In how many scenarios, drawn as :func:`servolens.recommend` does, the spec and all limits have to hold too, and
+        the worst of which the objective is; 0 for the models alone.
 
     Raises
     ------
@@ -49,6 +52,7 @@ class GainWishes:
     delay_margin: float | None = None
     voltage_noise: float | None = None
     position_noise: float | None = None
+    scenarios: int = 100
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", tuple(self.free))
@@ -61,6 +65,9 @@ class GainWishes:
             value, least = getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0
             if value is not None and not (np.isfinite(value) and value > least):
                 raise InputError(f"{name} must be finite and larger than {least:g}, got {value!r}")
+
+        if isinstance(self.scenarios, bool) or not isinstance(self.scenarios, int) or self.scenarios < 0:
+            raise InputError(f"scenarios must be a whole number, not negative, got {self.scenarios!r}")
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
