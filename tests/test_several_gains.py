@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
 
 import control as ct
 import numpy as np
@@ -15,7 +16,7 @@ from servolens.cli import group
 from servolens.design import evaluate, gain_map, recommend, tune
 from servolens.design.margins import loop_margins
 from servolens.design.scenarios import drawn
-from servolens.effects import Backlash, CoulombFriction, Delay, SensorLag, VelocityDecayDamping
+from servolens.effects import Backlash, ConstantForce, CoulombFriction, Delay, SensorLag, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.model_evidence import DataRange, Evidence, Remainder
@@ -221,6 +222,34 @@ def test_gains_chosen_over_scenarios_hold_in_others_and_leave_room_for_the_gain_
     assert np.mean([margin.peak_sensitivity <= 1.4 for margin in margins]) >= 0.9
 
 
+def test_an_integral_is_a_gain_too_where_a_load_keeps_pd_from_the_band():
+    loaded = LINEAR.with_effect(ConstantForce(acceleration=4.0))
+    spec = replace(SPEC, kp=100.0, settling_time=1.0, band=0.02)
+    alone = tune_gains(loaded, spec, GainWishes(scenarios=0))
+    assert alone.kd is None
+    wishes = GainWishes(free=("kp", "kd", "ki"), objective="noise", peak_sensitivity=1.8, scenarios=20)
+    found = tune_gains(loaded, spec, wishes)
+    assert found.gains["ki"] == found.spec.ki > 0.0
+    assert found.probability >= 0.8
+    assert found.margins.peak_sensitivity <= 1.8
+    best = np.inf
+    for kp, kd, ki in product(
+        found.spec.kp * np.linspace(0.7, 1.4, 6),
+        found.kd * np.linspace(0.7, 1.4, 6),
+        found.spec.ki * np.linspace(0.7, 1.4, 6),
+    ):
+        one = replace(found.spec, kp=float(kp), ki=float(ki))
+        if evaluate(loaded, one, float(kd)).meets and all(
+            s.in_loop(one).response(float(kd)).meets
+            for s in drawn([Model(plant=loaded)], [spec], 20, np.random.default_rng(5))
+        ):
+            margins = loop_margins([loaded], one, float(kd))
+            best = min(best, margins.noise_gain if margins.peak_sensitivity <= 1.75 else np.inf)
+    assert found.value <= 1.05 * best
+    with pytest.raises(InputError, match="ki is a gain of a sampled PID"):
+        tune_gains(LINEAR, replace(spec, controller="cascade"), wishes)
+
+
 def test_what_cannot_be_met_is_said():
     found = tune_gains(PAPER, replace(SPEC, settling_time=0.02), GainWishes())
     assert found.kd is None
@@ -243,7 +272,7 @@ def test_the_noise_is_that_of_the_records_where_the_model_knows_it():
     ("wishes", "says"),
     [
         ({"free": ("kp",)}, "free gains are kd and perhaps kp"),
-        ({"free": ("kd", "ki")}, "got kd, ki"),
+        ({"free": ("kd", "kv")}, "got kd, kv"),
         ({"objective": "speed"}, "objective must be one of"),
         ({"peak_sensitivity": 1.0}, "peak_sensitivity must be finite and larger than 1, got 1.0"),
         ({"voltage_noise": 0.1}, "needs position_noise"),

@@ -262,7 +262,7 @@ def several_gains() -> Callable[[Command], Command]:
             cls=Paths,
             multiple=True,
             metavar="GAIN...",
-            help="Gains to choose: kp, kd, derivative_filter.  [default with --objective: kp kd]",
+            help="Gains to choose: kp, kd, derivative_filter, ki.  [default with --objective: kp kd]",
         ),
         click.option(
             "--objective",

@@ -59,13 +59,14 @@ class GainsFound:
 
     @property
     def gains(self) -> dict[str, float | None]:
-        """The gains by name."""
+        """The gains by name, ki where the loop has an integral."""
         found = self.kd is not None
-        return {
+        gains = {
             "kp": self.spec.kp if found else None,
             "kd": self.kd,
             "derivative_filter": self.spec.derivative_filter if found else None,
         }
+        return {**gains, "ki": self.spec.ki} if found and self.spec.ki else gains
 
     def to_json(self) -> dict[str, Any]:
         """Return what was asked and found."""

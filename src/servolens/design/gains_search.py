@@ -31,12 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = ["Candidate", "GainsSearch"]
 
-GRID = {"kp": 12, "kd": 24, "derivative_filter": 3}
+NAMES = (*GAINS, "ki")
+"""Gains that can be free; with an integral the program, which is of PD only, is left out."""
+GRID = {"kp": 12, "kd": 24, "derivative_filter": 3, "ki": 8}
 """Gains of each kind that are tried first."""
-AROUND = {"kp": 15, "kd": 15, "derivative_filter": 3}
+AROUND = {"kp": 15, "kd": 15, "derivative_filter": 3, "ki": 7}
 """Gains of each kind that are tried around an optimum."""
 LEAST_FILTER = 0.1
 """Smallest derivative filter that is tried: it remembers ten samples."""
+LEAST_KI, MOST_KI = 0.03, 1.0
+"""Smallest and largest integral gain that is tried, in kp times the undamped frequency of the loop [rad/s]."""
 GLANCE = 1.25
 """Settling times for which a step is watched at first: most gains that fail do so soon."""
 NEAR = 1.4
@@ -78,6 +82,8 @@ class GainsSearch:
             raise InputError(
                 "an ideal continuous PD has no derivative filter and no finite noise; use control='sampled'"
             )
+        if "ki" in wishes.free and (spec.controller != "pd" or spec.control == "continuous"):
+            raise InputError("ki is a gain of a sampled PID; leave it out of the free gains")
         self.wishes = wishes
         self.noise = wishes.position_noise or _noise_of(models)
         if wishes.voltage_noise is not None and self.noise is None:
@@ -89,48 +95,72 @@ class GainsSearch:
         self.tightest: list[Plant] = []
         self.scenarios = tuple(drawn(models, [self.spec], wishes.scenarios, np.random.default_rng([SEED, 0])))
         self.in_turn = self.scenarios
-        self._loops: dict[tuple[float, float], LinearLoops] = {}
+        self._loops: dict[float, LinearLoops] = {}
+        self._own: dict[float, LinearLoops] = {}
 
     def _bounds(self) -> dict[str, tuple[float, float]]:
         spec, free = self.spec, self.wishes.free
         kp = (LEAST_KP * spec.kp, MOST_KP * spec.kp) if "kp" in free else (spec.kp, spec.kp)
         last = spec.kd_max or max(last_gain(plant, replace(spec, kp=kp[1])) for plant in self.plants) / SPARE
         share = (LEAST_FILTER, 1.0) if "derivative_filter" in free else (spec.derivative_filter,) * 2
-        return {"kp": kp, "kd": (0.0, last), "derivative_filter": share}
+        rate = spec.kp * max(spec.rate(plant.gain) for plant in self.plants)
+        ki = (LEAST_KI * rate, MOST_KI * rate) if "ki" in free else (spec.ki, spec.ki)
+        return {"kp": kp, "kd": (0.0, last), "derivative_filter": share, "ki": ki}
 
     def grid(self) -> list[dict[str, float]]:
         """Return the gains to be tried first; kd evenly where the loop changes evenly with it."""
         scale = min(gain_scale(plant, self.spec) for plant in self.plants)
         axes = []
-        for name in GAINS:
+        for name in NAMES:
             low, high = self.bounds[name]
             count = GRID[name] if high > low else 1
             if name == "kd":
                 axes.append(scale * np.sinh(np.linspace(0.0, np.arcsinh(high / scale), count)))
             else:
-                axes.append(np.geomspace(low, high, count))
-        return [dict(zip(GAINS, map(float, values), strict=True)) for values in product(*axes)]
+                axes.append(np.geomspace(low, high, count) if count > 1 else np.array([low]))
+        return [dict(zip(NAMES, map(float, values), strict=True)) for values in product(*axes)]
 
     def around(self, gains: Mapping[str, float]) -> list[dict[str, float]]:
         """Return gains around others, within the bounds, evenly in their logarithm."""
         axes = []
-        for name in GAINS:
+        for name in NAMES:
             low, high = self.bounds[name]
             if high > low:
                 near = gains[name] * np.geomspace(1.0 / NEAR, NEAR, AROUND[name])
                 axes.append(np.unique(np.clip(near, low, high)))
             else:
                 axes.append(np.array([low]))
-        return [dict(zip(GAINS, map(float, values), strict=True)) for values in product(*axes)]
+        return [dict(zip(NAMES, map(float, values), strict=True)) for values in product(*axes)]
 
     def best(self, gains: Sequence[dict[str, float]]) -> Candidate | None:
-        """Return the best of some gains that meets everything."""
-        seen = [one for one in in_parallel(self.tried, gains) if one is not None]
-        return min(seen, key=lambda one: one.value, default=None)
+        """Return the best of some gains that meets everything: those that cannot be the best are not simulated."""
+        likely = sorted(((self._at_least(one), i) for i, one in enumerate(gains)))
+        least = np.inf
+
+        def seen(pair: tuple[float, int]) -> Candidate | None:
+            nonlocal least
+            found = self.tried(gains[pair[1]]) if pair[0] <= least else None
+            least = least if found is None else min(least, found.value)
+            return found
+
+        return min(filter(None, in_parallel(seen, likely)), key=lambda one: one.value, default=None)
+
+    def _at_least(self, gains: Mapping[str, float]) -> float:
+        """Return a value that the objective is not below: that of the models, where no step has to be simulated."""
+        objective = self.wishes.objective
+        if objective in ("kd", "settling_time"):
+            return gains["kd"] if objective == "kd" else 0.0
+        spec = self.spec_of(gains)
+        if spec.kp not in self._own:
+            self._own[spec.kp] = LinearLoops(self.plants, spec)
+        margins = self._own[spec.kp].margins(gains["kd"], spec)
+        return margins.peak_sensitivity if objective == "margin" else margins.noise_gain or 0.0
 
     def spec_of(self, gains: Mapping[str, float]) -> PDSpec:
         """Return the spec with these gains."""
-        return replace(self.spec, kp=gains["kp"], derivative_filter=min(gains["derivative_filter"], 1.0))
+        return replace(
+            self.spec, kp=gains["kp"], derivative_filter=min(gains["derivative_filter"], 1.0), ki=gains["ki"]
+        )
 
     def tried(self, gains: dict[str, float]) -> Candidate | None:
         """Return the gains if they meet everything when the exact loop is simulated."""
@@ -140,7 +170,7 @@ class GainsSearch:
             return None
         if self._seen(spec, kd, glance) is None:
             return None
-        margins = self._linear(spec).margins(kd)
+        margins = self._margins(spec, kd)
         if not keeps(margins, spec):
             return None
         verified = tuple(evaluate(plant, spec, kd) for plant in self.plants)
@@ -170,14 +200,13 @@ class GainsSearch:
                 return None
         return found
 
-    def _linear(self, spec: PDSpec) -> LinearLoops:
-        """Return the linearised loops of models and scenarios, which are the same for all kd."""
-        key = (spec.kp, spec.derivative_filter)
-        if key not in self._loops:
+    def _margins(self, spec: PDSpec, kd: float) -> LoopMargins:
+        """Return the worst margins of models and scenarios, whose plants answer alike to all gains with the same kp."""
+        if spec.kp not in self._loops:
             plants = [*self.plants, *(one.plant for one in self.scenarios)]
             realised = [*(1.0 for _ in self.plants), *(one.realised for one in self.scenarios)]
-            self._loops[key] = LinearLoops(plants, spec, realised)
-        return self._loops[key]
+            self._loops[spec.kp] = LinearLoops(plants, spec, realised)
+        return self._loops[spec.kp].margins(kd, spec)
 
     def watch(self, best: Candidate | None) -> None:
         """Let the program know the plants of those scenarios that settle last with the gains of the grid."""
@@ -206,8 +235,10 @@ class GainsSearch:
         return best
 
     def _solved(self, start: Candidate | None, spec: PDSpec, weight: str) -> dict[str, float] | None:
+        if not spec.is_pd or "ki" in self.wishes.free:
+            return None
         middle = {name: float(np.sqrt(max(low, 1e-3 * high) * high)) for name, (low, high) in self.bounds.items()}
-        return local_gains(
+        found = local_gains(
             [*self.plants, *self.tightest],
             spec,
             self.limits,
@@ -216,6 +247,7 @@ class GainsSearch:
             weights={weight: 1.0},
             watched=WATCHED * self.spec.settling_time,
         )
+        return None if found is None else {**found, "ki": 0.0}
 
     def _taken_back(self, gains: dict[str, float] | None, start: Candidate | None) -> Candidate | None:
         if gains is None:
@@ -226,7 +258,7 @@ class GainsSearch:
         low, high, best = 0.0, 1.0, start
         for _ in range(HALVINGS):
             share = 0.5 * (low + high)
-            tried = self.tried({name: start.gains[name] + share * (gains[name] - start.gains[name]) for name in GAINS})
+            tried = self.tried({name: start.gains[name] + share * (gains[name] - start.gains[name]) for name in NAMES})
             low, high = (low, share) if tried is None else (share, high)
             if tried is not None and tried.value < best.value:
                 best = tried

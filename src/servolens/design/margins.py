@@ -93,10 +93,11 @@ class LinearLoops:
         answers = plant_responses(plants, spec, self._omega)
         self._plants = [factor * answer for factor, answer in zip(factors, answers, strict=True)]
 
-    def margins(self, gain: float) -> LoopMargins:
-        """Return the margins with the gain that is sought."""
-        controller = controller_response(self._spec, gain, self._omega)
-        found = [_margins(answer * controller, controller, self._omega, self._spec) for answer in self._plants]
+    def margins(self, gain: float, spec: PDSpec | None = None) -> LoopMargins:
+        """Return the margins with the gain that is sought, perhaps with a `spec` that has another ki or filter."""
+        spec = spec or self._spec
+        controller = controller_response(spec, gain, self._omega)
+        found = [_margins(answer * controller, controller, self._omega, spec) for answer in self._plants]
         noise = [one.noise_gain for one in found if one.noise_gain is not None]
         return LoopMargins(
             peak_sensitivity=max(one.peak_sensitivity for one in found),

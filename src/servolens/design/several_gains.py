@@ -1,9 +1,10 @@
-"""The best of several gains: kp, kd and the derivative's filter, for one of several objectives.
+"""The best of several gains: kp, kd, the derivative's filter and ki, for one of several objectives.
 
 A grid over the free gains is simulated first; where it finds gains that meet everything, CasADi's program
 (:mod:`servolens.design.gains_program`) goes on from the best of them, and a finer grid around its optimum tells whether
 there is a better one nearby. What the program finds is simulated by the exact sampled
-loop and, where it fails there, taken back towards the gains that it began with: whatever is returned was simulated.
+loop and, where it fails there, taken back towards the gains that it began with: whatever is returned was simulated. The
+program is of PD only; with an integral the finer grids alone improve on the first.
 
 Everything has to hold in scenarios too (Calafiore and Campi, *The scenario approach to robust control design*, IEEE
 Transactions on Automatic Control 51, 2006, doi:10.1109/TAC.2006.875041); the program knows those of them that settle

@@ -11,7 +11,7 @@ from servolens.errors import InputError
 
 __all__ = ["GainWishes"]
 
-FREE = ("kp", "kd", "derivative_filter")
+FREE = ("kp", "kd", "derivative_filter", "ki")
 OBJECTIVES = ("kd", "noise", "settling_time", "margin")
 
 
@@ -23,7 +23,7 @@ class GainWishes:
     Parameters
     ----------
     free : tuple of str
-        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``; kd among them.
+        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``, ``"ki"``; kd among them.
     objective : {"noise", "kd", "settling_time", "margin"}
         What is to be least: the noise of the command, kd, the settling time, or the peak of sensitivity, whose inverse
         is the margin.
@@ -58,7 +58,9 @@ class GainWishes:
         object.__setattr__(self, "free", tuple(self.free))
         unknown = [name for name in self.free if name not in FREE]
         if unknown or "kd" not in self.free:
-            raise InputError(f"free gains are kd and perhaps kp and derivative_filter, got {', '.join(self.free)[:80]}")
+            raise InputError(
+                f"free gains are kd and perhaps kp, derivative_filter and ki, got {', '.join(self.free)[:80]}"
+            )
         if self.objective not in OBJECTIVES:
             raise InputError(f"objective must be one of {', '.join(OBJECTIVES)}, got {str(self.objective)[:40]!r}")
         for name in ("peak_sensitivity", "peak_complementary", "delay_margin", "voltage_noise", "position_noise"):

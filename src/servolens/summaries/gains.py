@@ -100,9 +100,10 @@ def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: st
     spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
     time = max(response.settling_time or 0.0 for response in found.verified)
     delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
+    integral = f", ki = {number(spec.ki)} {command_unit}/({length_unit} s)" if spec.ki else ""
     told = [
         f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
-        f" {number(spec.derivative_filter, 3)}: {aim} of all gains that meet what was asked.",
+        f" {number(spec.derivative_filter, 3)}{integral}: {aim} of all gains that meet what was asked.",
         f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
         f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
     ]
