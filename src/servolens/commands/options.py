@@ -29,6 +29,7 @@ __all__ = [
     "json_option",
     "prior_option",
     "recordings",
+    "references_option",
     "several_gains",
     "specification",
 ]
@@ -350,6 +351,15 @@ effort_option = click.option(
     default="normal",
     show_default=True,
     help="How far the search for causes goes.",
+)
+
+references_option = click.option(
+    "--also-reference",
+    "references",
+    multiple=True,
+    type=finite,
+    metavar="NUMBER",
+    help="Another step that the recommended gain has to meet too [m or rad]. May be repeated.",
 )
 
 force_option = click.option(
