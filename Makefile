@@ -12,10 +12,11 @@ COVERAGE_ARGS ?=
 CONFUSION_ARGS ?=
 SCAN_ARGS ?=
 FUZZ_ARGS ?=
+TRIED_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion design-scan fleet-kills fuzz paper pictures bench examples clean help
+.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion tried-gains design-scan fleet-kills fuzz paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -56,6 +57,9 @@ coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model 
 
 confusion: $(DEV_STAMP) ## how often a diagnosis names what was hidden, and what else it names (hours)
 	@$(BIN)/python benchmarks/confusion.py $(CONFUSION_ARGS)
+
+tried-gains: $(DEV_STAMP) ## recommended gains on axes whose truth is hidden (hours for all 300)
+	@$(BIN)/python benchmarks/tried_gains.py $(TRIED_ARGS)
 
 design-scan: $(DEV_STAMP) ## designs of a thousand random plants against a dense scan of the gain (minutes)
 	@$(BIN)/python benchmarks/design_scan.py $(SCAN_ARGS)

@@ -20,7 +20,7 @@ from harness import Figure, alternate
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from servolens import lab
+from servolens import identify, lab
 from servolens.identification.integral import Pieces
 from servolens.identification.piecewise import piecewise_damping
 from servolens.identification.segments import motion_segments
@@ -53,6 +53,7 @@ def figures() -> list[Figure]:
         lambda: rival(record, rtol=1e-8, atol=1e-10),
     ]
     free, constrained, plain, careful = alternate(runs, seconds=20.0, least=9)
+    (whole,) = alternate([lambda: identify(record, model="varying")], seconds=6.0)
     held = fit_pieces(segments, pieces, limits)
     print(f"  active constraints: {', '.join(held.active)}")
     assert any(name.startswith("c2 − c3") for name in held.active)
@@ -97,6 +98,13 @@ def figures() -> list[Figure]:
             better="higher",
         ),
         Figure(name=f"{name}: time", value=free * 1e6, unit="µs", target=None, better="lower"),
+        Figure(
+            name='identify(model="varying"), with noise model, error bars and judgement: time',
+            value=whole * 1e3,
+            unit="ms",
+            target=0.5,
+            better="lower",
+        ),
         Figure(name="constrained fit: time", value=constrained * 1e6, unit="µs", target=None, better="lower"),
         Figure(name="rival: time", value=plain * 1e3, unit="ms", target=None, better="lower"),
         *_errors("sampled loop", sampled),

@@ -140,3 +140,20 @@ def test_model_that_was_written_by_force_gives_no_gain(tmp_path, monkeypatch):
     known = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
     assert known["range"]["voltage"] == pytest.approx(6.0, rel=1e-3)
     assert len(known["fatal"]) == 1
+
+
+def test_other_steps_have_to_be_met_too(tmp_path, monkeypatch):
+    """Dry friction can hold the axis up to 1.6 mm away, which is much of a small step."""
+    monkeypatch.chdir(tmp_path)
+    friction = {"effect": "coulomb_friction", "parameters": {"level": {"value": 0.3}}}
+    write_json("model.json", "model", {"gain": {"value": 1.9}, "damping": {"value": 6.0}, "effects": [friction]})
+    wide = ("--band", "0.02")
+    alone = designed("model.json", *wide)["recommended"]
+    both = designed("model.json", *wide, "--also-reference", "0.2", "--also-reference", "0.01")["recommended"]
+    assert alone["probability"]["value"] == both["probability"]["value"] == 1.0
+    assert both["kd"] < 0.8 * alone["kd"]
+    tiny = designed("model.json", *wide, "--also-reference", "0.005", status=1)
+    assert "No gain meets the spec in nine of ten plants" in tiny["reason"]
+    refused = run("design", "model.json", *SPEC, "--also-reference", "0")
+    assert refused.exit_code == 2
+    assert "reference must be finite and not 0" in refused.stderr

@@ -451,7 +451,6 @@ def test_records_cut_out_of_a_motion_are_followed_from_where_they_begin():
     assert diagnose([run.slice(0.34, 2.0) for run in runs]).verdict == "healthy"
 
 
-@pytest.mark.xfail(strict=True, reason="a late start at 5 ms a sample hides the delay from the search")
 def test_late_start_is_no_motion_backward():
     """Cubics through the first samples of a record that begins at its step, some of a sample late, see a velocity."""
     axis = lab.Truth(gain=1.4, damping=1.1, effects={"delay": {"time": 0.0013}})

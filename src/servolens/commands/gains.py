@@ -14,6 +14,7 @@ from servolens.commands.options import (
     SpecOptions,
     finite,
     json_option,
+    references_option,
     several_gains,
     specification,
 )
@@ -32,6 +33,7 @@ __all__ = ["design", "map_"]
 @click.command(cls=Documented, epilog="servolens design model.json --kp 100 --settling-time 0.5")
 @click.argument("model_files", nargs=-1, required=True, metavar="MODEL.json...")
 @specification()
+@references_option
 @several_gains()
 @click.option(
     "--program", "with_program", is_flag=True, help="Solve for the least gain by CasADi and IPOPT as well, and compare."
@@ -42,6 +44,7 @@ __all__ = ["design", "map_"]
 def design(
     model_files: tuple[str, ...],
     spec: SpecOptions,
+    references: tuple[float, ...],
     wishes: dict[str, Any] | None,
     with_program: bool,
     certify: bool,
@@ -68,7 +71,7 @@ def design(
         wanted = wanted if chosen is None else chosen.spec
         result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
         progress("Simulating scenarios", 0, 0)
-        result = recommend(models, result)
+        result = recommend(models, result, references=references)
         of_model, of_gain = trust(models, result)
     is_wrong = of_gain.light == "red" and result.feasible
     if is_wrong and not force:

@@ -29,6 +29,7 @@ __all__ = [
     "json_option",
     "prior_option",
     "recordings",
+    "references_option",
     "several_gains",
     "specification",
 ]
@@ -50,15 +51,16 @@ SPEC_FIELDS = (
     "kiv",
     "anti_windup",
     "hunting",
+    "peak_sensitivity",
+    "peak_complementary",
+    "delay_margin",
 )
 WISHES = (
     "free",
     "objective",
-    "peak_sensitivity",
-    "peak_complementary",
-    "delay_margin",
     "voltage_noise",
     "position_noise",
+    "scenarios",
 )
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
 
@@ -235,6 +237,9 @@ def specification(
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
         *_law(records),
+        _number("--peak-sensitivity", "Largest Ms of the linearised loop."),
+        _number("--peak-complementary", "Largest Mt of the linearised loop."),
+        _number("--delay-margin", "By how much the command must be able to come later [s]."),
     )
 
     def decorate(command: Command) -> Command:
@@ -258,17 +263,20 @@ def several_gains() -> Callable[[Command], Command]:
             cls=Paths,
             multiple=True,
             metavar="GAIN...",
-            help="Gains to choose: kp, kd, derivative_filter.  [default with --objective: kp kd]",
+            help="Gains to choose: kp, kd, derivative_filter, ki.  [default with --objective: kp kd]",
         ),
         click.option(
             "--objective",
             type=click.Choice(["noise", "kd", "settling_time", "margin"]),
             help="What free gains are to be best for.  [default with --free: noise]",
         ),
-        _number("--peak-sensitivity", "Of free gains: largest Ms of the linearised loop."),
-        _number("--peak-complementary", "Of free gains: largest Mt."),
-        _number("--delay-margin", "Of free gains: by how much the command may come later [s]."),
         _number("--voltage-noise", "Of free gains: largest r.m.s. noise of the command [V]."),
+        click.option(
+            "--scenarios",
+            type=click.IntRange(min=0),
+            metavar="NUMBER",
+            help="Of free gains: scenarios in which all has to hold too.  [default: 100]",
+        ),
         _number("--position-noise", "R.m.s. of the measurement noise [m or rad].  [default: that of the records]"),
     )
 
@@ -343,6 +351,15 @@ effort_option = click.option(
     default="normal",
     show_default=True,
     help="How far the search for causes goes.",
+)
+
+references_option = click.option(
+    "--also-reference",
+    "references",
+    multiple=True,
+    type=finite,
+    metavar="NUMBER",
+    help="Another step that the recommended gain has to meet too [m or rad]. May be repeated.",
 )
 
 force_option = click.option(

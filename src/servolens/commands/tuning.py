@@ -18,6 +18,7 @@ from servolens.commands.options import (
     json_option,
     prior_option,
     recordings,
+    references_option,
     specification,
 )
 from servolens.commands.terminal import progress_bar, show
@@ -32,15 +33,17 @@ __all__ = ["compare", "tune"]
 @click.command(cls=Documented, epilog="servolens tune kp60.csv kp80.csv --settling-time 0.5 --report tuning.html")
 @recordings(kp=("--record-kp",), kd=("--record-kd", "--kd"))
 @specification(required=("--settling-time",), of_records=True)
+@references_option
 @heldout_option
 @prior_option
 @effort_option
 @click.option("--report", metavar="FILE.html|.pdf", help="Write a self-contained page; PDF by Chromium.")
 @click.option("--force", is_flag=True, help="Give the gain although its light is red.")
 @json_option
-def tune(
+def tune(  # noqa: PLR0913 - a command's options
     recordings: Recordings,
     spec: SpecOptions,
+    references: tuple[float, ...],
     heldout: tuple[str, ...],
     priors: tuple[tuple[str, float, float], ...],
     effort: str,
@@ -58,7 +61,16 @@ def tune(
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
     outputs = {"--report": report, "--json": json_file}
-    found = _studied(recordings, spec, outputs, priors=priors, effort=effort, heldout=heldout, force=force)
+    found = _studied(
+        recordings,
+        spec,
+        outputs,
+        priors=priors,
+        effort=effort,
+        heldout=heldout,
+        references=references,
+        force=force,
+    )
     if json_file:
         write_json(json_file, "tuning", found.to_json(), found.findings)
     if report:
@@ -113,6 +125,7 @@ def _studied(
     priors: tuple[tuple[str, float, float], ...],
     effort: str,
     heldout: tuple[str, ...] = (),
+    references: tuple[float, ...] = (),
     force: bool = False,
 ) -> Study:
     """Read the records and study them."""
@@ -128,5 +141,12 @@ def _studied(
         wanted = completed_spec(records, spec.given)
         with about(*recordings.paths, *heldout):
             return study_records(
-                records, wanted, heldout=others, priors=known, effort=effort, force=force, progress=progress
+                records,
+                wanted,
+                references=references,
+                heldout=others,
+                priors=known,
+                effort=effort,
+                force=force,
+                progress=progress,
             )

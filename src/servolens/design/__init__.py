@@ -4,13 +4,14 @@ from servolens.design.comparison import Comparison, compare
 from servolens.design.confidence import trust
 from servolens.design.found import Certificate, Design, Light, Recommended, Relaxed
 from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
+from servolens.design.gains_found import GainsFound
 from servolens.design.least_kd import tune
 from servolens.design.limit_cycle import Hunting, hunting
 from servolens.design.plant_inverse import Tracking, feedforward, tracking
 from servolens.design.recommended import recommend
 from servolens.design.response import Response
 from servolens.design.settle import evaluate, settling_time, step_response
-from servolens.design.several_gains import GainsFound, tune_gains
+from servolens.design.several_gains import tune_gains
 from servolens.design.spec import PDSpec
 from servolens.design.wishes import GainWishes
 

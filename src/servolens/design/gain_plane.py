@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.design.cover import SPARE, last_gain
+from servolens.design.linear_limits import keeps
+from servolens.design.margins import LinearLoops
 from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_models
-from servolens.processors import in_parallel
+from servolens.processors import in_parallel, single_threaded_blas
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -85,6 +87,7 @@ class GainMap:
         }
 
 
+@single_threaded_blas
 def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> GainMap:
     """Simulate the step of `spec` with each pair of gains.
 
@@ -125,6 +128,9 @@ def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> Gain
         return found
 
     found = np.array(in_parallel(row, specs), dtype=np.float64)
+    feasible = found[..., 2] > 0.5
+    if spec.limits:
+        feasible &= np.array([_kept(models, one, columns) for one in specs])
     return GainMap(
         spec=spec,
         kp=rows,
@@ -132,8 +138,14 @@ def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> Gain
         settling_time=found[..., 0],
         overshoot=found[..., 1],
         noise=np.array([[noise_gain(one, float(value)) for value in columns] for one in specs]),
-        feasible=found[..., 2] > 0.5,
+        feasible=feasible,
     )
+
+
+def _kept(models: tuple[Plant, ...], spec: PDSpec, kd: NDArray[np.float64]) -> list[bool]:
+    """Tell of each kd whether the linearised loop keeps to the limits of the spec."""
+    loops = LinearLoops(models, spec)
+    return [keeps(loops.margins(float(value)), spec) for value in kd]
 
 
 def map_axes(

@@ -14,6 +14,7 @@ from servolens.design.cover import Cover, last_gain
 from servolens.design.found import Certificate, Design
 from servolens.design.infeasible import explain
 from servolens.design.limit_cycle import hunting, without_hunting
+from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
 from servolens.errors import InputError
 
@@ -74,14 +75,18 @@ def tune(
         raise InputError("no model was given; a design needs at least one")
     if len({(m.length_unit, m.command_unit) for m in models}) > 1:
         raise InputError("the models have different units; a gain cannot hold for all of them")
-    if (with_program or certify) and not spec.is_pd:
-        raise InputError("CasADi's program and the proof by enclosures are for PD only; leave them out")
+    if (with_program or certify) and not (spec.is_pd and not spec.limits):
+        raise InputError(
+            "CasADi's program and the proof by enclosures are for PD only, and know no limits of the linearised loop;"
+            " leave them out"
+        )
     stated = spec.kd_max
     top = stated or max(last_gain(model, spec) for model in models)
     spec = replace(spec, kd_max=top)
     cover = Cover(models, spec, progress)
     settling = cover.intervals()
-    intervals = settling if spec.hunting else without_hunting(models, spec, settling, cover.gap)
+    kept = within_limits(models, spec, settling, cover.gap, cover.scale)
+    intervals = kept if spec.hunting else without_hunting(models, spec, kept, cover.gap)
     certificate = Certificate(
         searched=(0.0, top),
         gap=cover.gap,
@@ -90,9 +95,12 @@ def tune(
         end_from_plant=stated is None,
     )
     design = Design(plants=models, spec=spec, kd=None, intervals=intervals, certificate=certificate)
-    if settling and not intervals:
-        worst = hunting(models, spec, settling[0][0])
-        design = replace(design, reason=_all_hunt(settling, spec, worst), conflict=("hunting",))
+    if kept and not intervals:
+        worst = hunting(models, spec, kept[0][0])
+        design = replace(design, reason=_all_hunt(kept, spec, worst), conflict=("hunting",))
+    elif settling and not intervals:
+        reason, conflict, nearest = none_keeps(models, spec, settling)
+        design = replace(design, reason=reason, conflict=conflict, nearest=nearest)
     elif not intervals:
         reason, conflict, nearest = explain(models, spec, cover.grid())
         design = replace(design, reason=reason, conflict=conflict, nearest=nearest)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.design.parts import parts_where
 from servolens.design.settle import horizon
 from servolens.effects import DryFriction, Saturation
 from servolens.errors import NumericalError
@@ -111,37 +112,7 @@ def without_hunting(models: tuple[Plant, ...], spec: PDSpec, spans: Iterable[Spa
 
     Each interval is tried at nine gains or more; where neighbours differ, the border is located within `gap`.
     """
-    return tuple(piece for span in spans for piece in _left(models, spec, span, gap))
-
-
-def _left(models: tuple[Plant, ...], spec: PDSpec, span: Span, gap: float) -> list[Span]:
-    def rests(gain: float) -> bool:
-        return hunting(models, spec, gain) is None
-
-    low, high = span
-    gains = np.linspace(low, high, TRIED if high > low else 1).tolist()
-    calm = [rests(gain) for gain in gains]
-    pieces: list[Span] = []
-    for i, gain in enumerate(gains):
-        if not calm[i]:
-            continue
-        begin = gain if i == 0 else gains[i - 1]
-        if i > 0 and not calm[i - 1]:
-            begin = _border(rests, gain, gains[i - 1], gap)
-        end = gain if i + 1 == len(gains) or calm[i + 1] else _border(rests, gain, gains[i + 1], gap)
-        if pieces and i > 0 and calm[i - 1]:
-            pieces[-1] = (pieces[-1][0], end)
-        else:
-            pieces.append((begin, end))
-    return pieces
-
-
-def _border(rests: Any, calm: float, other: float, gap: float) -> float:
-    """Return the gain nearest to `other` that is calm, within `gap`."""
-    while abs(other - calm) > gap:
-        middle = 0.5 * (calm + other)
-        calm, other = (middle, other) if rests(middle) else (calm, middle)
-    return calm
+    return parts_where(lambda gain: hunting(models, spec, gain) is None, spans, gap, TRIED)
 
 
 def _of(plant: Plant, spec: PDSpec, gain: float) -> Hunting | None:

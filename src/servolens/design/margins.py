@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     Complex = NDArray[np.complex128]
     Floats = NDArray[np.float64]
 
-__all__ = ["POINTS", "LoopMargins", "controller_response", "frequencies", "loop_margins", "plant_responses"]
+__all__ = [
+    "POINTS",
+    "LinearLoops",
+    "LoopMargins",
+    "controller_response",
+    "frequencies",
+    "loop_margins",
+    "plant_responses",
+]
 
 LOWEST = 1e-2
 """Share of the undamped frequency of the loop at which its frequency response begins."""
@@ -65,35 +73,63 @@ class LoopMargins:
         return result
 
 
-def loop_margins(plants: Sequence[Plant], spec: PDSpec, kd: float) -> LoopMargins:
-    """Return the margins of the loop with the gains of `spec` and `kd`, linearised at rest and at the step's speed."""
-    omega = frequencies(plants, spec)
-    controller = controller_response(spec, kd, omega)
-    found = [_margins(answer * controller, controller, omega, spec) for answer in plant_responses(plants, spec, omega)]
-    noise = [one.noise_gain for one in found if one.noise_gain is not None]
-    return LoopMargins(
-        peak_sensitivity=max(one.peak_sensitivity for one in found),
-        peak_complementary=max(one.peak_complementary for one in found),
-        delay_margin=min(one.delay_margin for one in found),
-        noise_gain=max(noise) if noise else None,
-    )
+@final
+class LinearLoops:
+    """The loops of a spec with each of some plants, linearised at rest and at the step's speed.
+
+    Parameters
+    ----------
+    plants : sequence of Plant
+        Of which the worst counts.
+    spec : PDSpec
+        The loop but for the gain that is sought.
+    realised : sequence of float, optional
+        What the gain of the loop is multiplied by, one a plant.
+    """
+
+    def __init__(self, plants: Sequence[Plant], spec: PDSpec, realised: Sequence[float] = ()) -> None:
+        self._spec, self._omega = spec, frequencies(plants, spec)
+        factors = np.repeat(np.asarray(realised, dtype=np.float64), 2) if realised else np.ones(2 * len(plants))
+        answers = plant_responses(plants, spec, self._omega)
+        self._plants = [factor * answer for factor, answer in zip(factors, answers, strict=True)]
+
+    def margins(self, gain: float, spec: PDSpec | None = None) -> LoopMargins:
+        """Return the margins with the gain that is sought, perhaps with a `spec` that has another ki or filter."""
+        spec = spec or self._spec
+        controller = controller_response(spec, gain, self._omega)
+        found = [_margins(answer * controller, controller, self._omega, spec) for answer in self._plants]
+        noise = [one.noise_gain for one in found if one.noise_gain is not None]
+        return LoopMargins(
+            peak_sensitivity=max(one.peak_sensitivity for one in found),
+            peak_complementary=max(one.peak_complementary for one in found),
+            delay_margin=min(one.delay_margin for one in found),
+            noise_gain=max(noise) if noise else None,
+        )
+
+
+def loop_margins(plants: Sequence[Plant], spec: PDSpec, gain: float) -> LoopMargins:
+    """Return the margins of the loop with the gains of `spec` and the one that is sought; see :class:`LinearLoops`."""
+    return LinearLoops(plants, spec).margins(gain)
 
 
 def frequencies(plants: Sequence[Plant], spec: PDSpec) -> Floats:
     """Return the frequencies [rad/s] at which loops are looked at, up to half the sampling frequency."""
-    natural = [float(np.sqrt(abs(plant.gain) * spec.kp)) for plant in plants]
+    natural = [spec.rate(plant.gain) for plant in plants]
     last = FASTEST * max(natural) if spec.control == "continuous" else np.pi / spec.sample_time
     return np.asarray(np.geomspace(LOWEST * min(*natural, last), last, POINTS), dtype=np.float64)
 
 
-def controller_response(spec: PDSpec, kd: float, omega: Floats) -> Complex:
-    """Return the PD's response from the position to the command, without its sign."""
+def controller_response(spec: PDSpec, gain: float, omega: Floats) -> Complex:
+    """Return the controller's response from the position to the command, without its sign."""
     s = 1j * omega
     if spec.control == "continuous":
-        return np.asarray(spec.kp + kd * s)
+        return np.asarray(spec.kp + gain * s)
     back = np.exp(-s * spec.sample_time)
-    share = spec.derivative_filter
-    return np.asarray(spec.kp + kd * share * (1.0 - back) / spec.sample_time / (1.0 - (1.0 - share) * back))
+    share, step = spec.derivative_filter, spec.sample_time
+    slope, summed = share * (1.0 - back) / step / (1.0 - (1.0 - share) * back), step / (1.0 - back)
+    if spec.controller == "cascade":
+        return np.asarray((gain + spec.kiv * summed) * (spec.kp + slope))
+    return np.asarray(spec.kp + gain * slope + spec.ki * summed)
 
 
 def plant_responses(plants: Sequence[Plant], spec: PDSpec, omega: Floats) -> list[Complex]:

@@ -17,7 +17,7 @@ from servolens.design.extrapolation import BEYOND, FAR, within
 from servolens.design.found import Design, Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
-from servolens.design.scenarios import drawn
+from servolens.design.scenarios import counted, drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
 from servolens.inputs import as_models
@@ -232,18 +232,15 @@ def _margins(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], sc
 def _told(
     design: Design, choice: Choice, own: Sequence[Response], found: Sequence[Response], least: Sequence[Response]
 ) -> Recommended:
-    from scipy.stats import binomtest
-
-    count = sum(response.meets for response in found)
-    bounds = binomtest(count, len(found)).proportion_ci(0.95, method="exact")
+    probability, interval = counted(found)
     result = Recommended(
         kp=design.spec.kp,
         kd=choice.kd,
         settling_time=None if any(r.settling_time is None for r in own) else max(r.settling_time or 0.0 for r in own),
         overshoot=max(response.overshoot for response in own),
         worst=max(found, key=_slowness),
-        probability=count / len(found),
-        interval=(float(bounds.low), float(bounds.high)),
+        probability=probability,
+        interval=interval,
         scenarios=len(found),
         why="",
         risk=_risk(design, least),

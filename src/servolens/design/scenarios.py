@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any, final
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.model import Model
     from servolens.plant import Plant
 
-__all__ = ["Scenario", "UnexplainedForce", "drawn"]
+__all__ = ["Scenario", "UnexplainedForce", "counted", "drawn", "without_force"]
 
 TOLERANCE = 0.02
 """By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
@@ -95,6 +95,10 @@ class Scenario:
     realised: float
     back: bool
 
+    def in_loop(self, spec: PDSpec) -> Scenario:
+        """Return the same axis and step in the loop of another spec."""
+        return replace(self, spec=spec.scaled(self.realised))
+
     def response(self, kd: float, duration: float | None = None) -> Response:
         """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
         return evaluate(self.plant, self.spec, self.realised * kd, back=self.back, duration=duration)
@@ -111,6 +115,20 @@ def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: 
         plant = _pushed(_plant(model, random), model, random)
         found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back))
     return found
+
+
+def counted(responses: Sequence[Response]) -> tuple[float, tuple[float, float]]:
+    """Return the share of steps that meet their spec, and the 95 % interval of its probability (Clopper, Pearson)."""
+    from scipy.stats import binomtest
+
+    count = sum(response.meets for response in responses)
+    bounds = binomtest(count, len(responses)).proportion_ci(0.95, method="exact")
+    return count / len(responses), (float(bounds.low), float(bounds.high))
+
+
+def without_force(plant: Plant) -> Plant:
+    """Return the plant of a scenario without what the model leaves unexplained."""
+    return replace(plant, effects=tuple(e for e in plant.effects if not isinstance(e, UnexplainedForce)))
 
 
 def _plant(model: Model, random: np.random.Generator) -> Plant:

@@ -10,10 +10,11 @@ import numpy as np
 from servolens.controller import AntiWindup, Controller
 from servolens.errors import InputError
 
-__all__ = ["PDSpec"]
-
+__all__ = ["LINEAR_LIMITS", "PDSpec"]
 
 WORDS = ("control", "controller", "anti_windup", "hunting")
+LINEAR_LIMITS = ("peak_sensitivity", "peak_complementary", "delay_margin", "noise_gain")
+"""What the linearised loop must keep to."""
 MOST_SAMPLES = 20_000
 """Samples within a settling time; more would take minutes and show nothing new."""
 
@@ -56,6 +57,12 @@ class PDSpec:
         What the integral does at the plant's voltage limit (its saturation), where it has one.
     hunting : bool
         Whether a limit cycle around the reference is admissible, see :func:`servolens.design.hunting`.
+    peak_sensitivity, peak_complementary : float, optional
+        Largest Ms and Mt of the linearised loop, above 1 and positive.
+    delay_margin : float, optional
+        By how much the command must be able to come later [s], positive.
+    noise_gain : float, optional
+        Largest r.m.s. of the command of a digital loop for white measurement noise of r.m.s. 1 [V/m], positive.
 
     Raises
     ------
@@ -79,6 +86,10 @@ class PDSpec:
     kiv: float = 0.0
     anti_windup: AntiWindup = "none"
     hunting: bool = True
+    peak_sensitivity: float | None = None
+    peak_complementary: float | None = None
+    delay_margin: float | None = None
+    noise_gain: float | None = None
 
     def __post_init__(self) -> None:
         _check_numbers(self)
@@ -89,9 +100,9 @@ class PDSpec:
             raise InputError(f"reference must be finite and not 0, got {self.reference!r}")
         if self.overshoot is not None and not (np.isfinite(self.overshoot) and self.overshoot >= 0):
             raise InputError(f"overshoot must not be negative, got {self.overshoot!r}")
-        for name in ("voltage_limit", "kd_max"):
+        for name in ("voltage_limit", "kd_max", *LINEAR_LIMITS):
             if getattr(self, name) is not None:
-                _check(name, getattr(self, name), 0.0, np.inf)
+                _check(name, getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0, np.inf)
         if not 0 < self.derivative_filter <= 1:
             raise InputError(f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}")
         if self.control not in ("sampled", "continuous"):
@@ -116,6 +127,12 @@ class PDSpec:
     def is_pd(self) -> bool:
         """Whether the loop is nothing but kp and kd."""
         return self.controller == "pd" and self.ki == 0 and self.setpoint_weight == 1
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """What the linearised loop must keep to, where that is stated."""
+        stated = {name: getattr(self, name) for name in LINEAR_LIMITS}
+        return {name: value for name, value in stated.items() if value is not None}
 
     def loop(self, gain: float) -> Controller:
         """Return the digital loop with the gain that is sought; a cascade without it does nothing."""
@@ -173,10 +190,17 @@ def _check_law(spec: PDSpec) -> None:
         raise InputError("a cascade has no ki and no setpoint_weight; the integral of its speed loop is kiv")
     if spec.controller == "pd" and spec.kiv:
         raise InputError("kiv is for a cascade only; ask for a cascade, or give ki")
-    if spec.control == "continuous" and not spec.is_pd:
-        raise InputError("control = continuous is the ideal PD; an integral or a cascade needs control = sampled")
+    if spec.control == "continuous":
+        _check_ideal(spec)
     if not (spec.ki or spec.kiv or spec.anti_windup == "none"):
         raise InputError(f"anti_windup = {spec.anti_windup} needs an integral; give ki, or kiv of a cascade")
+
+
+def _check_ideal(spec: PDSpec) -> None:
+    if not spec.is_pd:
+        raise InputError("control = continuous is the ideal PD; an integral or a cascade needs control = sampled")
+    if spec.noise_gain is not None:
+        raise InputError("the noise of an ideal continuous PD is not finite, so noise_gain needs control = sampled")
 
 
 def _check_numbers(spec: PDSpec) -> None:
@@ -189,5 +213,6 @@ def _check_numbers(spec: PDSpec) -> None:
 
 def _check(name: str, value: float, low: float, high: float) -> None:
     if not (np.isfinite(value) and low < value < high):
-        limits = f"between {low:g} and {high:g}" if np.isfinite(high) else "positive and finite"
+        least = f"larger than {low:g} and finite" if low else "positive and finite"
+        limits = f"between {low:g} and {high:g}" if np.isfinite(high) else least
         raise InputError(f"{name} must be {limits}, got {value!r}")

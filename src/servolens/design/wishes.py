@@ -11,7 +11,7 @@ from servolens.errors import InputError
 
 __all__ = ["GainWishes"]
 
-FREE = ("kp", "kd", "derivative_filter")
+FREE = ("kp", "kd", "derivative_filter", "ki")
 OBJECTIVES = ("kd", "noise", "settling_time", "margin")
 
 
@@ -23,7 +23,7 @@ class GainWishes:
     Parameters
     ----------
     free : tuple of str
-        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``; kd among them.
+        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``, ``"ki"``; kd among them.
     objective : {"noise", "kd", "settling_time", "margin"}
         What is to be least: the noise of the command, kd, the settling time, or the peak of sensitivity, whose inverse
         is the margin.
@@ -35,6 +35,9 @@ class GainWishes:
         Largest r.m.s. of the command for the measurement noise [V], positive.
     position_noise : float, optional
         R.m.s. of that noise, white [m or rad], positive; by default that of the records, which model files remember.
+    scenarios : int
+        In how many scenarios, drawn as :func:`servolens.recommend` does, the spec and all limits have to hold too, and
+        the worst of which the objective is; 0 for the models alone.
 
     Raises
     ------
@@ -49,18 +52,24 @@ class GainWishes:
     delay_margin: float | None = None
     voltage_noise: float | None = None
     position_noise: float | None = None
+    scenarios: int = 100
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", tuple(self.free))
         unknown = [name for name in self.free if name not in FREE]
         if unknown or "kd" not in self.free:
-            raise InputError(f"free gains are kd and perhaps kp and derivative_filter, got {', '.join(self.free)[:80]}")
+            raise InputError(
+                f"free gains are kd and perhaps kp, derivative_filter and ki, got {', '.join(self.free)[:80]}"
+            )
         if self.objective not in OBJECTIVES:
             raise InputError(f"objective must be one of {', '.join(OBJECTIVES)}, got {str(self.objective)[:40]!r}")
         for name in ("peak_sensitivity", "peak_complementary", "delay_margin", "voltage_noise", "position_noise"):
             value, least = getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0
             if value is not None and not (np.isfinite(value) and value > least):
                 raise InputError(f"{name} must be finite and larger than {least:g}, got {value!r}")
+
+        if isinstance(self.scenarios, bool) or not isinstance(self.scenarios, int) or self.scenarios < 0:
+            raise InputError(f"scenarios must be a whole number, not negative, got {self.scenarios!r}")
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""

@@ -27,6 +27,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     source: Plants | Records,
     spec: PDSpec,
     *,
+    references: Sequence[float] = (),
     heldout: Records = (),
     priors: Priors | None = None,
     effort: str = "normal",
@@ -46,6 +47,8 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         identify, diagnose (:func:`servolens.study_records`).
     spec : PDSpec
         What to reach.
+    references : sequence of float
+        Sizes of further steps that the recommended gain has to meet [m or rad].
     heldout, priors, effort
         For records, as in :func:`servolens.diagnose`.
     force : bool
@@ -89,11 +92,20 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         plants = [model.plant for model in models]
         found = designing.tune(plants, spec, with_program=with_program, certify=certify, progress=progress)
         may_withhold = not (force or all(isinstance(one, Plant) for one in given))
-        return _judged(models, designing.recommend(models, found), may_withhold=may_withhold)
+        return _judged(models, designing.recommend(models, found, references=references), may_withhold=may_withhold)
     if with_program or certify:
         raise InputError("with_program and certify are for plants and models; give tune the model of a diagnosis")
     runs, tests = as_records(given, settings), as_records(heldout, settings, least=0)
-    done = study_records(runs, spec, heldout=tests, priors=priors, effort=effort, force=force, progress=progress)
+    done = study_records(
+        runs,
+        spec,
+        references=references,
+        heldout=tests,
+        priors=priors,
+        effort=effort,
+        force=force,
+        progress=progress,
+    )
     if done.design is None:
         why = done.lights["data"].sentence if done.model is None else done.why_none
         raise InputError(f"no gain can be designed: {why}")

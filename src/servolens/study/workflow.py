@@ -53,6 +53,7 @@ def study_records(
     records: Records,
     spec: PDSpec | None = None,
     *,
+    references: Sequence[float] = (),
     heldout: Records = (),
     priors: Priors | None = None,
     effort: str = "normal",
@@ -68,6 +69,8 @@ def study_records(
         Runs of one axis.
     spec : PDSpec, optional
         What to reach; when None, a spec that suits the records is chosen.
+    references : sequence of float
+        Sizes of further steps that the recommended gain has to meet [m or rad].
     heldout : the same
         Other runs of it that only test what was found.
     priors : mapping of str to Prior or (value, standard deviation), optional
@@ -119,7 +122,8 @@ def study_records(
     )
     fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
     train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
-    found = _designed(_modelled(begun, train, tests, known, effort, progress), train, spec, progress)
+    modelled = _modelled(begun, train, tests, known, effort, progress)
+    found = _designed(modelled, train, spec, references, progress)
     return _judged(found, force=force)
 
 
@@ -179,7 +183,9 @@ def _in_doubt(model: Model, why: str) -> Model:
     return replace(model, evidence=replace(evidence, fatal=(f"what it misses cannot be told, {why}.",)))
 
 
-def _designed(found: Study, records: Sequence[Record], spec: PDSpec | None, progress: Progress) -> Study:
+def _designed(
+    found: Study, records: Sequence[Record], spec: PDSpec | None, references: Sequence[float], progress: Progress
+) -> Study:
     """Add the designs on the linear, the speed-dependent and the diagnosed model."""
     fit = found.fit
     if found.model is None or fit is None:
@@ -197,7 +203,7 @@ def _designed(found: Study, records: Sequence[Record], spec: PDSpec | None, prog
     try:
         comparison = compare(linear, nonlinear, wanted, diagnosed=diagnosed)
         progress("Simulating scenarios", 90, 100)
-        design = recommend(model, comparison.diagnosed or comparison.nonlinear)
+        design = recommend(model, comparison.diagnosed or comparison.nonlinear, references=references)
     except (NumericalError, np.linalg.LinAlgError) as error:
         return replace(found, why_none=f"{error}")
     return replace(found, comparison=comparison, design=design, why_none="")

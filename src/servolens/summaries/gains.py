@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     from servolens.design.found import Design, Light
     from servolens.design.gain_plane import GainMap
+    from servolens.design.gains_found import GainsFound
     from servolens.design.limit_cycle import Hunting
-    from servolens.design.several_gains import GainsFound
     from servolens.design.spec import PDSpec
 
 __all__ = [
@@ -100,14 +100,21 @@ def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: st
     spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
     time = max(response.settling_time or 0.0 for response in found.verified)
     delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
+    integral = f", ki = {number(spec.ki)} {command_unit}/({length_unit} s)" if spec.ki else ""
     told = [
         f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
-        f" {number(spec.derivative_filter, 3)}: {aim} of all gains that meet what was asked.",
+        f" {number(spec.derivative_filter, 3)}{integral}: {aim} of all gains that meet what was asked.",
         f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
         f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
     ]
     if found.voltage_noise is not None:
         told.append(f"Measurement noise moves the command by {number(found.voltage_noise, 3)} {command_unit} r.m.s.")
+    if found.probability is not None and found.interval is not None:
+        low, high = (number(100 * end, 3) for end in found.interval)
+        told.append(
+            f"All of it also holds in {found.wishes.scenarios} scenarios; of others, {percent(100 * found.probability)}"
+            f" meet the specification ({low} to {high} %)."
+        )
     told.append("They stand at the edge of what is feasible; the gain recommended below keeps away from it.")
     return Summary(title="Several gains", sentences=tuple(told))
 
@@ -188,9 +195,23 @@ def asked_sentence(spec: PDSpec, length_unit: str, command_unit: str) -> str:
         parts.append(f"overshoots by at most {percent(100 * spec.overshoot)}")
     if spec.voltage_limit is not None:
         parts.append(f"asks for at most {number(spec.voltage_limit)} {command_unit}")
+    parts += _limits(spec, length_unit, command_unit)
     if not spec.hunting:
         parts.append("comes to rest from all starts that are tried")
     return f"Asked: {', '.join(parts)}; {_loop(spec, length_unit, command_unit)}."
+
+
+def _limits(spec: PDSpec, length_unit: str, command_unit: str) -> list[str]:
+    """Return what is asked of the linearised loop."""
+    unit = f"{command_unit}/{length_unit}"
+    words = {
+        "peak_sensitivity": ("keeps Ms to at most", 1.0, ""),
+        "peak_complementary": ("keeps Mt to at most", 1.0, ""),
+        "delay_margin": ("has a delay margin of at least", 1e3, " ms"),
+        "noise_gain": ("makes of measurement noise at most", 1.0, f" {unit}"),
+    }
+    told = [(words[name], limit) for name, limit in spec.limits.items()]
+    return [f"{text} {number(factor * limit)}{end}" for (text, factor, end), limit in told]
 
 
 def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
