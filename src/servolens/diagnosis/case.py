@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.findings import Finding
+    from servolens.identification.likelihood import Likelihood
     from servolens.identification.options import Prior
     from servolens.plant import Plant
     from servolens.record import Record
@@ -76,15 +77,13 @@ class Case:
         self.base = self.trials.base()
         self.ripple = Ripple((), 0.0, tuple(np.zeros(s.time.size) for s in self.likelihood.signals))
         for _ in range(RIPPLES):
-            found = self._ripple(self.base)
+            found = self._ripple(self.base, self.likelihood)
             if not found:
                 break
             self.ripple = self.ripple.with_more(found)
-            self.likelihood.signals = tuple(
-                replace(signals, position=signals.position - wave)
-                for signals, wave in zip(self.likelihood.signals, found.waves, strict=True)
-            )
+            _take_out(found, self.likelihood)
             self.base = self.trials.base()
+        self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._simulating: Case | None = None
@@ -103,7 +102,7 @@ class Case:
         other.trials = self.trials.simulating()
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
-        other._dependent, other._left_out = {}, {}
+        other._dependent, other._left_out, other._held = {}, {}, None
         self._simulating = other
         return other
 
@@ -121,13 +120,14 @@ class Case:
         """Return the ripple of the mains: what was taken out, and what shows only beside `hypothesis`."""
         if self.likelihood.simulates:
             return self.ripple
-        found = self._ripple(hypothesis)
+        found = self._ripple(hypothesis, self.likelihood)
         return self.ripple.with_more(found) if found else self.ripple
 
-    def _ripple(self, hypothesis: Hypothesis) -> Ripple:
+    @staticmethod
+    def _ripple(hypothesis: Hypothesis, likelihood: Likelihood) -> Ripple:
         """Look for a ripple beside white noise: as coloured noise the whitening would hide it."""
-        white = hypothesis.noise.bleached(self.likelihood.white)
-        test = ScoreTest(self.likelihood, replace(hypothesis, noise=white))
+        white = hypothesis.noise.bleached(likelihood.white)
+        test = ScoreTest(likelihood, replace(hypothesis, noise=white))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_ripple(test.runs, np.split(test.left, ends))
 
@@ -218,8 +218,22 @@ class Case:
         Nothing is fitted there but initial states, and phases that each record has of its own.
         """
         if self.heldout:
-            return self.likelihood.on(self.heldout).misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
+            return self._on_heldout().misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
+
+    def _on_heldout(self) -> Likelihood:
+        """Return the likelihood of the records held out, from which a ripple of the mains was taken too; made once."""
+        if self._held is not None:
+            return self._held
+        held = self.likelihood.on(self.heldout)
+        for _ in range(RIPPLES if self.ripple else 0):
+            begun = held.tried(self.base.plant, self.base.noise, SOME, unpowered=self.base.unpowered)
+            found = self._ripple(begun, held) if begun is not None else None
+            if not found:
+                break
+            _take_out(found, held)
+        self._held = held
+        return held
 
     def difference(self, one: Hypothesis, other: Hypothesis) -> float:
         """Return how far apart two hypotheses are on the records, or ends of records, to which they were not fitted.
@@ -227,7 +241,7 @@ class Case:
         The squared distance of what they predict there, whitened: by about so much −2 log-likelihood would tell them
         apart if either were the axis.
         """
-        likelihood = self.likelihood.on(self.heldout) if self.heldout else self.likelihood
+        likelihood = self._on_heldout() if self.heldout else self.likelihood
         cuts = [0] * len(self.heldout) or self.cuts
         pairs = [[h.plant] * len(self.heldout) if self.heldout else self.left_out(h) for h in (one, other)]
         total = 0.0
@@ -285,3 +299,11 @@ class Case:
             clock = np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals])
             return max(float(np.sqrt(chosen.noise.spread**2 + clock + self.ripple.rms**2)), 1e-300)
         return max(self.likelihood.floor, self.ripple.rms, resting_noise(self.records))
+
+
+def _take_out(ripple: Ripple, likelihood: Likelihood) -> None:
+    """Take a ripple out of the positions that are compared."""
+    likelihood.signals = tuple(
+        replace(signals, position=signals.position - wave)
+        for signals, wave in zip(likelihood.signals, ripple.waves, strict=True)
+    )
