@@ -11,7 +11,9 @@ import numpy as np
 from servolens.design.response import Response
 from servolens.effects import Saturation
 from servolens.errors import NumericalError
-from servolens.simulation import Simulation, simulate_continuous, simulate_loop
+from servolens.simulation import Simulation, simulate_continuous
+from servolens.simulation.loop import simulate_trial
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +25,8 @@ __all__ = ["FEASIBLE", "evaluate", "horizon", "settling_time", "step_response"]
 
 FEASIBLE = 1e-9
 """A constraint, as a fraction of the step, may be exceeded by this much: the simulation's own error."""
+RUNS_AWAY = 30.0
+"""Pieces of a substep, on average, from which on a loop runs away: one that hunts or sticks needs less than ten."""
 
 
 def settling_time(
@@ -72,7 +76,17 @@ def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, bac
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
-    return simulate_loop(plant, spec.loop(kd), time, reference, start=start, limit=limit)
+    return simulate_trial(
+        plant,
+        spec.loop(kd),
+        time,
+        reference,
+        feedforward=None,
+        start=start,
+        limit=limit,
+        substeps=substeps_for(plant, spec.sample_time),
+        patience=RUNS_AWAY,
+    )
 
 
 @lru_cache(maxsize=64)

@@ -190,6 +190,7 @@ def simulate_trial(  # noqa: PLR0913 - as simulate_loop
     before: float | None = None,
     limit: float | None = None,
     substeps: int,
+    patience: float = PATIENCE,
 ) -> Simulation:
     """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
 
@@ -197,16 +198,18 @@ def simulate_trial(  # noqa: PLR0913 - as simulate_loop
     ----------
     plant, controller, time, reference, feedforward, start, before, limit, substeps
         As of :func:`simulate_loop`.
+    patience : float
+        Pieces into which a substep may be split on average.
 
     Raises
     ------
     InputError
         If the samples do not fit together.
     NumericalError
-        If the loop is unstable, or dry friction and contacts split its steps into more pieces than `PATIENCE` grants.
+        If the loop is unstable, or dry friction and contacts split its steps into more pieces than are granted.
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
-    granted = PATIENCE * time.size * max(substeps, ONE_OF)
+    granted = patience * time.size * max(substeps, ONE_OF)
     period = _sample_time(time)
     law = law_settings(plant, controller, period, limit)
     settings = [1.0, *loop_settings(controller, period), 0.0, granted, *known(before), *NO_OBSERVER, *law]
