@@ -125,9 +125,13 @@ class Case:
 
     @staticmethod
     def _ripple(hypothesis: Hypothesis, likelihood: Likelihood) -> Ripple:
-        """Look for a ripple beside white noise: as coloured noise the whitening would hide it."""
-        white = hypothesis.noise.bleached(likelihood.white)
-        test = ScoreTest(likelihood, replace(hypothesis, noise=white))
+        """Look for a ripple beside white noise: as coloured noise the whitening would hide it.
+
+        An observer follows it, so that its innovations show less: asked is what a simulation misses.
+        """
+        if hypothesis.noise.rate > 0.0:
+            hypothesis = likelihood.tried(hypothesis.plant, likelihood.white, SOME) or hypothesis
+        test = ScoreTest(likelihood, replace(hypothesis, noise=hypothesis.noise.bleached(likelihood.white)))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_ripple(test.runs, np.split(test.left, ends))
 
