@@ -12,6 +12,15 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.diagnosis.ordering import (
+    by_total,
+    by_worst,
+    chosen_for_extension,
+    distinct,
+    families,
+    specialised,
+    united,
+)
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
@@ -150,8 +159,8 @@ def search(
         path = min(path, further, key=lambda steps: steps[-1].total)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
-    judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=_worse)}.values(), key=_total)
-    return Search(tuple(path), tuple(judged), tuple(sorted(explorer.singles, key=_total)), early)
+    judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=by_worst)}.values(), key=by_total)
+    return Search(tuple(path), tuple(judged), tuple(sorted(explorer.singles, key=by_total)), early)
 
 
 @final
@@ -196,7 +205,7 @@ class _Explorer:
                 break
             best = self.improved(better[0])
             path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
-            beam = _beam(_families([best, *better[1:]]), self.effort.beam)
+            beam = chosen_for_extension(families([best, *better[1:]]), self.effort.beam)
         return path, False
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
@@ -220,26 +229,26 @@ class _Explorer:
         first: list[Hypothesis] = []
         for place, hypothesis in enumerate(members):
             extensions = self._fitted(hypothesis, (number + place / len(members)) / self.effort.causes)
-            first += sorted(extensions, key=_total)[:1]
+            first += sorted(extensions, key=by_total)[:1]
             found += extensions
             leaves_less = noise.is_model_error and any(not h.noise.is_model_error for h in first)
             if (place < len(unshaken) or leaves_less) and self._leaves_nothing(first, beam[0]):
                 break
-        found.sort(key=_total)
+        found.sort(key=by_total)
         if number == 0:
-            self.singles += _distinct(found)
+            self.singles += distinct(found)
         known = [h for h in self.judged if len(h.causes) == number + 1]
-        jobs = _distinct([*found[: self.effort.judged], *first])
+        jobs = distinct([*found[: self.effort.judged], *first])
         fitted = self._judged([(h.plant, h) for h in jobs])
         reached = {frozenset(h.causes) for h in fitted}
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
-        return sorted([*known, *fitted, *kept], key=_total)
+        return sorted([*known, *fitted, *kept], key=by_total)
 
     def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
         own = [h for h in others if h.noise.rate > 0.0 and h.total < hypothesis.total]
-        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=_total)
+        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=by_total)
 
     def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
         """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
@@ -305,7 +314,7 @@ class _Explorer:
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
         share_of_work = self._allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
-        found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=_total)
+        found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
         share_of_work = self._allowance(len(close))
@@ -342,7 +351,7 @@ class _Explorer:
         while True:
             best = self.exchanged(self.reduced(hypothesis))
             if best.total >= hypothesis.total - NO_BETTER:
-                return min(best, hypothesis, key=_total)
+                return min(best, hypothesis, key=by_total)
             hypothesis = best
 
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
@@ -369,11 +378,11 @@ class _Explorer:
             for plant in plants
             if (causes := frozenset(effect.name for effect in plant.effects)) not in known
         }
-        return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=_total)
+        return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=by_total)
 
     def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by one that explained about as much while it was alone."""
-        alone = {h.causes[0]: h for h in sorted(self.singles, key=_worse) if len(h.causes) == 1}
+        alone = {h.causes[0]: h for h in sorted(self.singles, key=by_worst) if len(h.causes) == 1}
         for name in hypothesis.causes:
             limit = alone[name].total + self._indistinct(alone[name]) if name in alone else -np.inf
             for other, single in alone.items():
@@ -390,7 +399,7 @@ class _Explorer:
 
     def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by another one that generalises the same."""
-        for special in _specialised(hypothesis.plant):
+        for special in specialised(hypothesis.plant):
             name = special.effects[-1].name
             others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
             test = ScoreTest(self.likelihood, replace(hypothesis, plant=special))
@@ -402,10 +411,10 @@ class _Explorer:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
-        others = [*_specialised(hypothesis.plant), *_united(hypothesis.plant)]
+        others = [*specialised(hypothesis.plant), *united(hypothesis.plant)]
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        best = min([hypothesis, *forms, *known], key=_total)
+        best = min([hypothesis, *forms, *known], key=by_total)
         simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
         return next((h for h in simpler if self.is_chance(h, best)), best)
 
@@ -415,68 +424,4 @@ class _Explorer:
         fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
         found = [h for h in fits if h]
         self.judged += found
-        return sorted(found, key=_total)
-
-
-def _beam(families: Sequence[Hypothesis], places: int) -> list[Hypothesis]:
-    """Return the hypotheses that are extended: the best, and as many that know no wave in time.
-
-    A wave explains a part of whatever is left, so it is as close as any and says least.
-    """
-    best = families[:places]
-    others = [h for h in families if not own_phases(h.plant)][:places]
-    return [*best, *(h for h in others if h not in best)]
-
-
-def _families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the best of each family: hypotheses whose last effects generalise each other are one."""
-    kept: dict[frozenset[str], Hypothesis] = {}
-    for hypothesis in found:
-        family = frozenset(
-            name for effect in hypothesis.plant.effects for name in (effect.generalises or (effect.name,))
-        )
-        if not any(family & known and len(known) == len(family) for known in kept):
-            kept[family] = hypothesis
-    return list(kept.values())
-
-
-def _specialised(plant: Plant) -> Iterator[Plant]:
-    """Yield `plant` with one effect replaced by one that it generalises."""
-    for effect in plant.effects:
-        for name in effect.generalises:
-            special = effect_class(name)
-            values = {spec.name: spec.low for spec in special.parameters()}
-            common = {key: getattr(effect, key) for key in values if hasattr(effect, key)}
-            level = {} if common else dict.fromkeys(values, float(np.mean(effect.values)))
-            others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
-            try:
-                yield others.with_effect(special(**{**values, **common, **level}))
-            except InputError:
-                continue
-
-
-def _united(plant: Plant) -> Iterator[Plant]:
-    """Yield `plant` with effects replaced by the one that they are together."""
-    own = {effect.name: effect for effect in plant.effects}
-    for cls in catalogue().values():
-        if cls.unites and own.keys() >= set(cls.unites):
-            one = cls.united(*(own[name] for name in cls.unites))
-            if one is not None:
-                others = tuple(effect for effect in plant.effects if effect.name not in cls.unites)
-                yield replace(plant, effects=others).with_effect(one)
-
-
-def _distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Return the first of each set of effects."""
-    first: dict[frozenset[str], Hypothesis] = {}
-    for hypothesis in found:
-        first.setdefault(frozenset(hypothesis.causes), hypothesis)
-    return list(first.values())
-
-
-def _total(hypothesis: Hypothesis) -> float:
-    return hypothesis.total
-
-
-def _worse(hypothesis: Hypothesis) -> float:
-    return -hypothesis.total
+        return sorted(found, key=by_total)
