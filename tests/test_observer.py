@@ -14,6 +14,7 @@ from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import shaking_memory
 from servolens.identification.observer import observer_of
 from servolens.identification.options import FitOptions
+from servolens.identification.structure import shaken_rate
 from servolens.plant import Plant
 
 H, GAIN, DAMPING = 1e-3, 2.0, 8.0
@@ -60,6 +61,13 @@ def test_memory_of_a_shaken_loop_is_its_spectrum_at_0_over_its_variance(corner, 
     memory = shaking_memory(replace(WHITE, rate=30.0, corner=corner), [record])
     assert memory == pytest.approx(static**2 / variance, rel=1e-9)
     assert shaking_memory(WHITE, [record]) == 0.0
+
+
+def test_samples_of_a_shaken_loop_count_as_long_as_it_remembers_unless_too_few_were_left():
+    record = servolens.Record(time=TIME, position=0.0 * TIME, voltage=0.0 * TIME)  # of 4 s
+    assert shaken_rate([record], 50.0, 0.0) == 50.0
+    assert shaken_rate([record], 50.0, 0.1) == pytest.approx(20.0)  # 40 samples
+    assert shaken_rate([record], 50.0, 1.0) == 50.0  # 4 samples
 
 
 def late_axis(rng, jitter):

@@ -22,7 +22,12 @@ from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
-from servolens.identification.structure import can_tell, depends_on_inputs, loop_depends_on_inputs
+from servolens.identification.structure import (
+    can_tell,
+    depends_on_inputs,
+    loop_depends_on_inputs,
+    shaken_rate,
+)
 from servolens.processors import in_parallel
 from servolens.simulation.rates import substeps_for
 
@@ -162,8 +167,10 @@ class Case:
         errors = [residual(hypothesis.plant_of(i), record) for i, record in enumerate(self.records)]
         if not all(np.isfinite(error).all() for error in errors):
             return True
-        remembered = max(noise.memory() * self.records[0].sample_time, shaking_memory(noise, self.records))
+        remembered = noise.memory() * self.records[0].sample_time
         rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
+        if noise.rate > 0.0:
+            rate = shaken_rate(self.records, rate, shaking_memory(noise, self.records))
         if noise.rate > 0.0 and not can_tell(self.records, errors, rate):
             return True
         if not loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate):

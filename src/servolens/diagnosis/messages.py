@@ -11,7 +11,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME
-from servolens.identification.rounding import dominates
+from servolens.identification.rounding import DOMINATES, dominates
 from servolens.identification.segments import begins_with_its_step
 from servolens.units import readable
 
@@ -76,7 +76,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     if noise.rate == 0.0 and memory > 2.0:
         slow = float(np.sqrt(max(noise.spread**2 - noise.innovation**2, 0.0)))
         told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
-    if dominates(noise):
+    if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
         told += f"; the encoder's rounding to {readable(noise.rounding, unit)} dominates"
     return Finding(code="noise_model", severity="note", message=f"{told}.")
 

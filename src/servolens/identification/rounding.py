@@ -29,7 +29,17 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["DRAWS", "disturbed", "dominates", "drawn_noise", "is_rounded", "limit_of", "rounded", "spectrum_of"]
+__all__ = [
+    "DOMINATES",
+    "DRAWS",
+    "disturbed",
+    "dominates",
+    "drawn_noise",
+    "is_rounded",
+    "limit_of",
+    "rounded",
+    "spectrum_of",
+]
 
 DOMINATES = 0.5
 """Share of rounding in the noise's variance from which on it is what decides: an axis at rest shows no noise."""

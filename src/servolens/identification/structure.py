@@ -32,6 +32,7 @@ __all__ = [
     "is_chance",
     "is_shaking",
     "loop_depends_on_inputs",
+    "shaken_rate",
 ]
 
 TOLERATED = 0.05
@@ -87,10 +88,19 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     except (InputError, NumericalError):
         return False
     errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    rate = min(likelihood.rate, 2.0 / max(shaking_memory(hypothesis.noise, likelihood.records), 1e-9))
+    rate = shaken_rate(likelihood.records, likelihood.rate, shaking_memory(hypothesis.noise, likelihood.records))
     if not can_tell(likelihood.records, errors, rate):
         return False
     return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, rate)
+
+
+def shaken_rate(records: Sequence[Record], rate: float, memory: float) -> float:
+    """Return the rate [rad/s] by which samples of a loop's error count: that of the loop, or of what it remembers.
+
+    Where too few samples would count to judge them at all, a long `memory` [s] is no excuse: the loop's own counts.
+    """
+    slower = min(rate, 2.0 / max(memory, 1e-9))
+    return slower if _counted(records, slower) > TESTABLE * REGRESSORS else rate
 
 
 def can_tell(records: Sequence[Record], errors: Sequence[NDArray[np.float64]], rate: float) -> bool:
