@@ -422,13 +422,14 @@ def test_push_that_just_passes_the_lower_of_two_levels_breaks_loose_there():
 
 
 @pytest.mark.parametrize(("patience", "refused"), [(0.5, True), (3.0, False)])
-def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing(monkeypatch, patience, refused):
-    monkeypatch.setattr("servolens.simulation.loop.PATIENCE", patience)
+def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing(patience, refused):
     plant, time = plant_with(CoulombFriction(level=0.3)), grid(1.0)
     reference = np.full(time.size, 0.1)
 
     def tried():
-        return simulate_trial(plant, LOOP, time, reference, feedforward=None, start=(0.0, 0.0), substeps=4)
+        return simulate_trial(
+            plant, LOOP, time, reference, feedforward=None, start=(0.0, 0.0), substeps=4, patience=patience
+        )
 
     if refused:
         with pytest.raises(NumericalError, match="rattles"):
