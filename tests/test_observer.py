@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import solve_continuous_lyapunov, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 import servolens
 from servolens import lab
 from servolens.effects import CoulombFriction
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
-from servolens.identification.observed import shaking_memory
 from servolens.identification.observer import observer_of
 from servolens.identification.options import FitOptions
-from servolens.identification.structure import shaken_rate
 from servolens.plant import Plant
 
 H, GAIN, DAMPING = 1e-3, 2.0, 8.0
@@ -45,29 +43,6 @@ def test_gains_of_a_shaken_axis_are_those_of_the_riccati_equation(rate, corner):
     np.testing.assert_allclose(observer.gains[-1], p[:, 0] / innovation, rtol=1e-6)
     assert observer.weight[-1] == pytest.approx(innovation**-0.5, rel=1e-8)
     assert observer.remembered == pytest.approx(kept, rel=1e-12)
-
-
-@pytest.mark.parametrize("corner", [0.5, 10.0, 1e4])
-@pytest.mark.parametrize(("kp", "kd"), [(200.0, 0.0), (20.0, 5.0)])
-def test_memory_of_a_shaken_loop_is_its_spectrum_at_0_over_its_variance(corner, kp, kd):
-    stiffness, damping = GAIN * kp, DAMPING + GAIN * kd
-    states = np.array([[0.0, 1.0, 0.0], [-stiffness, -damping, 1.0], [0.0, 0.0, -corner]])
-    pushed = np.array([0.0, 0.0, 1.0])
-    variance = solve_continuous_lyapunov(states, -np.outer(pushed, pushed))[0, 0]
-    static = np.linalg.solve(states, pushed)[0]
-    record = servolens.Record(
-        time=TIME, position=0.0 * TIME, reference=0.0 * TIME, controller=servolens.Controller(kp=kp, kd=kd)
-    )
-    memory = shaking_memory(replace(WHITE, rate=30.0, corner=corner), [record])
-    assert memory == pytest.approx(static**2 / variance, rel=1e-9)
-    assert shaking_memory(WHITE, [record]) == 0.0
-
-
-def test_samples_of_a_shaken_loop_count_as_long_as_it_remembers_unless_too_few_were_left():
-    record = servolens.Record(time=TIME, position=0.0 * TIME, voltage=0.0 * TIME)  # of 4 s
-    assert shaken_rate([record], 50.0, 0.0) == 50.0
-    assert shaken_rate([record], 50.0, 0.1) == pytest.approx(20.0)  # 40 samples
-    assert shaken_rate([record], 50.0, 1.0) == 50.0  # 4 samples
 
 
 def late_axis(rng, jitter):

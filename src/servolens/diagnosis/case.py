@@ -16,18 +16,13 @@ from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME, Hypothesis
-from servolens.identification.noise_in_loop import drawn_loop_errors
-from servolens.identification.observed import clock_error, shaking_memory
+from servolens.identification.loop_errors import loop_error
+from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
-from servolens.identification.structure import (
-    can_tell,
-    depends_on_inputs,
-    loop_depends_on_inputs,
-    shaken_rate,
-)
+from servolens.identification.structure import depends_on_inputs
 from servolens.processors import in_parallel
 from servolens.simulation.rates import substeps_for
 
@@ -164,25 +159,14 @@ class Case:
             return True
         if not closed or (noise.rate == 0.0 and noise.order == 0):
             return False
-        errors = [residual(hypothesis.plant_of(i), record) for i, record in enumerate(self.records)]
-        if not all(np.isfinite(error).all() for error in errors):
-            return True
-        remembered = noise.memory() * self.records[0].sample_time
-        rate = min(self.likelihood.rate, 2.0 / max(remembered, 1e-9))
-        if noise.rate > 0.0:
-            rate = shaken_rate(self.records, rate, shaking_memory(noise, self.records))
-        if noise.rate > 0.0 and not can_tell(self.records, errors, rate):
-            return True
-        if not loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate):
-            return False
-        if noise.rate > 0.0:
-            return True
+        plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
+        errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
         ripples = [
             np.interp(record.time, signals.time, wave)
             for record, signals, wave in zip(self.records, self.likelihood.signals, self.ripple.waves, strict=True)
         ]
-        drawn = drawn_loop_errors(hypothesis.plant, self.records, noise, ripples)
-        return not drawn or loop_depends_on_inputs(self.records, errors, hypothesis.plant, rate, drawn)
+        found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
+        return found.depends or (noise.rate > 0.0 and not found.is_seen)
 
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.

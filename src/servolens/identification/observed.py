@@ -19,14 +19,12 @@ from servolens.simulation.loop import simulate_observed, without_gaps
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed", "shaking_memory"]
+__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed"]
 
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
@@ -163,28 +161,6 @@ def clock_error(noise: NoiseModel, signals: Signals) -> float:
     density = kicks / float(signals.time[-1] - signals.time[0])
     stiffness, damping = noise.gain * controller.kp, noise.damping + noise.gain * controller.kd
     return float(np.sqrt(read + max(density / (2.0 * stiffness * damping), 0.0)))
-
-
-def shaking_memory(noise: NoiseModel, records: Sequence[Record]) -> float:
-    """Return for how long [s] the errors of simulated loops remember what shakes the axis: their S(0) over variance.
-
-    White noise through ``1/((s + c)(s² + C·s + K))``, with the corner c of what shakes and the loop's own C and K, has
-    the variance ``a₁ / (2·a₃·(a₁·a₂ − a₃))`` with the coefficients aᵢ of the denominator (G. C. Newton, L. A. Gould and
-    J. F. Kaiser, *Analytical Design of Linear Feedback Controls*, 1957, appendix E). The longest of all records with a
-    controller; 0 where nothing shakes the axis.
-    """
-    longest = 0.0
-    for controller in (record.controller for record in records):
-        if controller is None or noise.rate == 0.0:
-            continue
-        stiffness, damping = abs(noise.gain) * controller.kp, noise.damping + abs(noise.gain) * controller.kd
-        first, second, third = (
-            damping + noise.corner,
-            stiffness + noise.corner * damping,
-            noise.corner * stiffness,
-        )
-        longest = max(longest, 2.0 * (first * second - third) / max(first * third, 1e-300))
-    return longest
 
 
 @final

@@ -9,10 +9,9 @@ import numpy as np
 
 from servolens.effects import DryFriction, Presliding
 from servolens.errors import InputError, NumericalError, ServolensError
-from servolens.identification.observed import shaking_memory
+from servolens.identification.loop_errors import loop_error, shifted
 from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
-from servolens.model_evidence import MATERIAL
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -22,18 +21,8 @@ if TYPE_CHECKING:
 
     from servolens.identification.likelihood import Hypothesis, Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
-    from servolens.plant import Plant
-    from servolens.record import Record
 
-__all__ = [
-    "can_tell",
-    "depends_on_inputs",
-    "forces_along",
-    "is_chance",
-    "is_shaking",
-    "loop_depends_on_inputs",
-    "shaken_rate",
-]
+__all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -45,11 +34,6 @@ SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
 TOGETHER = 16
 """Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
-LOOP_LAGS = (0.5, 1.0, 2.0, 4.0)
-"""Lags of the reference in time constants of the loop."""
-REGRESSORS, TESTABLE = 6 + len(LOOP_LAGS), 3.0
-"""Of a loop's error: the simulation's motion, and the reference at these lags. Samples for each: with 20 degrees of
-freedom left, the F test at 0.001 finds what is 5 times the rest; with 2, only what is 1000 times."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -77,8 +61,7 @@ def depends_on_inputs(test: ScoreTest) -> bool:
 def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
 
-    Asked are its innovations, and the loop simulated from the reference, which no observer corrects. Records too short
-    for the latter cannot tell; then what matters is not taken for shaking.
+    Asked are its innovations, and the loop simulated from the reference, which no observer corrects.
     """
     try:
         if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
@@ -88,101 +71,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     except (InputError, NumericalError):
         return False
     errors = [run.position - record.position for run, record in zip(simulated, likelihood.records, strict=True)]
-    rate = shaken_rate(likelihood.records, likelihood.rate, shaking_memory(hypothesis.noise, likelihood.records))
-    if not can_tell(likelihood.records, errors, rate):
-        return False
-    return not loop_depends_on_inputs(likelihood.records, errors, hypothesis.plant, rate)
-
-
-def shaken_rate(records: Sequence[Record], rate: float, memory: float) -> float:
-    """Return the rate [rad/s] by which samples of a loop's error count: that of the loop, or of what it remembers.
-
-    Where too few samples would count to judge them at all, a long `memory` [s] is no excuse: the loop's own counts.
-    """
-    slower = min(rate, 2.0 / max(memory, 1e-9))
-    return slower if _counted(records, slower) > TESTABLE * REGRESSORS else rate
-
-
-def can_tell(records: Sequence[Record], errors: Sequence[NDArray[np.float64]], rate: float) -> bool:
-    """Tell whether records are long enough to call their simulations' errors shaking, or these too small to matter.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        With reference and controller.
-    errors : sequence of ndarray, shape (n,)
-        Of the simulation of each [m or rad].
-    rate : float
-        Of the loops [rad/s].
-    """
-    travel = max(float(np.ptp(record.position)) for record in records)
-    is_small = float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= MATERIAL * travel
-    return is_small or _counted(records, rate) > TESTABLE * REGRESSORS
-
-
-def _counted(records: Sequence[Record], rate: float) -> float:
-    """Return how many samples of a loop's error count: one in two time constants."""
-    return sum(record.duration for record in records) * rate / 2.0
-
-
-def loop_depends_on_inputs(
-    records: Sequence[Record],
-    residuals: Sequence[NDArray[np.float64]],
-    plant: Plant,
-    rate: float,
-    drawn: Sequence[Sequence[NDArray[np.float64]]] = (),
-) -> bool:
-    """Tell whether the error of simulations in closed loop depends on the inputs.
-
-    An observer that follows an axis which something seems to shake follows what the model lacks as well; the loop
-    simulated from the reference does not. Its error is regressed on what the simulation itself does, and on the
-    reference at several lags; samples count once in two time constants of the loop, 2/ω, as long as a loop remembers.
-
-    Parameters
-    ----------
-    records : sequence of Record
-        With reference and controller.
-    residuals : sequence of ndarray, shape (n,)
-        Simulated minus measured position of each [m or rad].
-    plant : Plant
-        That was simulated.
-    rate : float
-        ω of the loops [rad/s].
-    drawn : sequence of sequence of ndarray, optional
-        Draws of what noise alone would do: it explains more where the axis sticks, hunts, or is slow to forget.
-    """
-    from scipy.stats import f
-
-    columns = []
-    for record in records:
-        run = simulate(plant, record)
-        reference = np.asarray(record.reference)
-        lags = [int(share / rate / record.sample_time) for share in LOOP_LAGS]
-        moved = [_shifted(reference - reference[0], lag) - _shifted(reference - reference[0], 2 * lag) for lag in lags]
-        own = [run.velocity, np.sign(run.velocity), run.velocity * np.abs(run.velocity), run.position - reference]
-        columns.append(np.column_stack([np.ones(len(record)), *own, run.voltage, *moved]))
-    rows = np.concatenate(columns)
-    counted, size = _counted(records, rate), rows.shape[1]
-    if counted - size < 2.0:
-        return False
-    basis = _spanned(rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300))
-
-    def explained(errors: Sequence[NDArray[np.float64]]) -> float:
-        error = np.concatenate(errors)
-        along = float(np.sum((basis.T @ error) ** 2))
-        left = float(error @ error) - along
-        return float(along / size / max(left / (counted - size), 1e-300))
-
-    limit = float(f.isf(FALSE_ALARM, size, counted - size))
-    if drawn:
-        limit = max(limit, limit_of(np.array([explained(errors) for errors in drawn]), FALSE_ALARM))
-    return explained(residuals) > limit
-
-
-def _spanned(rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an orthonormal basis of what the columns of `rows` span."""
-    left, singular, _ = np.linalg.svd(rows, full_matrices=False)
-    return np.asarray(left[:, singular > 1e-9 * singular[0]])
+    return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise
 
 
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
@@ -386,12 +275,8 @@ def _lagged(signal: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     padded = signal - signal[0]
     while early < signal.size // LAGS:
         late = max(LAGS * early, early + 4)
-        column = _shifted(padded, early) - _shifted(padded, late)
+        column = shifted(padded, early) - shifted(padded, late)
         if np.any(column != 0.0):
             found.append(column)
         early = late
     return found
-
-
-def _shifted(signal: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
-    return np.concatenate([np.zeros(min(lag, signal.size)), signal[: max(signal.size - lag, 0)]])

@@ -1,0 +1,237 @@
+"""Whether what simulations in closed loop miss of the records is what noise and shaking would do, or depends on inputs.
+
+The loop answers to the sensor's noise and to what shakes the axis, and an axis that sticks or hunts answers for long.
+So what is found is compared with draws of the same loop, of which the model is the axis (parametric bootstrap: Efron
+and Tibshirani 1993, chapter 6).
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.errors import ServolensError
+from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
+from servolens.identification.score import FALSE_ALARM
+from servolens.processors import in_parallel
+from servolens.simulation.loop import simulate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.noise import NoiseModel
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+    Errors = Sequence[NDArray[np.float64]]
+
+__all__ = ["LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
+
+LAGS = (0.5, 1.0, 2.0, 4.0)
+"""Lags of the reference in time constants of the loop."""
+MOVED = 1e-3
+"""Share of a parameter by which it is moved for the sensitivity of the loop."""
+SIZED = 8
+"""Draws by which the size of what shakes is corrected, until the loops miss as much as they do."""
+VISIBLE = 0.9
+"""Share of the error that must be seen to depend on the inputs if it does: a structure of nine times the rest."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class LoopError:
+    """Answer of the test.
+
+    Attributes
+    ----------
+    depends : bool
+        Whether the error depends on the inputs.
+    is_seen : bool
+        Whether the records would show it if nine tenths of the error did.
+    """
+
+    depends: bool
+    is_seen: bool
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether it is shown that noise and shaking are all there is."""
+        return self.is_seen and not self.depends
+
+
+def loop_error(
+    plants: Sequence[Plant],
+    records: Sequence[Record],
+    errors: Errors,
+    noise: NoiseModel,
+    rate: float,
+    ripples: Errors = (),
+) -> LoopError:
+    """Compare the errors of simulations in closed loop with what noise and shaking alone would do.
+
+    Two shares of the squared error are compared with those of draws: what is explained by what the simulation itself
+    does and by the reference at several lags, beside what the parameters could make good; and what arises in the third
+    of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
+    doi:10.1080/01621459.1965.10480811). What knows nothing of the inputs is as large at rest as in motion.
+
+    Parameters
+    ----------
+    plants : sequence of Plant
+        Of each record.
+    records : sequence of Record
+        With reference and controller.
+    errors : sequence of ndarray, shape (n,)
+        Simulated minus measured position of each [m or rad].
+    noise : NoiseModel
+        Of sensor and shaking.
+    rate : float
+        Of the loops [rad/s].
+    ripples : sequence of ndarray, shape (n,)
+        Of the mains in each record [m or rad].
+    """
+    if not all(np.isfinite(error).all() for error in errors):
+        return LoopError(depends=True, is_seen=True)
+    shares = _Shares(plants, records, rate)
+    drawn = np.array([shares.of(draw) for draw in drawn_loop_errors(plants, records, errors, noise, ripples)])
+    if len(drawn) < DRAWS // 2:
+        return LoopError(depends=True, is_seen=True)
+    limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
+    found = np.array(shares.of(errors))
+    return LoopError(depends=bool(np.any(found > limits)), is_seen=bool(limits[0] < VISIBLE))
+
+
+def drawn_loop_errors(
+    plants: Sequence[Plant], records: Sequence[Record], errors: Errors, noise: NoiseModel, ripples: Errors = ()
+) -> list[tuple[NDArray[np.float64], ...]]:
+    """Return draws of what simulations in closed loop miss of the records if `plants` are the axis.
+
+    The loop answers to the noise, and to what shakes the axis; the simulation that is compared with the record knows
+    neither. What shakes it is taken for as large as the `errors` of the simulations show. Draws in which the loop
+    leaves all bounds are left out.
+
+    Returns
+    -------
+    list of tuple of ndarray, shape (n,)
+        Of each draw the errors of all records [m or rad].
+    """
+    stream = np.random.default_rng(2)
+    still = [simulate(plant, record).position for plant, record in zip(plants, records, strict=True)]
+    spectrum = spectrum_of(noise)
+    drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
+    for error, ripple in zip(drawn, ripples, strict=False):
+        error += ripple[:, None]
+    pushes = [_shaking(noise, record, stream) / plant.gain for plant, record in zip(plants, records, strict=True)]
+
+    def one(k: int, size: float = 1.0) -> tuple[NDArray[np.float64], ...] | None:
+        with suppress(ServolensError):
+            return tuple(
+                simulate(plant, disturbed(record, error[:, k], size * push[:, k])).position + error[:, k] - position
+                for plant, record, error, push, position in zip(plants, records, drawn, pushes, still, strict=True)
+            )
+        return None
+
+    first = [draw for draw in in_parallel(one, range(SIZED if noise.rate > 0.0 else 0)) if draw is not None]
+    shaken = [float(np.mean(np.concatenate(draw) ** 2)) for draw in first]
+    size = float(np.sqrt(np.mean(np.concatenate(errors) ** 2) / np.mean(shaken))) if shaken else 1.0
+    return [draw for draw in in_parallel(lambda k: one(k, size), range(DRAWS)) if draw is not None]
+
+
+def _shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
+    """Return draws of the acceleration that shakes the axis, shape (n, draws): see :func:`observer_of`."""
+    from scipy.signal import lfilter
+
+    shape = len(record), DRAWS
+    if noise.rate == 0.0:
+        return np.zeros(shape)
+    kept = float(np.exp(-noise.corner * record.sample_time))
+    size = noise.spread * noise.rate**2 * np.sqrt((1.0 - kept) / (1.0 + kept))
+    white = stream.standard_normal(shape)
+    white[1:] *= np.sqrt(1.0 - kept**2)
+    return np.asarray(size * lfilter([1.0], [1.0, -kept], white, axis=0))
+
+
+class _Shares:
+    """Which shares of a squared error follow the inputs."""
+
+    def __init__(self, plants: Sequence[Plant], records: Sequence[Record], rate: float) -> None:
+        runs = [simulate(plant, record) for plant, record in zip(plants, records, strict=True)]
+        self._own = _spanned(_sensitivities(plants, records, [run.position for run in runs]))
+        columns, activity = [], []
+        for run, record in zip(runs, records, strict=True):
+            reference = np.asarray(record.reference)
+            lags = [int(lag / rate / record.sample_time) for lag in LAGS]
+            step = reference - reference[0]
+            moved = [shifted(step, lag) - shifted(step, 2 * lag) for lag in lags]
+            own = [run.velocity, np.sign(run.velocity), run.velocity * np.abs(run.velocity), run.position - reference]
+            columns.append(np.column_stack([np.ones(len(record)), *own, run.voltage, *moved]))
+            activity.append(_faded(run.velocity**2, rate * record.sample_time))
+        rows = np.concatenate(columns)
+        rows -= self._own @ (self._own.T @ rows)
+        self._basis = _spanned(rows)
+        order = np.argsort(np.concatenate(activity), kind="stable")
+        third = order.size // 3
+        self._least, self._most = order[:third], order[-third:]
+
+    def of(self, errors: Errors) -> tuple[float, float]:
+        """Return the share that the inputs explain, and that which arises where the axis moves most."""
+        error = np.concatenate(errors)
+        error = error - self._own @ (self._own.T @ error)
+        along = float(np.sum((self._basis.T @ error) ** 2))
+        low, high = (float(np.sum(error[part] ** 2)) for part in (self._least, self._most))
+        return along / max(float(error @ error), 1e-300), high / max(low + high, 1e-300)
+
+
+def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], positions: Errors) -> NDArray[np.float64]:
+    """Return how the loops answer to a change of each parameter, shape (n, k)."""
+    values = plants[0].named
+    columns = []
+    for name, value in values.items():
+        step = MOVED * value
+        if step == 0.0:
+            continue
+        with suppress(ServolensError):
+            moved = [
+                simulate(plant.with_named({name: plant.named[name] + step}), record).position - position
+                for plant, record, position in zip(plants, records, positions, strict=True)
+            ]
+            columns.append(np.concatenate(moved))
+    return np.column_stack(columns)
+
+
+def share_limit(draws: NDArray[np.float64], level: float) -> float:
+    """Return what a share, of which there are `draws`, exceeds with probability `level`.
+
+    Of the beta distribution with their mean and variance: of shares of squares of normal values it is exact, with the
+    numbers of independent values as parameters.
+    """
+    from scipy.stats import beta
+
+    mean, variance = float(np.mean(draws)), float(np.var(draws))
+    if not 0.0 < mean < 1.0 or variance == 0.0:
+        return mean
+    count = max(mean * (1.0 - mean) / variance - 1.0, 1e-3)
+    return float(beta.isf(level, mean * count, (1.0 - mean) * count))
+
+
+def _faded(signal: NDArray[np.float64], decay: float) -> NDArray[np.float64]:
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter([1.0], [1.0, -np.exp(-decay)], signal))
+
+
+def shifted(signal: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
+    """Return `signal` as many samples later as `lag` says, after zeros."""
+    return np.concatenate([np.zeros(min(lag, signal.size)), signal[: max(signal.size - lag, 0)]])
+
+
+def _spanned(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of what the columns of `rows` span."""
+    sizes = np.linalg.norm(rows, axis=0)
+    rows = rows[:, sizes > 0.0] / sizes[sizes > 0.0]
+    left, singular, _ = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(left[:, singular > 1e-9 * singular[0]])

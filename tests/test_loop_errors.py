@@ -1,0 +1,103 @@
+"""What simulations in closed loop miss: noise and shaking, or a structure that depends on the inputs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+from scipy.stats import beta
+
+import servolens
+from servolens import lab
+from servolens.effects import CoulombFriction
+from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
+from servolens.identification.noise import NoiseModel
+
+GAIN, DAMPING, H = 2.0, 8.0, 1e-3
+CART = servolens.Plant(gain=GAIN, damping=DAMPING)
+WHITE = replace(NoiseModel.white(1e-6), gain=GAIN, damping=DAMPING)
+
+
+def steps(seconds=8.0, kp=60.0):
+    """Return a record of steps up and down whose position is that of the cart, without noise."""
+    time = np.arange(int(seconds / H)) * H
+    reference = np.where((time % 2.0 >= 0.5) & (time % 2.0 < 1.2), 0.1, 0.0)
+    record = servolens.Record(
+        time=time, position=0.0 * time, reference=reference, controller=servolens.Controller(kp=kp)
+    )
+    return replace(record, position=servolens.simulation.loop.simulate(CART, record).position)
+
+
+@pytest.mark.parametrize(("explained", "left"), [(10, 40), (3, 6), (10, 4000)])
+def test_limit_of_a_share_is_that_of_the_beta_distribution(explained, left):
+    stream = np.random.default_rng(5)
+    along, rest = stream.chisquare(explained, 20_000), stream.chisquare(left, 20_000)
+    exact = beta.isf(1e-3, explained / 2, left / 2)
+    assert share_limit(along / (along + rest), 1e-3) == pytest.approx(exact, rel=0.02)
+
+
+@pytest.mark.parametrize("corner", [3.0, 30.0])
+def test_a_linear_loop_that_is_shaken_misses_what_its_lyapunov_equation_says(corner):
+    record, rate = steps(30.0), 60.0
+    noise = replace(WHITE, rate=rate, corner=corner)
+    kept = np.exp(-corner * H)
+    power = (WHITE.spread * rate**2) ** 2 * (1.0 - kept) / (1.0 + kept)  # stationary, of what shakes
+    states = np.array([[0.0, 1.0, 0.0], [-GAIN * 60.0, -DAMPING, 1.0], [0.0, 0.0, -corner]])
+    pushed = np.array([0.0, 0.0, np.sqrt(2.0 * corner * power)])
+    variance = solve_continuous_lyapunov(states, -np.outer(pushed, pushed))[0, 0]
+    asked = np.sqrt(variance) * np.random.default_rng(0).standard_normal(len(record))
+    drawn = drawn_loop_errors([CART], [record], [asked], noise)
+    found = np.mean([np.mean(draw[0][1000:] ** 2) for draw in drawn])
+    assert found == pytest.approx(variance, rel=0.1)  # 40 draws of some 100 independent values
+
+
+@pytest.mark.parametrize("seed", [441001, 441002, 441003])
+def test_an_axis_that_is_shaken_depends_on_no_input(seed):
+    campaign = lab.hidden_campaign(seed, world="shaken")
+    found = servolens.diagnose(campaign.records, heldout=campaign.heldout, effort="quick")
+    assert (found.verdict, found.remainder.depends_on_inputs) == ("healthy", False)
+
+
+def errors_of(kind, record, size):
+    """Return errors of `record` that follow its motion, or that know nothing of it."""
+    stream = np.random.default_rng(11)
+    speed = np.gradient(record.position, record.time)
+    missed = [draw[0] for draw in drawn_loop_errors([CART], [record], [0.0 * speed + size], shaken(size))]
+    return {
+        "shaking": missed[0],
+        "friction": size * np.sign(speed) * (np.abs(speed) > 1e-3),
+        "force in fast motion": missed[0] * (np.abs(speed) > 0.3 * np.abs(speed).max()),
+        "noise": 1e-6 * stream.standard_normal(len(record)),
+    }[kind]
+
+
+def shaken(size):
+    return replace(WHITE, rate=80.0, corner=60.0, spread=WHITE.spread * min(size / 1e-5, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("kind", "depends"),
+    [("shaking", False), ("friction", True), ("force in fast motion", True), ("noise", False)],
+)
+def test_what_follows_the_motion_is_no_shaking(kind, depends):
+    record = steps()
+    found = loop_error([CART], [record], [errors_of(kind, record, 1e-4)], shaken(1e-4), 11.0)
+    assert found.depends is depends
+    assert found.is_seen
+
+
+def test_a_record_of_a_moment_does_not_show_whether_its_axis_is_shaken():
+    record = steps().slice(0.4, 0.9)
+    noise = replace(WHITE, rate=40.0, corner=2.0)
+    found = loop_error([CART], [record], [errors_of("shaking", record, 1e-4)], noise, 11.0)
+    assert not found.is_noise
+
+
+def test_an_axis_that_sticks_may_rest_while_something_shakes_it():
+    held = CART.with_effect(CoulombFriction(level=0.4))
+    record = steps()
+    still = servolens.simulation.loop.simulate(held, record).position
+    record = replace(record, position=still)
+    noise = replace(WHITE, rate=100.0, corner=100.0)
+    drawn = drawn_loop_errors([held], [record], [np.full(len(record), 3e-5)], noise)
+    assert not loop_error([held], [record], drawn[7], noise, 11.0).depends
