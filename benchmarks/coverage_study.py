@@ -116,12 +116,17 @@ def campaign(truth: lab.Truth, steps: Sequence[Step], world: str, seed: int) -> 
     streams = iter(np.random.default_rng(seed).spawn(len(steps) * around.repeats))
     return tuple(
         lab.step_record(
-            truth, step.kp, step.kd, reference=step.levels, duration=step.each, surroundings=around,
-            seed=next(streams), name=f"kp {step.kp:g}, kd {step.kd:g}, run {repeat + 1}",
+            truth,
+            step.kp,
+            step.kd,
+            reference=step.levels,
+            duration=step.each,
+            seed=next(streams),
+            setup=lab.Setup(surroundings=around, name=f"kp {step.kp:g}, kd {step.kd:g}, run {repeat + 1}"),
         )
         for step in steps
         for repeat in range(around.repeats)
-    )  # fmt: skip
+    )
 
 
 def carried_out(study: str, whats: Sequence[str], work: Callable[[Job], Batch], repeats: int, said: str) -> None:

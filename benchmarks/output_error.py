@@ -113,7 +113,14 @@ def records() -> tuple[Record, ...]:
     truth = lab.Truth(gain=GAIN, damping=DAMPING, effects=effects)
     return tuple(
         lab.step_record(
-            truth, kp, kd, trajectory=np.repeat(levels, EACH), sample_time=PERIOD, noise=NOISE, encoder=1e-5, seed=seed
+            truth,
+            kp,
+            kd,
+            sample_time=PERIOD,
+            noise=NOISE,
+            encoder=1e-5,
+            seed=seed,
+            setup=lab.Setup(trajectory=np.repeat(levels, EACH)),
         )
         for seed, (kp, kd, levels) in enumerate(RUNS)
     )

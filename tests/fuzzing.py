@@ -84,7 +84,10 @@ def text(separator=",", point="."):
 
 def diagnosed():
     """Return what a diagnosis of a short step keeps, with a rival for what it asks next."""
-    runs = [lab.step_record(lab.LM1, kp, duration=0.3, noise=1e-5, seed=kp, name=f"kp {kp}") for kp in (40, 80)]
+    runs = [
+        lab.step_record(lab.LM1, kp, duration=0.3, noise=1e-5, seed=kp, setup=lab.Setup(name=f"kp {kp}"))
+        for kp in (40, 80)
+    ]
     found = diagnose(runs, effort="quick").to_json()
     return {**found, "rival_models": {"delay": [MODEL]}}
 

@@ -42,7 +42,7 @@ def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     for name, kp, kd in LAB:
         write_csv(lab.step_record(lab.NLM3, kp, kd, noise=1e-5, seed=kp), folder / f"{name}.csv")
-    bare = lab.step_record(lab.NLM3, 80, 5, noise=1e-5, seed=7, name="bare")
+    bare = lab.step_record(lab.NLM3, 80, 5, noise=1e-5, seed=7, setup=lab.Setup(name="bare"))
     write_csv(bare, folder / "bare.csv", voltage=False, gains=False)
     done = run("identify", folder / "kp100.csv", "--out", folder / "model.json")
     assert done.exit_code == 0, done.output
@@ -126,7 +126,7 @@ def test_check_finds_gains_that_contradict_the_log(bench, option):
 @pytest.fixture(scope="session")
 def mirrored(bench, tmp_path_factory):
     """A record whose position has the other sign than its reference."""
-    record = lab.step_record(lab.NLM3, 60, noise=1e-5, seed=1, name="mirrored")
+    record = lab.step_record(lab.NLM3, 60, noise=1e-5, seed=1, setup=lab.Setup(name="mirrored"))
     path = tmp_path_factory.mktemp("mirrored") / "mirrored.csv"
     write_csv(record.with_({"position": -record.position}), path)
     return path

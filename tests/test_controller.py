@@ -79,9 +79,10 @@ LAWS = {
 each_law = pytest.mark.parametrize("controller", LAWS.values(), ids=LAWS.keys())
 
 
-def logged(controller, **others):
-    settings = {"reference": (0.1, -0.05), "duration": 0.6, "voltage_limit": 2.5, "encoder": 1e-5, **others}
-    return lab.step_record(lab.Truth(gain=1.9, damping=6.0), controller=controller, **settings)
+def logged(controller, voltage_limit=2.5, feedforward=None, **others):
+    settings = {"reference": (0.1, -0.05), "duration": 0.6, "encoder": 1e-5, **others}
+    setup = lab.Setup(controller=controller, voltage_limit=voltage_limit, feedforward=feedforward)
+    return lab.step_record(lab.Truth(gain=1.9, damping=6.0), setup=setup, **settings)
 
 
 @each_law
@@ -103,8 +104,8 @@ def test_law_reproduces_the_laboratory_log(controller):
 @each_law
 def test_many_runs_at_once_are_those_one_by_one(controller):
     truth = lab.Truth(gain=1.9, damping=6.0)
-    settings = {"controller": controller, "duration": 0.3, "voltage_limit": 3.0, "noise": 2e-5, "encoder": 0.0}
-    runs = lab.step_records(truth, repeats=2, seed=5, **settings)
+    setup = lab.Setup(controller=controller, voltage_limit=3.0)
+    runs = lab.step_records(truth, repeats=2, seed=5, duration=0.3, noise=2e-5, encoder=0.0, setup=setup)
     for run in runs:
         assert controller_voltage(run) == pytest.approx(run.voltage, abs=1e-9)
 
@@ -164,7 +165,10 @@ def test_cascade_is_its_description_for_any_gains(limit, **gains):
 def test_anti_windup_keeps_the_overshoot_of_a_saturated_step_small(way):
     def overshoot(anti_windup):
         record = logged(
-            Controller(kp=60, kd=4, ki=600, anti_windup=anti_windup), reference=0.3, duration=3.0, voltage_limit=3.0
+            Controller(kp=60, kd=4, ki=600, anti_windup=anti_windup),
+            reference=0.3,
+            duration=3.0,
+            voltage_limit=3.0,
         )
         return simulate(CART, record).position.max() / 0.3 - 1
 
@@ -173,7 +177,7 @@ def test_anti_windup_keeps_the_overshoot_of_a_saturated_step_small(way):
 
 @given(factor=st.floats(0.1, 10))
 def test_a_scaled_loop_asks_for_as_much_more(factor):
-    record = logged(LAWS["charged"], voltage_limit=30.0, duration=0.1)
+    record = logged(LAWS["charged"], duration=0.1, voltage_limit=30.0)
     scaled = record.with_({"controller": LAWS["charged"].scaled(factor)})
     assert controller_voltage(scaled) == pytest.approx(factor * controller_voltage(record), rel=1e-9, abs=1e-12)
 

@@ -117,7 +117,9 @@ def swing_of(record, seconds):
 def test_hunting_beside_stiction_has_the_amplitude_and_period_of_the_laboratory():
     spec = PDSpec(kp=100, settling_time=0.8, ki=400)
     found = hunting(STICKY, spec, 2.0)
-    record = lab.step_record(STICKY_TRUTH, controller=Controller(kp=100, kd=2, ki=400), duration=25.0, encoder=0.0)
+    record = lab.step_record(
+        STICKY_TRUTH, duration=25.0, encoder=0.0, setup=lab.Setup(controller=Controller(kp=100, kd=2, ki=400))
+    )
     amplitude, period = swing_of(record, 15.0)
     assert found.share == 1.0
     assert found.amplitude == pytest.approx(amplitude, rel=0.02)
@@ -130,7 +132,9 @@ def test_a_wound_up_integral_hunts_as_in_the_laboratory_and_clamping_ends_it():
     found = hunting(limited, spec, 3.0)
     truth = lab.Truth(gain=1.9, damping=6.0, effects={"saturation": {"limit": 2.0}})
     loop = Controller(kp=100, kd=3, ki=800)
-    record = lab.step_record(truth, controller=loop, start=0.1 + found.start, duration=40.0, encoder=0.0)
+    record = lab.step_record(
+        truth, duration=40.0, encoder=0.0, setup=lab.Setup(controller=loop, start=0.1 + found.start)
+    )
     swings = [np.ptp(part) / 2 for part in np.array_split(record.position, 5)]
     assert 0 < found.share < 1  # a small step does not show it
     assert swings == sorted(swings)  # it grows on, and so the longest run tells of the largest
@@ -143,7 +147,7 @@ def test_hunting_of_lost_motion_is_that_of_the_laboratory():
     play = {"gap": 1e-3, "load_share": 0.3}
     found = hunting(CART.with_effect(Backlash(**play)), PDSpec(kp=100, settling_time=0.8), 0.5)
     truth = lab.Truth(gain=1.9, damping=6.0, effects={"backlash": play})
-    record = lab.step_record(truth, controller=Controller(kp=100, kd=0.5), duration=12.0, encoder=0.0)
+    record = lab.step_record(truth, duration=12.0, encoder=0.0, setup=lab.Setup(controller=Controller(kp=100, kd=0.5)))
     amplitude, period = swing_of(record, 6.0)
     assert found.amplitude == pytest.approx(amplitude, rel=0.05)
     assert found.period == pytest.approx(period, rel=0.05)
@@ -173,7 +177,7 @@ def test_a_spec_that_forbids_hunting_is_given_gains_that_do_not():
 
     def still_moves(kd):
         loop = Controller(kp=100, kd=kd, ki=400)
-        record = lab.step_record(STICKY_TRUTH, controller=loop, duration=60.0, encoder=0.0)
+        record = lab.step_record(STICKY_TRUTH, duration=60.0, encoder=0.0, setup=lab.Setup(controller=loop))
         quarters = np.array_split(record.position, 4)
         return np.ptp(quarters[3]) > 0.9 * np.ptp(quarters[2]) > 1e-4
 
@@ -239,7 +243,9 @@ def test_feedforward_takes_the_lag_from_the_axis_of_the_laboratory(effects, left
     added = feedforward(plant, time, reference, controller=loop)
 
     def lag(voltage):
-        record = lab.step_record(truth, controller=loop, trajectory=reference, feedforward=voltage, encoder=0.0)
+        record = lab.step_record(
+            truth, encoder=0.0, setup=lab.Setup(controller=loop, trajectory=reference, feedforward=voltage)
+        )
         return np.sqrt(np.mean((record.position - reference) ** 2))
 
     assert lag(added) < left * lag(None)

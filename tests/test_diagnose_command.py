@@ -383,7 +383,7 @@ def test_a_record_of_fifty_samples_gives_a_diagnosis_or_one_sentence(tmp_path):
 
 
 def test_metres_and_radians_are_not_mixed(bench, tmp_path):
-    turning = write(step(RUBBING, 70, length_unit="rad"), tmp_path / "turning.csv", unit="rad")
+    turning = write(step(RUBBING, 70, setup=lab.Setup(length_unit="rad")), tmp_path / "turning.csv", unit="rad")
     assert "rad" in refused(run("diagnose", bench / "rub40.csv", turning))
     assert "rad" in refused(run("diagnose", bench / "rub40.csv", "--heldout", turning))
 

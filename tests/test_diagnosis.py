@@ -226,7 +226,9 @@ def test_without_held_out_records_each_record_is_left_out_in_turn():
 def test_records_of_two_axes_are_said_to_contradict_each_other():
     light, heavy = (lab.Truth(gain=gain, damping=6.0) for gain in (1.9, 3.8))
     records = [
-        lab.step_record(axis, 60.0, kd, reference=(0.1, 0.0), duration=0.8, noise=1e-5, seed=i, name=name)
+        lab.step_record(
+            axis, 60.0, kd, reference=(0.1, 0.0), duration=0.8, noise=1e-5, seed=i, setup=lab.Setup(name=name)
+        )
         for i, (axis, kd, name) in enumerate([(light, 0.0, "a"), (light, 2.0, "b"), (heavy, 0.0, "c")])
     ]
     codes = {finding.code for finding in diagnose(records).findings}
@@ -235,7 +237,9 @@ def test_records_of_two_axes_are_said_to_contradict_each_other():
 
 def steps_of(axis, gains, reference=0.1, duration=1.5):
     return [
-        lab.step_record(axis, kp, kd, reference=reference, duration=duration, noise=1e-5, seed=i, name=f"kp {kp:g}")
+        lab.step_record(
+            axis, kp, kd, reference=reference, duration=duration, noise=1e-5, seed=i, setup=lab.Setup(name=f"kp {kp:g}")
+        )
         for i, (kp, kd) in enumerate(gains)
     ]
 
@@ -333,7 +337,9 @@ def test_prior_on_what_no_plant_has_is_refused():
 
 
 def test_reported_error_is_not_tied_to_the_measurement():
-    record = lab.step_record(lab.LM1, 60.0, 0.0, reference=(0.1, 0.0), noise=1e-5, seed=2, log_reference=False)
+    record = lab.step_record(
+        lab.LM1, 60.0, 0.0, reference=(0.1, 0.0), noise=1e-5, seed=2, setup=lab.Setup(log_reference=False)
+    )
     wrong = Plant(gain=1.2 * lab.LM1.gain, damping=lab.LM1.damping)
     driven = simulate_voltage(wrong, record.time, record.voltage).position - record.position
     assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.1)
@@ -432,12 +438,13 @@ def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_mos
 def test_an_axis_that_the_sensors_noise_shakes_before_its_step_is_healthy():
     """The log begins while the loop works: what moves the axis before its step is in no voltage that was logged."""
     cart = lab.Truth(gain=0.55, damping=7.3)
-    loops = {"reference": 0.05, "rest": 0.3, "duration": 1.2, "sample_time": 5e-4, "derivative_filter": 0.5}
+    setups = [
+        lab.Setup(rest=0.3, controller=Controller(kp=kp, kd=kd, derivative_filter=0.5))
+        for kp, kd in ((400.0, 36.0), (540.0, 42.0))
+    ]
+    step = {"reference": 0.05, "duration": 1.2, "sample_time": 5e-4, "encoder": 1e-6, "noise": 6e-5}
     for seed in (20, 30, 40):
-        runs = [
-            lab.step_record(cart, kp, kd, encoder=1e-6, noise=6e-5, seed=seed + kp, **loops)
-            for kp, kd in ((400, 36), (540, 42))
-        ]
+        runs = [lab.step_record(cart, seed=seed + int(rig.controller.kp), setup=rig, **step) for rig in setups]
         diagnosis = diagnose([run.slice(run.time[500], run.time[-1]) for run in runs])
         assert diagnosis.verdict == "healthy"
         assert diagnosis.remainder.times_noise < 1.2
@@ -447,18 +454,22 @@ def test_records_cut_out_of_a_motion_are_followed_from_where_they_begin():
     """Cut where a sine turns round, the axis seems to rest, and does not."""
     time = np.arange(2000) * 1e-3
     swing = 0.1 * np.sin(2.0 * np.pi * time)
-    runs = [lab.step_record(lab.LM1, kp, trajectory=swing, duration=1.999, noise=1e-4, seed=kp) for kp in (60, 100)]
+    runs = [
+        lab.step_record(lab.LM1, kp, duration=1.999, noise=1e-4, seed=kp, setup=lab.Setup(trajectory=swing))
+        for kp in (60, 100)
+    ]
     assert diagnose([run.slice(0.34, 2.0) for run in runs]).verdict == "healthy"
 
 
 def test_late_start_is_no_motion_backward():
     """Cubics through the first samples of a record that begins at its step, some of a sample late, see a velocity."""
     axis = lab.Truth(gain=1.4, damping=1.1, effects={"delay": {"time": 0.0013}})
+    rig = lab.Setup(rest=0.1, length_unit="rad")
+    log = {"duration": 6.0, "sample_time": 5e-3, "encoder": 0.0, "noise": 1e-5, "setup": rig}
     runs = [
-        lab.step_record(axis, kp, kd, reference=levels, duration=6.0, rest=0.1, sample_time=5e-3, encoder=0.0,
-                        noise=1e-5, seed=int(kp), length_unit="rad")
+        lab.step_record(axis, kp, kd, reference=levels, seed=int(kp), **log)
         for kp, kd, levels in ((12.5, 1.2, (0.45, 0.1)), (9.8, 1.1, 0.6), (18.0, 1.4, 0.3))
-    ]  # fmt: skip
+    ]
     cut = [run.slice(run.time[run.edges()[0]], run.time[-1]).with_({"voltage_before": 0.0}) for run in runs]
     diagnosis = diagnose(cut[:2], heldout=cut[2])
     assert diagnosis.verdict == "explained"
@@ -471,7 +482,16 @@ def test_delay_of_records_that_begin_with_their_step_from_rest_is_seen():
     axis = lab.Truth(gain=60.0, damping=12.0, effects={"delay": {"time": 0.012}})
     levels = ([1.0, 0.0, 0.5], [0.7, -0.2, 0.9], [1.0, 0.3, -0.5])
     whole = [
-        lab.step_record(axis, kp=kp, kd=kd, reference=r, duration=0.8, rest=0.1, noise=1e-4, seed=i, length_unit="rad")
+        lab.step_record(
+            axis,
+            kp=kp,
+            kd=kd,
+            reference=r,
+            duration=0.8,
+            noise=1e-4,
+            seed=i,
+            setup=lab.Setup(rest=0.1, length_unit="rad"),
+        )
         for i, (kp, kd, r) in enumerate(zip((4.0, 8.0, 2.5), (0.02, 0.1, 0.0), levels, strict=True))
     ]
     cut = [record.slice(record.time[record.edges()[0]], record.time[-1]) for record in whole]
@@ -511,7 +531,7 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     axis = lab.Truth(gain=21.5, damping=16.9, effects={"actuator_lag": {"time_constant": 2e-4}})
     runs = [(8, 0.0, 0.0), (30, 1.4, 0.1)]
     records = [
-        lab.step_record(axis, kp=kp, kd=kd, rest=rest, reference=[0.6, 0.2], noise=1e-6, seed=kp)
+        lab.step_record(axis, kp=kp, kd=kd, reference=[0.6, 0.2], noise=1e-6, seed=kp, setup=lab.Setup(rest=rest))
         for kp, kd, rest in runs
     ]
     cause = diagnose(records).causes[0]
@@ -538,7 +558,7 @@ def test_weight_within_a_small_angle_is_no_candidate_unless_it_stands():
 
 def test_arm_that_stands_upright_is_found_in_a_small_travel():
     arm = lab.Truth(gain=20.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 8.0, "phase": 2.9}})
-    stated = {"reference": [0.06], "noise": 1e-5, "length_unit": "rad"}
+    stated = {"reference": [0.06], "noise": 1e-5, "setup": lab.Setup(length_unit="rad")}
     runs = [lab.step_record(arm, kp=kp, kd=0.5, seed=kp, **stated) for kp in (10, 16)]
     diagnosis = diagnose(runs)
     assert diagnosis.verdict == "explained"

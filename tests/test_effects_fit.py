@@ -40,7 +40,7 @@ from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import minimise_error
 from servolens.identification.runs import closed_runs
-from servolens.lab import LM1, Truth, hidden_campaign, step_record, step_records
+from servolens.lab import LM1, Setup, Truth, hidden_campaign, step_record, step_records
 from servolens.lab.laws import LAWS
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
@@ -143,7 +143,7 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
 
 def test_limit_of_the_amplifier_closes_the_loop_with_it():
     truth = axis(coulomb_friction={"level": 0.35})
-    records = [logged(truth, kp, 2.0, seed=int(kp), voltage_limit=4.0) for kp in (60.0, 100.0)]
+    records = [logged(truth, kp, 2.0, seed=int(kp), setup=Setup(voltage_limit=4.0)) for kp in (60.0, 100.0)]
     fit = servolens.fit([CoulombFriction(level=0.5)], records, driven="closed_loop")
     assert fit.driven == "closed_loop"
     assert fit.plant.gain == pytest.approx(GAIN, rel=2e-3)
@@ -180,7 +180,10 @@ def test_error_bars_allow_for_slow_noise_of_the_sensor(driven):
 def test_sticking_and_delay_are_found_though_the_linear_gain_is_far_off():
     """An arm whose friction holds it on the way passes for one of several times the inertia."""
     arm = Truth(gain=45.0, damping=23.0, effects={"coulomb_friction": {"level": 22.0}, "delay": {"time": 0.03}})
-    records = [logged(arm, kp, 0.0, reference=(0.1, -0.1, 0.1), seed=int(kp), length_unit="rad") for kp in (7.0, 9.0)]
+    records = [
+        logged(arm, kp, 0.0, reference=(0.1, -0.1, 0.1), seed=int(kp), setup=Setup(length_unit="rad"))
+        for kp in (7.0, 9.0)
+    ]
     bare = servolens.fit([], records)
     fit = servolens.fit([CoulombFriction(level=5.0), Delay(time=0.001)], records)
     assert misses(fit, arm) == {}
@@ -430,7 +433,7 @@ LAG_GUESS = [ActuatorLag(time_constant=0.008), SensorLag(time_constant=0.002)]
 
 
 def test_lags_of_actuator_and_sensor_are_not_told_apart_by_a_linear_axis():
-    fit = servolens.fit(LAG_GUESS, campaign(LAGS, rest=0.05))
+    fit = servolens.fit(LAG_GUESS, campaign(LAGS, setup=Setup(rest=0.05)))
     assert_at_noise(fit)
     message = codes(fit)["strongly_correlated"]
     assert "actuator_lag.time_constant and sensor_lag.time_constant are correlated at -1.000" in message
@@ -439,7 +442,7 @@ def test_lags_of_actuator_and_sensor_are_not_told_apart_by_a_linear_axis():
 
 def test_prior_makes_separable_what_the_data_do_not_separate():
     known = {"sensor_lag.time_constant": Prior(value=0.004, deviation=1e-6)}
-    fit = servolens.fit(LAG_GUESS, campaign(LAGS, rest=0.05), priors=known)
+    fit = servolens.fit(LAG_GUESS, campaign(LAGS, setup=Setup(rest=0.05)), priors=known)
     assert misses(fit, LAGS) == {}
     assert fit.quantities["actuator_lag.time_constant"].stderr < 5e-4 * 0.006
 
@@ -481,7 +484,8 @@ def test_friction_is_found_from_what_is_logged(changes, options, driven):
 def test_arm_in_radians_is_fitted_in_radians():
     arm = Truth(gain=40.0, damping=8.0, effects={"pendulum_gravity": {"amplitude": 30.0, "phase": 0.5}})
     records = [
-        logged(arm, kp, 0.5, reference=(1.0, -0.5), seed=k, length_unit="rad") for k, kp in enumerate((8.0, 16.0))
+        logged(arm, kp, 0.5, reference=(1.0, -0.5), seed=k, setup=Setup(length_unit="rad"))
+        for k, kp in enumerate((8.0, 16.0))
     ]
     fit = servolens.fit([PendulumGravity(amplitude=45.0, phase=0.75)], records)
     assert misses(fit, arm) == {}
@@ -496,7 +500,7 @@ def test_arm_in_radians_is_fitted_in_radians():
 
 
 def test_command_in_amperes_keeps_its_unit():
-    fit = servolens.fit([CoulombFriction(level=0.5)], [logged(STICKY, command_unit="A")])
+    fit = servolens.fit([CoulombFriction(level=0.5)], [logged(STICKY, setup=Setup(command_unit="A"))])
     assert fit.quantities["gain"].unit == "m/s^2/A"
     assert misses(fit, STICKY) == {}
 
@@ -521,7 +525,8 @@ def test_what_was_fitted_is_named():
 def test_compared_voltage_shows_what_a_stiff_loop_hides_in_its_position():
     truth = axis(cogging={"amplitude": 0.25, "pitch": 0.024, "phase": 0.7})
     ramp = 0.15 * np.clip(np.arange(1600) * 1e-3 - 0.1, 0.0, None)
-    records = [logged(truth, 3000.0, 40.0, trajectory=ramp, derivative_filter=0.2)]
+    rig = Setup(controller=Controller(kp=3000.0, kd=40.0, derivative_filter=0.2), trajectory=ramp)
+    records = [logged(truth, setup=rig)]
     guess = [Cogging(amplitude=0.4, pitch=0.024, phase=0.5)]
     fit = servolens.fit(guess, records, compared="voltage")
     assert misses(fit, truth) == {}
@@ -556,7 +561,7 @@ def test_log_that_begins_in_motion_is_fitted_from_its_own_initial_state():
     ids=["filter", "window", "slower loop"],
 )
 def test_history_of_the_controller_is_read_off_the_logged_voltage(controller):
-    record = logged(STICKY, controller=controller).slice(0.05, 0.5)
+    record = logged(STICKY, setup=Setup(controller=controller)).slice(0.05, 0.5)
     without, with_it = controller_voltage(record), controller_voltage(with_history(record))
     np.testing.assert_allclose(with_it, record.voltage, rtol=0, atol=2e-3 * np.abs(without - record.voltage).max())
     assert np.abs(without - record.voltage).max() > 0.1
@@ -565,7 +570,8 @@ def test_history_of_the_controller_is_read_off_the_logged_voltage(controller):
 
 def test_history_adds_to_a_feedforward_and_needs_a_voltage():
     dither = 0.1 * np.sin(np.arange(801))
-    record = logged(STICKY, 60.0, 4.0, feedforward=dither, derivative_filter=0.5).slice(0.05, 0.5)
+    rig = Setup(controller=Controller(kp=60.0, kd=4.0, derivative_filter=0.5), feedforward=dither)
+    record = logged(STICKY, setup=rig).slice(0.05, 0.5)
     np.testing.assert_allclose(controller_voltage(with_history(record)), record.voltage, atol=1e-3)
     silent = record.with_({"voltage": None})
     assert with_history(silent) is silent
@@ -643,7 +649,7 @@ def test_bootstrap_repeats_with_its_seed(friction_fit):
 def test_profile_shows_that_a_limit_never_reached_has_no_upper_end():
     """The voltage is 5 V at most: a limit below is refuted, one above is not."""
     truth = Truth(gain=GAIN, damping=DAMPING, effects={"saturation": {"limit": 5.0}})
-    record = logged(truth, 50.0, rest=0.05)
+    record = logged(truth, 50.0, setup=Setup(rest=0.05))
     fit = servolens.fit([Saturation(limit=6.0)], record)
     low, high = profile(fit, "saturation.limit").interval
     assert high is None

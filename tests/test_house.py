@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "src" / "servolens"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-COMPILED = PACKAGE / "simulation" / "stepping.py"  # numba compiles it whole, for its neighbour: it offers nothing else
 SLOW_TO_IMPORT = ("casadi", "control", "matplotlib", "numba", "pandas", "pint", "scipy")
-LONGEST_MODULE, LONGEST_COMPILED = 450, 500
-LONGEST_FUNCTION = 50
+LONGEST_MODULE, LONGEST_FUNCTION = 450, 50
 
 each_module = pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 
@@ -82,8 +80,6 @@ def test_public_module_has_a_docstring_and_names_what_it_offers(path):
         return
     module = tree(path)
     assert ast.get_docstring(module), "needs a docstring"
-    if path == COMPILED:
-        return
     targets = [t for node in module.body if isinstance(node, ast.Assign | ast.AnnAssign) for t in assigned(node)]
     assert "__all__" in targets, "needs __all__"
 
@@ -96,7 +92,7 @@ def assigned(node: ast.Assign | ast.AnnAssign) -> list[str]:
 @each_module
 def test_module_and_its_functions_are_short(path):
     lines = len(path.read_text(encoding="utf-8").splitlines())
-    assert lines <= (LONGEST_COMPILED if path == COMPILED else LONGEST_MODULE)
+    assert lines <= LONGEST_MODULE
     functions = [node for node in ast.walk(tree(path)) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     assert {f.name: length(f) for f in functions if length(f) > LONGEST_FUNCTION} == {}
 

@@ -29,6 +29,7 @@ from servolens.lab import (
     NLM2,
     NLM3,
     WORLDS,
+    Setup,
     Truth,
     step_record,
     step_records,
@@ -306,14 +307,14 @@ def test_a_shift_of_time_changes_nothing() -> None:
 
 def test_the_voltage_is_reconstructed_where_it_is_not_logged() -> None:
     logged = step_record(NLM1, 60.0, 2.0, noise=1e-5, seed=4)
-    silent = step_record(NLM1, 60.0, 2.0, noise=1e-5, seed=4, log_voltage=False)
+    silent = step_record(NLM1, 60.0, 2.0, noise=1e-5, seed=4, setup=Setup(log_voltage=False))
     one, other = identify(logged), identify(silent)
     np.testing.assert_allclose(other.model.plant.values, one.model.plant.values, rtol=1e-7)
     assert "voltage_reconstructed" in {f.code for f in other.findings}
 
 
 def test_a_rest_before_the_step_and_square_waves_do_not_disturb() -> None:
-    record = step_record(NLM1, 60.0, noise=1e-5, seed=8, rest=0.5, reference=(0.1, 0.0, 0.1))
+    record = step_record(NLM1, 60.0, noise=1e-5, seed=8, reference=(0.1, 0.0, 0.1), setup=Setup(rest=0.5))
     fit = identify(record).velocity
     assert fit is not None
     for value, stderr, true in zip(
@@ -383,7 +384,7 @@ def test_intervals_hold_the_truth_in_every_world(world: str) -> None:
     inside = np.zeros(2)
     for seed in range(31_000, 31_000 + REPEATS):
         around = surroundings(world, seed, rate=rate, damping=LM1.damping)
-        records = [step_record(LM1, 60.0, duration=1.0, surroundings=around, seed=seed)]
+        records = [step_record(LM1, 60.0, duration=1.0, seed=seed, setup=Setup(surroundings=around))]
         found = identify(records, model="constant").model
         inside += np.abs(np.array(found.plant.values) - true) <= 1.959964 * np.sqrt(np.diag(found.covariance))
     assert np.all(inside >= FEWEST)
@@ -395,7 +396,7 @@ def test_intervals_of_the_pieces_hold_a_constant_damping(world: str) -> None:
     for seed in range(32_000, 32_000 + REPEATS):
         around = surroundings(world, seed)
         varying = identify(
-            step_record(LM1, 60.0, duration=1.0, surroundings=around, seed=seed), model="varying"
+            step_record(LM1, 60.0, duration=1.0, seed=seed, setup=Setup(surroundings=around)), model="varying"
         ).varying
         assert varying is not None
         reach = 1.959964 * np.sqrt(np.diag(varying.covariance))
@@ -423,7 +424,7 @@ def test_a_law_that_does_not_explain_the_records_says_so() -> None:
 
 
 def test_figure_and_number_of_the_varying_model_are_of_one_residual() -> None:
-    record = step_record(NLM1, 60.0, noise=1e-5, seed=8, rest=0.3, reference=(0.1, 0.0))
+    record = step_record(NLM1, 60.0, noise=1e-5, seed=8, reference=(0.1, 0.0), setup=Setup(rest=0.3))
     fit = identify(record)
     drawn = varying_position(fit.varying, record) - record.position  # type: ignore[arg-type]  # model="all"
     assert fit.errors["varying"][0].rms_error == pytest.approx(np.sqrt(np.mean(drawn**2)), rel=1e-12)

@@ -64,11 +64,13 @@ def axis(damping=DAMPING, gain=GAIN, **effects):
     return lab.Truth(gain=gain, damping=damping, effects=effects)
 
 
-def driven(truth, volts, **settings):
+def driven(truth, volts, *, start=0.0, length_unit="m", **settings):
     """Log an axis that is driven by the voltage at each sample, without a loop; with its velocity."""
     loop_off = Controller(kp=0.0, derivative="velocity")
-    settings = {"encoder": 0.0, "controller": loop_off, **settings}
-    return lab.step_record(truth, trajectory=np.zeros(len(volts)), feedforward=volts, **settings)
+    rig = lab.Setup(
+        controller=loop_off, trajectory=np.zeros(len(volts)), feedforward=volts, start=start, length_unit=length_unit
+    )
+    return lab.step_record(truth, setup=rig, **{"encoder": 0.0, **settings})
 
 
 def pulses(*levels_and_samples):
@@ -291,7 +293,9 @@ def test_lagged_step_is_the_closed_form_however_short_the_lag(name, lag):
 def test_lag_on_either_side_of_a_linear_plant_gives_the_same_loop():
     # the voltage is held before both: the loop from command to measurement is one and the same
     first, second = (
-        lab.step_record(axis(**{name: {"time_constant": 0.004}}), 60, encoder=0.0, rest=0.01, duration=0.5)
+        lab.step_record(
+            axis(**{name: {"time_constant": 0.004}}), 60, encoder=0.0, duration=0.5, setup=lab.Setup(rest=0.01)
+        )
         for name in ("actuator_lag", "sensor_lag")
     )
     np.testing.assert_allclose(first.position, second.position, rtol=0, atol=1e-9)
@@ -679,7 +683,10 @@ def test_logged_voltage_is_that_of_the_controller_and_the_feedforward(controller
     rng = np.random.default_rng(2)
     reference, extra = 0.05 * np.sin(np.arange(400) / 40), 0.3 * rng.standard_normal(400)
     record = lab.step_record(
-        axis(), controller=controller, trajectory=reference, feedforward=extra, start=0.01, noise=1e-5, seed=1
+        axis(),
+        noise=1e-5,
+        seed=1,
+        setup=lab.Setup(controller=controller, trajectory=reference, feedforward=extra, start=0.01),
     )
     assert record.controller is controller
     assert record.position[0] == pytest.approx(0.01, abs=1e-4)
@@ -691,14 +698,18 @@ def test_logged_voltage_is_that_of_the_controller_and_the_feedforward(controller
 
 def test_logged_velocity_is_that_of_the_load():
     p = {"frequency": 15.0, "damping_ratio": 0.03, "load_ratio": 0.4}
-    record = lab.step_record(axis(flexible_coupling=p), controller=CONTROLLERS["velocity"], encoder=0.0, duration=0.3)
+    record = lab.step_record(
+        axis(flexible_coupling=p), encoder=0.0, duration=0.3, setup=lab.Setup(controller=CONTROLLERS["velocity"])
+    )
     # central difference: h²/6 of the third derivative, here (2π15)² · 1 m/s
     slope = (record.position[2:] - record.position[:-2]) / (2 * H)
     np.testing.assert_allclose(record.velocity[1:-1], slope, rtol=0, atol=H**2 / 6 * (2 * np.pi * 15) ** 2)
 
 
 def test_axis_starts_at_rest_where_it_is_told():
-    record = lab.step_record(axis(**TYPICAL_AT_REST), 60, start=0.03, rest=0.1, reference=0.05, encoder=0.0)
+    record = lab.step_record(
+        axis(**TYPICAL_AT_REST), 60, reference=0.05, encoder=0.0, setup=lab.Setup(start=0.03, rest=0.1)
+    )
     assert np.all(record.position[:100] == 0.03)
     assert np.all(record.reference[:100] == 0.03)
     assert record.position[-1] > 0.04
@@ -711,7 +722,7 @@ TYPICAL_AT_REST = {
 
 
 def test_record_carries_units_and_leaves_out_the_reference():
-    record = lab.step_record(lab.LM1, 60, length_unit="rad", command_unit="A", log_reference=False)
+    record = lab.step_record(lab.LM1, 60, setup=lab.Setup(length_unit="rad", command_unit="A", log_reference=False))
     assert (record.length_unit, record.command_unit, record.reference) == ("rad", "A", None)
     assert record.voltage is not None
 
@@ -730,16 +741,18 @@ def test_numbers_of_numpy_are_as_good_as_plain_ones():
         ({"trajectory": [0.1]}, "trajectory must have at least 2 samples, got 1"),
         ({"trajectory": [[0.1, 0.1]]}, r"trajectory must be a finite number at each sample, got an array of shape"),
         ({"trajectory": [0.1, np.nan]}, "trajectory must be a finite number"),
+        ({"voltage_limit": 0.0}, "voltage_limit must be positive"),
+        ({"rest": -0.1}, "rest must be at least 0"),
         ({"feedforward": [0.1]}, "feedforward has 1 samples, the reference has 1501"),
         ({"start": np.inf}, "start must be finite"),
         ({"log_reference": False, "log_voltage": False}, "log_reference and log_voltage are both False"),
         ({"controller": Controller(kp=60, control_period=0.0025)}, "period must be a whole multiple"),
     ],
-    ids=["one sample", "two dimensions", "not finite", "other length", "start", "nothing logged", "period"],
+    ids=["one sample", "two dimensions", "not finite", "limit", "rest", "other length", "start", "nothing", "period"],
 )
-def test_impossible_bench_is_refused(settings, sentence):
+def test_impossible_setup_is_refused(settings, sentence):
     with pytest.raises(InputError, match=sentence):
-        lab.step_record(lab.LM1, 60, **settings)
+        lab.step_record(lab.LM1, 60, setup=lab.Setup(**settings))
 
 
 @pytest.mark.parametrize(

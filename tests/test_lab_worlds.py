@@ -42,7 +42,8 @@ def test_the_same_seed_gives_the_same_surroundings_and_another_other_ones(world)
 def test_records_can_be_made_again_and_keep_their_reference(world):
     around = lab.surroundings(world, 4, **LOOP)
     one, again, other = (
-        lab.step_record(lab.NLM3, 60, duration=0.3, surroundings=around, seed=seed) for seed in (1, 1, 2)
+        lab.step_record(lab.NLM3, 60, duration=0.3, seed=seed, setup=lab.Setup(surroundings=around))
+        for seed in (1, 1, 2)
     )
     np.testing.assert_array_equal(one.position, again.position)
     np.testing.assert_array_equal(one.time, again.time)
@@ -96,7 +97,7 @@ def test_coarse_encoders_round_by_far_more_than_their_noise(seed):
     around = lab.surroundings("coarse", seed, travel=0.1)
     assert 5e-6 <= around.encoder <= 4e-5
     assert 10 <= around.encoder / around.noise.deviation <= 30
-    record = lab.step_record(lab.NLM3, 60, surroundings=around, seed=1, duration=0.5)
+    record = lab.step_record(lab.NLM3, 60, seed=1, duration=0.5, setup=lab.Setup(surroundings=around))
     counts = record.position / around.encoder
     np.testing.assert_allclose(counts, np.rint(counts), rtol=0, atol=1e-6)
 
@@ -105,8 +106,8 @@ def test_coarse_encoders_round_by_far_more_than_their_noise(seed):
 def test_jittered_samples_are_taken_at_their_own_instants(stated):
     jitter = lab.Jitter(share=0.05, stated=stated)
     around = lab.Surroundings(encoder=0.0, jitter=jitter)
-    record = lab.step_record(lab.LM1, kp=0.0, kd=0.0, feedforward=np.full(1001, 3.0), trajectory=np.zeros(1001),
-                             surroundings=around, seed=3)  # fmt: skip
+    setup = lab.Setup(feedforward=np.full(1001, 3.0), trajectory=np.zeros(1001), surroundings=around)
+    record = lab.step_record(lab.LM1, kp=0.0, kd=0.0, seed=3, setup=setup)
     nominal = np.arange(1001) * H
     instants = around.drawn(nominal, np.random.default_rng(3)).instants
     assert np.std(instants - nominal) == pytest.approx(0.05 * H, rel=4 / np.sqrt(2 * 1001))
@@ -121,7 +122,7 @@ def test_voltage_is_held_from_one_jittered_instant_to_the_next():
     around = lab.Surroundings(encoder=0.0, jitter=lab.Jitter(share=0.05))
     delay = {"delay": {"time": 0.0024}}
     axis = lab.Truth(gain=1.9, damping=6.0, effects=delay)
-    record = lab.step_record(axis, 60, 2, surroundings=around, seed=3, duration=0.3)
+    record = lab.step_record(axis, 60, 2, seed=3, duration=0.3, setup=lab.Setup(surroundings=around))
     x = v = 0.0
     edges = np.sort(np.concatenate([record.time, record.time + 0.0024]))
     edges = edges[edges <= record.time[-1]]
@@ -148,7 +149,7 @@ def test_shaking_has_its_size_and_its_correlation_time():
 
 def test_shaking_moves_the_axis_as_an_integration_of_its_own_says():
     around = lab.Surroundings(encoder=0.0, shaking=lab.Shaking(deviation=0.5, correlation_time=0.05))
-    record = lab.step_record(lab.LM1, 60, surroundings=around, seed=2, duration=0.4)
+    record = lab.step_record(lab.LM1, 60, seed=2, duration=0.4, setup=lab.Setup(surroundings=around))
     push = around.drawn(record.time, np.random.default_rng(2)).shaking
     c, x, v, expected = lab.LM1.damping, 0.0, 0.0, []
     for k in range(len(record)):
@@ -170,7 +171,7 @@ def test_shaking_breaks_a_resting_axis_away_only_beyond_its_friction():
 
     def travel(deviation):
         around = lab.Surroundings(encoder=0.0, shaking=lab.Shaking(deviation=deviation, correlation_time=0.05))
-        record = lab.step_record(sticky, 60, reference=0.0, surroundings=around, seed=2, duration=1.0)
+        record = lab.step_record(sticky, 60, reference=0.0, seed=2, duration=1.0, setup=lab.Setup(surroundings=around))
         return np.abs(record.position).max()
 
     assert travel(0.01) == 0.0
@@ -183,7 +184,9 @@ def test_position_error_of_a_shaken_loop_is_the_one_foretold(correlation_time):
     shaking = lab.Shaking(deviation=0.2, correlation_time=correlation_time)
     around = lab.Surroundings(encoder=0.0, shaking=shaking)
     axis = lab.Truth(gain=gain, damping=damping)
-    records = lab.step_records(axis, kp, repeats=40, reference=0.0, duration=4.0, surroundings=around, seed=1)
+    records = lab.step_records(
+        axis, kp, repeats=40, reference=0.0, duration=4.0, seed=1, setup=lab.Setup(surroundings=around)
+    )
     late = np.array([record.position[1000:] for record in records])
     foretold = shaking.position_error(np.sqrt(gain * kp), damping)
     # 40 runs of 3 s, each some 18 independent pieces, are known to 2.6 %, taken four times
@@ -203,7 +206,7 @@ def test_shaken_worlds_err_by_three_to_twenty_times_the_noise():
 @pytest.mark.parametrize("world", ["shaken", "coloured", "jittered"])
 def test_many_runs_at_once_are_the_runs_one_by_one(world):
     around = lab.surroundings(world, 3, **LOOP)
-    settings = {"duration": 0.2, "surroundings": around}
+    settings = {"duration": 0.2, "setup": lab.Setup(surroundings=around)}
     together = lab.step_records(lab.NLM1, 60, 1, repeats=3, seed=4, **settings)
     for record, stream in zip(together, np.random.default_rng(4).spawn(3), strict=True):
         alone = lab.step_record(lab.NLM1, 60, 1, seed=stream, **settings)
@@ -259,7 +262,7 @@ def test_an_effect_is_as_visible_in_its_world_as_asked(world):
         (lambda: lab.Jitter(share=0.5), "share must lie between 0 and 0.2, got 0.5"),
         (lambda: lab.Surroundings(repeats=0), "repeats must be at least 1, got 0"),
         (
-            lambda: lab.step_record(lab.LM1, 60, surroundings=lab.surroundings("shaken", 1)),
+            lambda: lab.step_record(lab.LM1, 60, setup=lab.Setup(surroundings=lab.surroundings("shaken", 1))),
             "noise needs a seed",
         ),
     ],

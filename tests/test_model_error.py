@@ -24,7 +24,7 @@ NOISE = 1e-6
 def steps(effects, gains=((60, 0.0), (100, 2.0)), noise=NOISE, **options):
     truth = lab.Truth(gain=GAIN, damping=DAMPING, effects=effects)
     return [
-        lab.step_record(truth, kp, kd, noise=noise, encoder=0.0, seed=i, rest=0.2, **options)
+        lab.step_record(truth, kp, kd, noise=noise, encoder=0.0, seed=i, setup=lab.Setup(rest=0.2), **options)
         for i, (kp, kd) in enumerate(gains)
     ]
 

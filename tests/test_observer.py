@@ -92,7 +92,7 @@ def unstated(seed):
         if not jitter.stated:
             truth = lab.Truth(gain=2.0, damping=8.0, effects={})
             around = lab.surroundings("jittered", s)
-            runs = [lab.step_record(truth, kp=kp, surroundings=around, seed=s + kp) for kp in (40, 90)]
+            runs = [lab.step_record(truth, kp=kp, seed=s + kp, setup=lab.Setup(surroundings=around)) for kp in (40, 90)]
             return runs, jitter.share * runs[0].sample_time
     raise AssertionError("the laboratory always states its jitter")
 
@@ -109,7 +109,7 @@ def test_jitter_is_measured_where_it_is_not_stated(seed):
 def test_friction_of_a_shaken_axis_is_fitted_beside_what_shakes_it():
     truth = lab.Truth(gain=2.0, damping=8.0, effects={"coulomb_friction": {"level": 0.3}})
     around = lab.surroundings("shaken", 7301, rate=11.0, damping=12.0)
-    runs = [lab.step_record(truth, kp=kp, surroundings=around, seed=kp) for kp in (40, 90)]
+    runs = [lab.step_record(truth, kp=kp, seed=kp, setup=lab.Setup(surroundings=around)) for kp in (40, 90)]
     fit = servolens.fit([CoulombFriction(level=0.4)], runs)
     assert fit.driven == "voltage"
     assert fit.noise_model.rate > 0.0

@@ -412,7 +412,7 @@ def test_knocks_and_trajectories_are_no_jumps():
 
     assert not {"position_jumps", "position_spikes"} & set(codes(simulated(force=knocks, noise=1e-5)))
     way = 0.1 * np.sin(40.0 * np.arange(3000) * 1e-3)
-    assert codes(lab.step_record(lab.NLM2, 60, 2, trajectory=way, noise=1e-5, seed=1)) == []
+    assert codes(lab.step_record(lab.NLM2, 60, 2, noise=1e-5, seed=1, setup=lab.Setup(trajectory=way))) == []
 
 
 @pytest.mark.parametrize(
@@ -490,10 +490,11 @@ def test_position_of_the_wrong_sign_is_said():
 )
 def test_weight_is_no_wrong_sign(weight, gain, trajectory):
     truth = lab.Truth(gain=gain, damping=6.0, effects=weight)
-    way = {"trajectory": 0.7 + 0.4 * np.sin(2e-3 * np.arange(2000)), "sample_time": 2e-3} if trajectory else {}
-    steps = {} if trajectory else {"reference": (0.5, -0.3, 0.4), "duration": 0.8}
+    way = 0.7 + 0.4 * np.sin(2e-3 * np.arange(2000)) if trajectory else None
+    steps = {"sample_time": 2e-3} if trajectory else {"reference": (0.5, -0.3, 0.4), "duration": 0.8}
+    setup = lab.Setup(length_unit="rad", trajectory=way)
     for kp, kd in ((15, 0), (60, 3)):
-        record = lab.step_record(truth, kp, kd, length_unit="rad", noise=1e-5, seed=2, **way, **steps)
+        record = lab.step_record(truth, kp, kd, noise=1e-5, seed=2, setup=setup, **steps)
         offset = record.with_({"voltage": record.voltage - 0.5, "reference": None, "controller": None})
         for log in (record, record.with_({"voltage": None}), record.with_({"reference": None}), offset):
             assert not {"wrong_sign", "units_contradict"} & set(codes(log))
@@ -502,9 +503,10 @@ def test_weight_is_no_wrong_sign(weight, gain, trajectory):
 @pytest.mark.parametrize("trajectory", [True, False])
 def test_wrong_sign_under_a_weight_is_said_without_a_reference(trajectory):
     truth = lab.Truth(gain=8.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 20.0, "phase": 0.5}})
-    way = {"trajectory": 0.7 + 0.4 * np.sign(np.sin(8e-3 * np.arange(2000)))} if trajectory else {}
+    way = 0.7 + 0.4 * np.sign(np.sin(8e-3 * np.arange(2000))) if trajectory else None
     steps = {} if trajectory else {"reference": (0.5, -0.3, 0.4), "duration": 0.8}
-    record = lab.step_record(truth, 30, 1, length_unit="rad", noise=1e-5, seed=2, **way, **steps)
+    setup = lab.Setup(length_unit="rad", trajectory=way)
+    record = lab.step_record(truth, 30, 1, noise=1e-5, seed=2, setup=setup, **steps)
     flipped = record.with_({"voltage": -record.voltage, "reference": None, "controller": None})
     assert [finding.code for finding in fatal(check(flipped))] == ["wrong_sign"]
 
@@ -643,7 +645,7 @@ def test_shift_of_the_first_step_alone_is_seen():
 
 
 def test_shift_after_a_rest_is_said_once_and_in_samples():
-    late = logged_late(staircase(150, 2, rest=0.1), "reference", 15)
+    late = logged_late(staircase(150, 2, setup=lab.Setup(rest=0.1)), "reference", 15)
     found = [finding for finding in check(late) if finding.code == "reference_shifted"]
     assert len(found) == 1
     assert "15 samples late" in found[0].message
@@ -652,7 +654,7 @@ def test_shift_after_a_rest_is_said_once_and_in_samples():
 @pytest.mark.parametrize("column", ["position", "reference", "voltage"])
 def test_shift_is_found_in_a_long_record(column):
     levels = tuple(0.1 * (-1.0) ** k for k in range(50))
-    record = staircase(60, 3, reference=levels, derivative_filter=0.3)
+    record = staircase(reference=levels, setup=lab.Setup(controller=Controller(kp=60, kd=3, derivative_filter=0.3)))
     assert len(record) > 25_000
     assert codes(record) == []
     assert codes(logged_late(record, column, 3)) == [f"{column}_shifted"]
@@ -708,7 +710,7 @@ SETTINGS = [
 @pytest.mark.parametrize(("true", "stated", "said"), SETTINGS, ids=str)
 @pytest.mark.parametrize("rounding", [0.0, 1e-3])
 def test_setting_that_the_log_fits_is_named(true, stated, said, rounding):
-    record = staircase(controller=Controller(kp=60, kd=4, **true))
+    record = staircase(setup=lab.Setup(controller=Controller(kp=60, kd=4, **true)))
     if rounding:
         record = record.with_({"voltage": np.round(record.voltage / rounding) * rounding})
     assert not {"settings_contradict_log", "gains_contradict_log"} & set(codes(record))
@@ -728,7 +730,7 @@ def test_setting_is_named_whatever_noise_the_sensor_has(colour):
 
 
 def test_setting_and_gains_that_are_both_wrong_are_both_said():
-    record = staircase(controller=Controller(kp=60, kd=4, derivative_filter=0.3, derivative_window=2))
+    record = staircase(setup=lab.Setup(controller=Controller(kp=60, kd=4, derivative_filter=0.3, derivative_window=2)))
     setting, gains = check(record.with_({"controller": Controller(kp=66, kd=4)}))
     assert setting.message.startswith("the log fits derivative_window = 2, derivative_filter = 0.3, not 1, 1 ")
     assert gains.message.startswith("the logged voltage fits kp = 60, kd = 4, not kp = 66, kd = 4;")
@@ -793,7 +795,7 @@ def test_plateau_below_the_largest_value_is_a_limit():
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 @pytest.mark.parametrize(("kp", "kd"), [(60, 0), (100, 1), (100, 4)])
 def test_stated_limit_is_believed(kp, kd, noise):
-    record = staircase(kp, kd, voltage_limit=4.0)
+    record = staircase(kp, kd, setup=lab.Setup(voltage_limit=4.0))
     given = np.clip(record.voltage, -4.0, 4.0) + noise * np.random.default_rng(2).standard_normal(len(record))
     assert codes(record.with_({"voltage": given})) == []
     assert codes(record) == ["voltage_beyond_limit"]

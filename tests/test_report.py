@@ -140,7 +140,7 @@ def test_settling_times_mark_a_broken_spec_with_a_cross():
 
 def test_magnified_step_shows_the_surroundings_of_the_band():
     line = curve("step", [0, 1], [0, 0.1], "velocity")
-    ax = plot_step_responses([line], reference=0.1, band=0.01, settling_time=0.5, zoom=(0.2, 1.0))
+    ax = plot_step_responses([line], PDSpec(kp=100, settling_time=0.5), zoom=(0.2, 1.0))
     assert ax.get_xlim() == (0.2, 1.0)
     low, high = ax.get_ylim()
     assert low < 0.099 < 0.101 < high

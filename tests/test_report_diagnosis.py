@@ -41,7 +41,9 @@ CART = {"gain": 1.9, "damping": 6.0}
 def steps(effects, gains):
     cart = lab.Truth(**CART, effects=effects)
     return [
-        lab.step_record(cart, kp=kp, reference=[0.1, 0.0], duration=0.7, noise=1e-5, seed=kp, name=f"kp {kp}")
+        lab.step_record(
+            cart, kp=kp, reference=[0.1, 0.0], duration=0.7, noise=1e-5, seed=kp, setup=lab.Setup(name=f"kp {kp}")
+        )
         for kp in gains
     ]
 

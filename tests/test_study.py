@@ -186,13 +186,13 @@ def test_nothing_is_found_where_every_record_stands_still():
 
 
 def test_limit_of_the_amplifier_that_the_records_state_is_part_of_the_design():
-    records = steps(CART, 60, 80, voltage_limit=4.0)
+    records = steps(CART, 60, 80, setup=lab.Setup(voltage_limit=4.0))
     found = study_records(records, SPEC, effort="quick")
     assert found.model.plant.effect("saturation") == Saturation(limit=4.0)
     assert len(found.model.covariance) == len(found.model.plant.values)
     assert found.design.kd is not None
     kd = found.design.recommended.kd
-    assert on_the_truth(CART, SPEC, kd, voltage_limit=4.0) <= 0.5
+    assert on_the_truth(CART, SPEC, kd, setup=lab.Setup(voltage_limit=4.0)) <= 0.5
 
 
 def test_healthy_axis_is_designed_on_gain_and_damping():
@@ -218,7 +218,10 @@ def test_unknown_requests_are_refused_before_any_work(cart):
 def test_missing_fields_of_the_spec_are_those_of_the_fastest_loop():
     slow = lab.step_record(CART, 40, reference=0.12, sample_time=1e-3)
     fast = lab.step_record(
-        CART, controller=Controller(kp=60.0, kd=1.0, derivative_filter=0.5), reference=0.1, sample_time=2e-3
+        CART,
+        reference=0.1,
+        sample_time=2e-3,
+        setup=lab.Setup(controller=Controller(kp=60.0, kd=1.0, derivative_filter=0.5)),
     )
     spec = completed_spec([slow, fast], {"settling_time": 0.7})
     assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.12)

@@ -99,9 +99,8 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
     motor, load = _motor(own, own.symbols[0], own.symbols[1], command, velocity)
     forces, external = _forces(own)
     motor -= forces
-    own.axis = axis._replace(load=load + external)
-    level = sum((own.value(cls) for cls in own.of(DryFriction)), start=ca.SX(0))
-    own.axis = axis
+    loaded = axis._replace(load=load + external)
+    level = sum((own.value(cls, axis=loaded) for cls in own.of(DryFriction)), start=ca.SX(0))
     output, output_velocity, share = position, velocity, ca.SX(0)
     for cls in own.of(Transmission):
         share = cls.share(own.parameters[cls])  # type: ignore[attr-defined]  # by its kind
@@ -109,13 +108,11 @@ def dynamics(structure: tuple[type[Effect], ...]) -> Dynamics:
         own.remember(cls)
         own.beginning[cls] = (position, velocity)
         output, output_velocity = own.state(cls, "position"), own.state(cls, "velocity")
-    shown = output
-    own.axis = axis._replace(position=output, velocity=output_velocity)
+    shown, seen = output, axis._replace(position=output, velocity=output_velocity)
     for cls in own.of(Sensor):
-        own.remember(cls, shown)
-        shown = own.value(cls, shown)
-        own.axis = own.axis._replace(velocity=own.slope(shown, output, output_velocity))
-    own.axis = axis
+        own.remember(cls, shown, axis=seen)
+        shown = own.value(cls, shown, axis=seen)
+        seen = seen._replace(velocity=own.slope(shown, output, output_velocity))
     rates = own.all_rates()
     return Dynamics(
         position=position,
@@ -209,13 +206,14 @@ class _Symbols:
     def state(self, cls: type[Effect], name: str) -> Any:
         return self._named[cls, name]
 
-    def value(self, cls: type[Effect], *taken: Any) -> Any:
-        return self._call(cls, "physics", *taken)
+    def value(self, cls: type[Effect], *taken: Any, axis: Axis | None = None) -> Any:
+        """Return the physics of `cls`; `axis` is whose motion it acts on, if that is not the motor's."""
+        return self._call(cls, "physics", axis or self.axis, *taken)
 
-    def remember(self, cls: type[Effect], *taken: Any) -> None:
+    def remember(self, cls: type[Effect], *taken: Any, axis: Axis | None = None) -> None:
         """Note the rates of the states of `cls`, if it has any."""
         if cls.states:
-            self.rates[cls] = tuple(self._call(cls, "rates", *taken))
+            self.rates[cls] = tuple(self._call(cls, "rates", axis or self.axis, *taken))
 
     def slope(self, value: Any, position: Any, velocity: Any) -> Any:
         """Return the time derivative of `value`, a function of `position` and of states whose rates are noted."""
@@ -230,8 +228,8 @@ class _Symbols:
         at_rest = [self.beginning.get(cls, (0.0,) * len(cls.states)) for cls in self.structure]
         return ca.vertcat(*(ca.SX(value) for values in at_rest for value in values))
 
-    def _call(self, cls: type[Effect], what: str, *taken: Any) -> Any:
+    def _call(self, cls: type[Effect], what: str, axis: Axis, *taken: Any) -> Any:
         names = [state.name for state in cls.states]
-        axis = self.axis._replace(state=SimpleNamespace(**{name: self._named[cls, name] for name in names}))
+        axis = axis._replace(state=SimpleNamespace(**{name: self._named[cls, name] for name in names}))
         function: Callable[..., Any] = getattr(cls, what)
         return function(*taken, axis, self.parameters[cls])

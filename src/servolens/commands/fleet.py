@@ -5,8 +5,10 @@ from __future__ import annotations
 import signal
 import threading
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, fields
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, final
 
 import click
 
@@ -21,6 +23,7 @@ from servolens.commands.options import (
     prior_option,
     recordings,
     specification,
+    stacked,
 )
 from servolens.commands.terminal import progress_bar, show
 from servolens.results import STANDARD_OUTPUT, write_json
@@ -28,9 +31,70 @@ from servolens.results import STANDARD_OUTPUT, write_json
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from servolens.commands.options import Command
     from servolens.fleet import Request
 
 __all__ = ["fleet"]
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Means:
+    """What a fleet may use, and how its table is written.
+
+    Attributes
+    ----------
+    cores : int, optional
+        Processors; all when None.
+    dask : str, optional
+        Address of a Dask scheduler.
+    time_limit, memory_limit : float
+        Of one axis [s], [MiB].
+    retry, plain : bool
+        Whether failed axes are studied again, whether the table is CSV.
+    """
+
+    cores: int | None
+    dask: str | None
+    time_limit: float
+    memory_limit: float
+    retry: bool
+    plain: bool
+
+
+MEANS = (
+    click.option("--cores", type=click.IntRange(min=1), metavar="N", help="Processors to use.  [default: all]"),
+    click.option("--dask", metavar="ADDRESS", help="Study the axes on the Dask cluster with this scheduler."),
+    click.option(
+        "--time-limit",
+        type=finite,
+        metavar="NUMBER",
+        default=3600,
+        show_default=True,
+        help="Longest time for one axis [s].",
+    ),
+    click.option(
+        "--memory-limit",
+        type=finite,
+        metavar="NUMBER",
+        default=4096,
+        show_default=True,
+        help="Largest memory of one axis [MiB].",
+    ),
+    click.option("--retry", is_flag=True, help="Study axes again that failed."),
+    click.option("--csv", "plain", is_flag=True, help="Write the table as CSV even if Parquet is possible."),
+)
+
+
+def _means(command: Command) -> Command:
+    """Give a command these options, as one ``means``."""
+
+    @wraps(command)
+    def run(**options: Any) -> int:
+        chosen = Means(**{field.name: options.pop(field.name) for field in fields(Means)})
+        return command(means=chosen, **options)
+
+    return stacked(run, MEANS)
 
 
 @click.command(cls=Documented, epilog="servolens fleet axes --out results --settling-time 0.5")
@@ -39,25 +103,15 @@ __all__ = ["fleet"]
 @prior_option
 @effort_option
 @click.option("--out", required=True, metavar="FOLDER", help="Results; created if needed. Finished axes are kept.")
-@click.option("--cores", type=click.IntRange(min=1), metavar="N", help="Processors to use.  [default: all]")
-@click.option("--dask", metavar="ADDRESS", help="Study the axes on the Dask cluster with this scheduler.")
-@click.option("--time-limit", type=finite, default=3600, show_default=True, help="Longest time for one axis [s].")
-@click.option("--memory-limit", type=finite, default=4096, show_default=True, help="Largest memory of one axis [MiB].")
-@click.option("--retry", is_flag=True, help="Study axes again that failed.")
-@click.option("--csv", "plain", is_flag=True, help="Write the table as CSV even if Parquet is possible.")
+@_means
 @json_option
-def fleet(  # noqa: PLR0913 - a command's options
+def fleet(
     recordings: Recordings,
     spec: SpecOptions,
     priors: tuple[tuple[str, float, float], ...],
     effort: str,
     out: str,
-    cores: int | None,
-    dask: str | None,
-    time_limit: float,
-    memory_limit: float,
-    retry: bool,
-    plain: bool,
+    means: Means,
     json_file: str | None,
 ) -> int:
     """Study every axis of a folder, each as `servolens tune` does.
@@ -67,7 +121,7 @@ def fleet(  # noqa: PLR0913 - a command's options
     on after an interruption. Without --settling-time each axis gets a specification that suits its records. Exit
     status 1 if an axis could not be studied.
     """
-    if cores and dask:
+    if means.cores and means.dask:
         raise click.UsageError("--cores is for this machine; give --cores or --dask")
     if spec.given and "settling_time" not in spec.given:
         raise click.UsageError(f"--{next(iter(spec.given)).replace('_', '-')} needs --settling-time")
@@ -75,11 +129,13 @@ def fleet(  # noqa: PLR0913 - a command's options
     from servolens.fleet import dask_executor, run_fleet
     from servolens.summaries import fleet_summary
 
-    request = _request(recordings, spec, priors, effort=effort, time_limit=time_limit, memory_limit=memory_limit)
-    with progress_bar() as progress, _ended_gently(), dask_executor(dask) if dask else nullcontext() as executor:
+    limits = {"time_limit": means.time_limit, "memory_limit": means.memory_limit}
+    request = _request(recordings, spec, priors, effort=effort, **limits)
+    cluster = dask_executor(means.dask) if means.dask else nullcontext()
+    with progress_bar() as progress, _ended_gently(), cluster as executor:
         found = run_fleet(
-            recordings.paths[0], out, request, executor=executor, cores=cores, retry=retry, plain_table=plain,
-            progress=progress,
+            recordings.paths[0], out, request, executor=executor, cores=means.cores, retry=means.retry,
+            plain_table=means.plain, progress=progress,
         )  # fmt: skip
     body = found.to_json()
     if json_file:

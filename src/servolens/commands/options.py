@@ -32,6 +32,7 @@ __all__ = [
     "references_option",
     "several_gains",
     "specification",
+    "stacked",
 ]
 
 SPEC_FIELDS = (
@@ -201,7 +202,7 @@ def recordings(
             )
             return command(recordings=chosen, **options)
 
-        return _stacked(run, decorators)
+        return stacked(run, decorators)
 
     return decorate
 
@@ -250,7 +251,7 @@ def specification(
                 spec=SpecOptions(given={name: value for name, value in given.items() if value is not None}), **options
             )
 
-        return _stacked(run, decorators)
+        return stacked(run, decorators)
 
     return decorate
 
@@ -290,7 +291,7 @@ def several_gains() -> Callable[[Command], Command]:
                 raise click.UsageError(f"--{option} is for free gains; add --free kp kd or --objective")
             return command(wishes=given or None, **options)
 
-        return _stacked(run, decorators)
+        return stacked(run, decorators)
 
     return decorate
 
@@ -427,7 +428,8 @@ def _once(pairs: tuple[tuple[str, str], ...], option: str) -> dict[str, str]:
     return mapping
 
 
-def _stacked(command: Command, decorators: tuple[Callable[[Command], Command], ...]) -> Command:
+def stacked(command: Command, decorators: tuple[Callable[[Command], Command], ...]) -> Command:
+    """Give a command several options, the first of them first in its help."""
     for decorator in reversed(decorators):
         command = decorator(command)
     return command

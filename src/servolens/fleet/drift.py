@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
 
@@ -156,39 +156,47 @@ def trend(time: Values, value: Values, error: Values) -> Trend:
     if not variance.any():
         variance = np.ones_like(y)  # no errors known and all on one line
     weight = 1.0 / np.maximum(variance, np.finfo(float).tiny)
-    slope, middle, spread, excess = _line(time, y, weight)
+    line = _line(time, y, weight)
     freedom = len(y) - 2
-    stderr = math.sqrt(max(excess / freedom, 1.0 if error.any() else 0.0) / spread)
-    p = 2.0 * float(student.sf(abs(slope) / stderr, freedom)) if stderr > 0 else float(slope == 0)
+    stderr = math.sqrt(max(line.excess / freedom, 1.0 if error.any() else 0.0) / line.spread)
+    p = 2.0 * float(student.sf(abs(line.slope) / stderr, freedom)) if stderr > 0 else float(line.slope == 0)
     return Trend(
-        slope=slope * unit, stderr=stderr * unit, level=middle * unit + float(value.mean()),
+        slope=line.slope * unit, stderr=stderr * unit, level=line.level * unit + float(value.mean()),
         scatter=math.sqrt(scatter) * unit, p=p,
     )  # fmt: skip
 
 
-def _line(time: Values, y: Values, weight: Values) -> tuple[float, float, float, float]:
-    """Return slope, value at the mean time, the weighted spread of the times, and the weighted sum of squares."""
+class _Line(NamedTuple):
+    """A line through weighted points: its value at the mean time, the weighted sums of squares of times and errors."""
+
+    slope: float
+    level: float
+    spread: float
+    excess: float
+
+
+def _line(time: Values, y: Values, weight: Values) -> _Line:
     centre = float(np.average(time, weights=weight))
     spread = float(np.sum(weight * (time - centre) ** 2))
     middle = float(np.average(y, weights=weight))
     slope = float(np.sum(weight * (time - centre) * y)) / spread
     rest = y - middle - slope * (time - centre)
     at_mean = middle + slope * (float(time.mean()) - centre)
-    return slope, at_mean, spread, float(np.sum(weight * rest**2))
+    return _Line(slope=slope, level=at_mean, spread=spread, excess=float(np.sum(weight * rest**2)))
 
 
 def _scatter(time: Values, y: Values, error: Values) -> float:
     """Return the variance beyond the error bars with which the weighted sum of squares is what it should be."""
     freedom = len(y) - 2
-    plain = _line(time, y, np.ones_like(y))[3] / freedom
+    plain = _line(time, y, np.ones_like(y)).excess / freedom
     if not np.all(error > 0):
         return plain
-    if _line(time, y, 1.0 / error**2)[3] <= freedom:
+    if _line(time, y, 1.0 / error**2).excess <= freedom:
         return 0.0
     low, high = 0.0, 10.0 * plain + float(np.max(error)) ** 2
     for _ in range(ITERATIONS):
         middle = 0.5 * (low + high)
-        if _line(time, y, 1.0 / (error**2 + middle))[3] > freedom:
+        if _line(time, y, 1.0 / (error**2 + middle)).excess > freedom:
             low = middle
         else:
             high = middle

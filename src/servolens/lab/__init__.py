@@ -9,7 +9,7 @@ simulator of servolens, so that agreement of the two means something. Used by th
 ('kp 60, kd 0', 1501)
 """
 
-from servolens.lab.bench import step_record, step_records
+from servolens.lab.bench import Setup, step_record, step_records
 from servolens.lab.campaigns import TABLE_ONE_GAINS, paper_campaign, table_one
 from servolens.lab.disturbances import Jitter, SensorNoise, Shaking, Surroundings
 from servolens.lab.foreign import FOREIGN
@@ -30,6 +30,7 @@ __all__ = [
     "HiddenCampaign",
     "Jitter",
     "SensorNoise",
+    "Setup",
     "Shaking",
     "Surroundings",
     "Truth",

@@ -138,19 +138,9 @@ def steps_figure(key: str, models: Sequence[Column], caption: str) -> Drawing:
     figures, axes = [], []
     for zoom, title in ((None, titles[0]), (window, titles[1])):
         figure, ax = panel_figure(3.0, HALF_WIDTH, 0.75)
-        axes.append(
-            plot_step_responses(
-                curves,
-                reference=spec.reference,
-                band=spec.band,
-                settling_time=spec.settling_time,
-                length_unit=best.plant.length_unit,
-                zoom=zoom,
-                title=title,
-                legend=False,
-                ax=ax,
-            )
-        )
+        plot_step_responses(curves, spec, length_unit=best.plant.length_unit, zoom=zoom, legend=False, ax=ax)
+        ax.set_title(title)
+        axes.append(ax)
         figures.append(figure)
     return drawing(key, figures, caption, legend=keys_of(axes[0]))
 

@@ -74,11 +74,8 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     figures, (left, right) = zip(*(panel_figure(3.3, HALF_WIDTH, 0.75) for _ in range(2)), strict=True)
     plot_step_responses(
         [stepped],
-        reference=spec.reference,
-        band=spec.band,
-        settling_time=spec.settling_time,
+        spec,
         length_unit=plant.length_unit,
-        title="The step",
         legend=False,
         spread=_step_spread(scenarios, spec, shown),
         ax=left,
@@ -93,9 +90,10 @@ def playground(key: str, model: Model, design: Design) -> Playground:
         spread=_settling_spread(scenarios, spec, np.linspace(0.0, last, COARSE_GAINS), top),
         legend=False,
         top=top,
-        title="Settling time, its cliffs and its spread",
         ax=right,
     )
+    left.set_title("The step")
+    right.set_title("Settling time, its cliffs and its spread")
     right.set_xlim(0.0, last)
     caption = _caption(design, plant, shown)
     structures = {plant.structure: "nominal"}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from servolens.design import GainMap
+    from servolens.design import GainMap, PDSpec
     from servolens.report.curves import Curve, Role
 
 
@@ -58,7 +58,6 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
     spread: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
     legend: bool = True,
     top: float | None = None,
-    title: str = "",
     ax: Axes | None = None,
 ) -> Axes:
     """Draw settling time against a gain.
@@ -81,8 +80,6 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
         Whether to name lines and marks.
     top : float, optional
         Upper end of the axis [s].
-    title : str
-        Above the axes.
     ax : Axes, optional
         Where; a new figure when None.
     """
@@ -99,7 +96,7 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
         drawn[0].set_gid(f"live-settling-{line.role}")
     for mark in marks:
         _draw_mark(ax, mark, meets=mark.settling_time <= limit * (1 + 1e-9))
-    ax.set(xlabel=gain, ylabel="Settling time [s]", title=title)
+    ax.set(xlabel=gain, ylabel="Settling time [s]")
     ax.set_ylim(0.0, top)
     ax.margins(x=0.0)
     if curves:
@@ -135,15 +132,12 @@ def _draw_mark(ax: Axes, mark: Mark, *, meets: bool) -> None:
 
 
 @styled
-def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
+def plot_step_responses(
     curves: Sequence[Curve],
+    spec: PDSpec,
     *,
-    reference: float,
-    band: float,
-    settling_time: float,
     length_unit: str = "m",
     zoom: tuple[float, float] | None = None,
-    title: str = "",
     legend: bool = True,
     spread: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None,
     ax: Axes | None = None,
@@ -154,16 +148,12 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
     ----------
     curves : sequence of Curve
         Time and position.
-    reference, band : float
-        Step [m or rad] and half width of the band as a fraction of it.
-    settling_time : float
-        From when on the band holds [s].
+    spec : PDSpec
+        Gives the step, the band, and from when on it holds.
     length_unit : str
         Of the axis.
     zoom : (float, float), optional
         Times [s] between which only the surroundings of the band are shown; everything when None.
-    title : str
-        Above the axes.
     legend : bool
         Whether to name the curves.
     spread : tuple of ndarray, optional
@@ -172,9 +162,10 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
         Where; a new figure when None.
     """
     ax = axes_of(ax, 3.3)
+    reference, band = spec.reference, spec.band
     low, high = reference * (1 - band), reference * (1 + band)
     ax.axhspan(low, high, color="#009E73", alpha=0.16, linewidth=0, zorder=0)
-    ax.axvline(settling_time, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
+    ax.axvline(spec.settling_time, color=INK, linewidth=1.0, linestyle=(0, (5, 3)), zorder=2)
     ax.axhline(reference, color=GREY, linewidth=0.8, zorder=1)
     if spread is not None:
         found = ax.fill_between(*spread, color=SPREAD, alpha=0.4, linewidth=0, label="spread of the axis")
@@ -183,7 +174,7 @@ def plot_step_responses(  # noqa: PLR0913 - what is asked for, by keyword
         ax.plot(line.x, line.y, label=line.label or "_nolegend_", **LOOKS[line.role])[0].set_gid(
             f"live-step-{line.role}"
         )
-    ax.set(xlabel="Time since the step [s]", ylabel=f"Position [{length_unit}]", title=title)
+    ax.set(xlabel="Time since the step [s]", ylabel=f"Position [{length_unit}]")
     ax.margins(x=0.0)
     if zoom is not None:
         width = 3.0 * band * abs(reference)

@@ -142,15 +142,9 @@ def _step(design: Design, ax: Axes | None) -> Axes:
             raise InputError(f"this design gives no gain to draw ({design.reason})")
         run = design.step(kd, duration=2.4 * spec.settling_time)
         curves.append(curve(f"{label}, {spec.free} = {number(kd)}", run.time, run.position, role).thinned())
-    return plot_step_responses(
-        curves,
-        reference=spec.reference,
-        band=spec.band,
-        settling_time=spec.settling_time,
-        length_unit=design.plant.length_unit,
-        title=f"Step with kp = {number(spec.kp)}",
-        ax=_axes(ax),
-    )
+    ax = plot_step_responses(curves, spec, length_unit=design.plant.length_unit, ax=_axes(ax))
+    ax.set_title(f"Step with kp = {number(spec.kp)}")
+    return ax
 
 
 LINES: dict[str, Callable[[Any, Sequence[Record]], Lines]] = {

@@ -22,7 +22,7 @@ from servolens import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-SOURCES = ("elementary", "kalman", "digital", "stepping", "kernel")
+SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel")
 __all__ = ["ENTRY", "GAINS", "cache_folder", "kept", "rule"]
 
 ENTRY, GAINS = "servolens_run", "servolens_gains"

@@ -15,7 +15,7 @@ __all__ = ["RULE", "rule_places", "rule_script"]
 
 RULE = "servolensRule"
 """Name of the function of a plant's part that returns ``run``."""
-MODULES = ("digital", "stepping")
+MODULES = ("digital", "plant_functions", "motion", "stepping")
 LEFT_OUT = {"compiled_rule", "numbers"}
 """What only numba needs."""
 RESERVED = {"new", "var", "let", "const", "function", "switch", "case", "default", "delete", "this", "void", "typeof"}
