@@ -16,7 +16,7 @@ TRIED_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion tried-gains design-scan fleet-kills fuzz paper pictures bench examples clean help
+.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion tried-gains design-scan fleet-kills fuzz trust paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -69,6 +69,9 @@ fuzz: $(DEV_STAMP) ## damaged and hostile files for every reader; what breaks on
 
 fleet-kills: $(DEV_STAMP) ## a fleet whose processes are killed at 200 random moments (half an hour)
 	@SERVOLENS_KILLS=200 $(BIN)/python -m pytest tests/test_fleet_faults.py -k random_moments
+
+trust: $(DEV_STAMP) ## certified regressions and friction in closed form: digits, into docs/trust.md
+	@$(BIN)/python benchmarks/trust.py
 
 paper: $(DEV_STAMP) ## the paper's numbers computed again, into docs/paper.md
 	@$(BIN)/python benchmarks/paper.py

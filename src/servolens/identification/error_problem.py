@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -305,10 +304,7 @@ class Problem:
 
         work = sum(self.runs[i].samples * self.substeps[i] for i, _ in trials)
         self.simulated += work
-        workers = min(os.cpu_count() or 1, len(trials))
-        if work < WORTH_THREADS or workers < 2:
-            return [one(job) for job in trials]
-        return in_parallel(one, trials, workers)
+        return in_parallel(one, trials, 1 if work < WORTH_THREADS else None)
 
     def _loss(self, residual: NDArray[np.float64]) -> float:
         if not np.isfinite(self.outlier):
