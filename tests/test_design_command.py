@@ -108,7 +108,7 @@ def test_gain_is_withheld_and_force_overrules(model, fields, words):
     assert body["lights"]["gain"] == {"light": "red", "sentence": body["reason"]}
     assert body["intervals"]
     text = " ".join(run("design", file, *step, *SPEC).stdout.split())
-    assert "The gain is withheld" in text
+    assert "The gain is withheld; --force gives it all the same." in text
     forced = designed(file, *step, "--force")
     assert forced["forced"]
     assert forced["kd"] == pytest.approx(body["intervals"][0][0])

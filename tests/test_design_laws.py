@@ -199,6 +199,7 @@ def test_a_gain_that_hunts_has_no_green_light():
     _, light = trust(STICKY, design)
     assert light.light == "amber"
     assert "does not come to rest" in light.sentence
+    assert "A spec with hunting=False seeks a gain with which it comes to rest." in design.summary().sentences
 
 
 def test_feedforward_is_the_closed_form_of_gain_damping_and_friction():
@@ -295,6 +296,7 @@ def test_design_command_knows_pid_and_tells_of_hunting(tmp_path):
     assert body["hunting"]["least"]["amplitude"] > 1e-4
     assert body["tracking"]["with_it"] < 0.01 * body["tracking"]["without"]
     assert "keeps swinging by" in told
+    assert "Option --no-hunting seeks a gain" in told
     assert "a digital PID" in told
 
 

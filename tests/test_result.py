@@ -177,8 +177,10 @@ def test_results_from_files_predict_as_before(kind):
 def test_design_without_records_simulates_its_own_step():
     run = made(Design).step()
     assert run.position[-1] == pytest.approx(SPEC.reference, rel=SPEC.band)
-    with pytest.raises(InputError, match="holds no records to simulate; pass them"):
-        made(Design).simulate()
+    for ask in (made(Design).simulate, made(Design).residuals):
+        with pytest.raises(InputError, match="this design holds no records: it was made from plants or models"):
+            ask()
+    assert len(made(Design).residuals(RECORDS)) == len(RECORDS)
 
 
 def test_design_that_gives_no_gain_has_no_step_to_draw():

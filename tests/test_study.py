@@ -308,7 +308,9 @@ def test_gains_of_records_cannot_be_given_for_what_has_them_already(cart):
 def test_tune_withholds_on_a_diagnosis_but_not_on_a_plant():
     other = replace(CART, gain=0.8)
     diagnosis = diagnose(steps(CART, 60, 80), heldout=steps(other, 70), effort="quick")
-    assert tune(diagnosis, SPEC).withheld
+    withheld = tune(diagnosis, SPEC)
+    assert withheld.withheld
+    assert "tune(…, force=True)" in withheld.summary().sentences[0]
     assert tune(diagnosis, SPEC, force=True).kd is not None
     assert tune(diagnosis.plant, SPEC).kd is not None
 

@@ -97,29 +97,26 @@ class Controller:
     control_period: float | None = None
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if name not in WORDS:
-                _check_number(name, getattr(self, name), optional=name in ("tracking_time", "control_period"))
+        for name in NUMBERS:
+            _check_number(name, getattr(self, name), optional=name in OPTIONAL)
         for name, allowed in WORDS.items():
             value = getattr(self, name)
             if value not in allowed:
                 raise InputError(f"{name} must be {' or '.join(map(repr, allowed))}, got {value!r}")
-        _require(
-            0 < self.derivative_filter <= 1, f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}"
-        )
-        _require(
-            self.derivative_window >= 1 and self.derivative_window == int(self.derivative_window),
-            f"derivative_window must be a whole number of samples, at least 1, got {self.derivative_window!r}",
-        )
-        _require(self.integral_rate >= 0, f"integral_rate must not be negative, got {self.integral_rate!r}")
-        for name in ("tracking_time", "control_period"):
-            value = getattr(self, name)
-            _require(value is None or value > 0, f"{name} must be positive, got {value!r}")
-        if self.anti_windup == "back_calculation" and self.integrates:
-            _require(
-                self.tracking > 0,
-                "the default tracking time needs kd and ki, or kp and ki, of one sign; give tracking_time",
+        if not 0 < self.derivative_filter <= 1:
+            raise InputError(f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}")
+        if not (self.derivative_window >= 1 and self.derivative_window == int(self.derivative_window)):
+            raise InputError(
+                f"derivative_window must be a whole number of samples, at least 1, got {self.derivative_window!r}"
             )
+        if self.integral_rate < 0:
+            raise InputError(f"integral_rate must not be negative, got {self.integral_rate!r}")
+        for name in OPTIONAL:
+            value = getattr(self, name)
+            if not (value is None or value > 0):
+                raise InputError(f"{name} must be positive, got {value!r}")
+        if self.anti_windup == "back_calculation" and self.integrates and not self.tracking > 0:
+            raise InputError("the default tracking time needs kd and ki, or kp and ki, of one sign; give tracking_time")
 
     @classmethod
     def cascade(  # noqa: PLR0913 - as the contract of a record names them, all by keyword
@@ -168,8 +165,10 @@ class Controller:
         """
         for name, value in (("kp", kp), ("kv", kv), ("kiv", kiv), ("feedforward_speed", feedforward_speed)):
             _check_number(name, value)
-        _require(kv != 0, "kv must not be 0: the speed loop of a cascade needs it")
-        _require(kiv * kv >= 0, f"kiv must have the sign of kv, got {kiv!r}")
+        if kv == 0:
+            raise InputError("kv must not be 0: the speed loop of a cascade needs it")
+        if kiv * kv < 0:
+            raise InputError(f"kiv must have the sign of kv, got {kiv!r}")
         return cls(
             kp=kv * kp,
             kd=kv,
@@ -246,9 +245,9 @@ def _check_number(name: str, value: object, *, optional: bool = False) -> None:
         return
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise InputError(f"{name} must be a number, got {value!r}")
-    _require(bool(np.isfinite(value)), f"{name} must be finite, got {value!r}")
+    if not math.isfinite(value):
+        raise InputError(f"{name} must be finite, got {value!r}")
 
 
-def _require(holds: bool, message: str) -> None:
-    if not holds:
-        raise InputError(message)
+NUMBERS = tuple(name for name in Controller.__slots__ if name not in WORDS)
+OPTIONAL = ("tracking_time", "control_period")

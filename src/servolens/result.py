@@ -86,7 +86,10 @@ class Result(ABC):
         """Simulate the records, its own where none are given; see :func:`servolens.predict`."""
         own = getattr(self, "records", ())
         if records is None and not own:
-            raise InputError("this result holds no records to simulate; pass them")
+            raise InputError(
+                f"this {self.kind} holds no records: it was made from plants or models, or read from a file; pass the"
+                " records to simulate"
+            )
         found: Prediction = late("prediction", "predict")(self, own if records is None else records, **settings)
         return found
 

@@ -78,7 +78,8 @@ def design(
         result = result.withhold(of_gain.sentence)
         chosen = None
     units = {"length_unit": plants[0].length_unit, "command_unit": plants[0].command_unit}
-    summary = design_summary(result, lights={"Model": of_model, "Gain": of_gain}, forced=is_wrong and force, **units)
+    named = {"Model": of_model, "Gain": of_gain}
+    summary = design_summary(result, lights=named, forced=is_wrong and force, in_python=False, **units)
     if json_file:
         lights = {"model": of_model.to_json(), "gain": of_gain.to_json()}
         body = {**result.to_json(), "lights": lights, "forced": is_wrong and force, "model_files": list(model_files)}

@@ -41,6 +41,7 @@ def design_summary(
     *,
     lights: Mapping[str, Light] | None = None,
     forced: bool = False,
+    in_python: bool = False,
     length_unit: str = "m",
     command_unit: str = "V",
 ) -> Summary:
@@ -54,6 +55,8 @@ def design_summary(
         How far what it names can be trusted.
     forced : bool
         Whether the gain is given although it should be withheld.
+    in_python : bool
+        Whether the reader calls functions; otherwise what may be asked for next is told as options of commands.
     length_unit, command_unit : str
         Of the plant.
     """
@@ -61,8 +64,13 @@ def design_summary(
     kd_unit = f"{command_unit} s/{length_unit}"
     trusted = light_sentences(lights or {})
     if design.kd is None:
-        verdict = "The gain is withheld; --force gives it all the same." if design.withheld else sentence(design.reason)
-        sentences = [verdict, *trusted, asked_sentence(spec, length_unit, command_unit)]
+        how = "tune(…, force=True)" if in_python else "--force"
+        withheld = f"The gain is withheld; {how} gives it all the same."
+        sentences = [
+            withheld if design.withheld else sentence(design.reason),
+            *trusted,
+            asked_sentence(spec, length_unit, command_unit),
+        ]
         tables = (_intervals(design, kd_unit),) if design.withheld else ()
         return Summary(title="Design", sentences=tuple(sentences), tables=tables)
     sentences = [
@@ -71,7 +79,7 @@ def design_summary(
         f"{spec.free} = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
-        *hunting_sentences(design, length_unit),
+        *_hunting(design, length_unit, in_python=in_python),
         *_tracking(design, length_unit),
         *trusted,
         asked_sentence(spec, length_unit, command_unit),
@@ -235,7 +243,7 @@ def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
     return f"a digital {law} sampled every {number(1e3 * spec.sample_time)} ms{tail}"
 
 
-def hunting_sentences(design: Design, length_unit: str) -> list[str]:
+def _hunting(design: Design, length_unit: str, *, in_python: bool) -> list[str]:
     """Tell of gains with which the axis does not come to rest from all starts."""
     chosen, name = design.recommended, design.spec.free
     gains = {"least": least_gain(design), "recommended": "–" if chosen is None else number(chosen.kd)}
@@ -245,7 +253,8 @@ def hunting_sentences(design: Design, length_unit: str) -> list[str]:
         f" {_swings(one, abs(design.spec.reference), length_unit)}."
         for gain, (which, one) in found.items()
     ]
-    return [*told, "Option --no-hunting seeks a gain with which it comes to rest."] if told else []
+    how = "A spec with hunting=False" if in_python else "Option --no-hunting"
+    return [*told, f"{how} seeks a gain with which it comes to rest."] if told else []
 
 
 def _tracking(design: Design, length_unit: str) -> list[str]:

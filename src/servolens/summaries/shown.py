@@ -32,8 +32,10 @@ def summary_of(result: Result) -> Summary:
 
 
 def _design(design: Design) -> Summary:
-    plant = design.plant
-    return design_summary(design, lights=design.lights, length_unit=plant.length_unit, command_unit=plant.command_unit)
+    length_unit, command_unit = design.plant.length_unit, design.plant.command_unit
+    return design_summary(
+        design, lights=design.lights, in_python=True, length_unit=length_unit, command_unit=command_unit
+    )
 
 
 def _prediction(prediction: Prediction) -> Summary:
