@@ -5,7 +5,7 @@ Per unit of moving mass: ``ÿ = gain·a(V) − damping·ẏ − Σ forces − D�
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
 from typing import TYPE_CHECKING, Any, final
@@ -71,6 +71,13 @@ class Plant:
     free_damping : float, optional
         Viscous damping [1/s] while the motor is off, which then has no back-EMF; None is the same damping.
 
+    Attributes
+    ----------
+    structure : tuple of type
+        The classes of the effects: what the plant is made of, without numbers.
+    values : tuple of float
+        All parameters, SI: gain, damping, then each effect's in order.
+
     Raises
     ------
     InputError
@@ -84,6 +91,8 @@ class Plant:
     command_unit: str = "V"
     inertia: float | None = None
     free_damping: float | None = None
+    structure: tuple[type[Effect], ...] = field(init=False, repr=False, compare=False)
+    values: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for spec in BASE_PARAMETERS:
@@ -91,6 +100,7 @@ class Plant:
         if self.length_unit not in ("m", "rad"):
             raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
         object.__setattr__(self, "effects", tuple(self.effects))
+        object.__setattr__(self, "structure", tuple(type(effect) for effect in self.effects))
         _check_together(self.structure)
         for effect in self.effects:
             if isinstance(effect, Drive):
@@ -101,16 +111,8 @@ class Plant:
             raise InputError(f"plant: inertia must be positive, got {self.inertia!r}")
         if self.free_damping is not None:
             object.__setattr__(self, "free_damping", FREE_DAMPING.check(self.free_damping, "plant"))
-
-    @property
-    def structure(self) -> tuple[type[Effect], ...]:
-        """The classes of the effects: what the plant is made of, without numbers."""
-        return tuple(type(effect) for effect in self.effects)
-
-    @property
-    def values(self) -> tuple[float, ...]:
-        """All parameters, SI: gain, damping, then each effect's in order."""
-        return (self.gain, self.damping, *(v for effect in self.effects for v in effect.values))
+        given = (v for effect in self.effects for v in effect.values)
+        object.__setattr__(self, "values", (self.gain, self.damping, *given))
 
     @property
     def parameters(self) -> dict[str, Parameter]:
@@ -152,9 +154,9 @@ class Plant:
         gain, damping, *rest = (float(v) for v in values)
         effects = []
         for effect in self.effects:
-            count = len(effect.values)
-            effects.append(type(effect)(**vars(type(effect).symbols(rest[:count]))))
-            rest = rest[count:]
+            names = [spec.name for spec in effect.parameters()]
+            effects.append(type(effect)(**dict(zip(names, rest, strict=False))))
+            rest = rest[len(names) :]
         return replace(self, gain=gain, damping=damping, effects=tuple(effects))
 
     def with_named(self, values: Mapping[str, float]) -> Plant:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC
 from dataclasses import dataclass, field, fields
 from functools import cache
+from math import isfinite
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
@@ -93,7 +94,7 @@ class Parameter:
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
         number = float(value)
-        if not (np.isfinite(number) and self.low <= number <= self.high):
+        if not (isfinite(number) and self.low <= number <= self.high):
             raise InputError(f"{owner}: {self.name} must lie in [{self.low:g}, {self.high:g}], got {number:g}")
         return number
 

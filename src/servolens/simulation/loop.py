@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import accumulate
 from typing import TYPE_CHECKING, Unpack, final
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from servolens.controller import Controller
+    from servolens.effects import Effect
     from servolens.inputs import Plants, Records, RecordSettings
     from servolens.plant import Plant
 
@@ -289,23 +291,24 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
     if gains is not None and gains.shape != (time.size, 3):
         raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
     observer = (float(gains is not None), coarse, remembered)
-    settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant)]
+    settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
     return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
 
 
-def _moved(plant: Plant) -> list[float]:
+@lru_cache(maxsize=1024)
+def _moved(structure: tuple[type[Effect], ...]) -> tuple[float, ...]:
     """Return for each state, in the kernel's order, whether an observer moves it: with position 1, with velocity 2."""
     from servolens.simulation.native import native
 
-    kinds = [(cls, state.name) for cls in plant.structure for state in cls.states]
+    kinds = [(cls, state.name) for cls in structure for state in cls.states]
     own = [
         1.0 + ("position", "velocity").index(name) if issubclass(cls, Transmission) else float(issubclass(cls, Sensor))
         for cls, name in kinds
     ]
     placed = [0.0] * len(own)
-    for value, place in zip(own, native(plant.structure).order.tolist(), strict=True):
+    for value, place in zip(own, native(structure).order.tolist(), strict=True):
         placed[place] = value
-    return placed
+    return tuple(placed)
 
 
 def simulate_continuous(
