@@ -100,3 +100,38 @@ def test_what_is_proven_of_a_cell_holds_for_its_gains(plant: Plant, control: Lit
 def test_a_plant_that_is_not_smooth_is_refused(effect: Effect, message: str) -> None:
     with pytest.raises(InputError, match=message):
         tune(LINEAR.with_effect(effect), COARSE, certify=True)
+
+
+def test_what_is_proven_is_proven_by_ball_arithmetic_of_flint_too() -> None:
+    """Of a linear axis the error at each sample is a polynomial in kd, which FLINT bounds over a whole cell."""
+    flint = pytest.importorskip("flint")
+    radius, middles = 1e-3, np.linspace(1.0, 15.0, 8)
+    verdicts = prove(LoopMaps(LINEAR, COARSE), middles - radius, middles + radius)
+    assert {INFEASIBLE, FEASIBLE_CELL} <= set(verdicts.tolist())
+    for middle, verdict in zip(middles, verdicts, strict=True):
+        with flint.ctx.workprec(400):  # polynomials of degree 500, whose terms cancel
+            errors = _errors_by_flint(flint, float(middle), radius)
+        late = errors[round(COARSE.settling_time / COARSE.sample_time) :]
+        if verdict == FEASIBLE_CELL:
+            assert all(bool(abs(error) <= COARSE.band) for error in late)
+        if verdict == INFEASIBLE:
+            assert any(bool(abs(error) > COARSE.band) for error in late)
+
+
+def _errors_by_flint(flint, middle, radius):
+    """Return balls that hold the errors, as shares of the step, for all kd within `radius` of `middle`."""
+    kd, variable = flint.arb_poly([flint.arb(middle), 1]), flint.arb(0, radius)
+    h, beta, c = (flint.arb(value) for value in (COARSE.sample_time, LINEAR.gain, LINEAR.damping))
+    kept = (-c * h).exp()
+    slowed = (1 - kept) / c
+    position = before = speed = flint.arb_poly([0])
+    errors = []
+    for _ in range(round(10.0 * COARSE.settling_time / COARSE.sample_time) + 1):
+        errors.append((1 - position)(variable))
+        command = flint.arb(COARSE.kp) * (1 - position) - kd * ((position - before) * (1 / h))
+        before = position
+        position, speed = (
+            position + speed * slowed + command * (beta * (h - slowed) / c),
+            speed * kept + command * (beta * slowed),
+        )
+    return errors

@@ -16,7 +16,9 @@ from scipy.linalg import expm
 
 from servolens import lab
 from servolens.design import PDSpec, evaluate, settling_time, tune
+from servolens.design.cover import EFFORT, Cover
 from servolens.effects import (
+    Backlash,
     CoulombFriction,
     Delay,
     Effect,
@@ -45,6 +47,28 @@ def scan_module() -> ModuleType:
 
 
 SCAN = scan_module()
+
+
+def test_a_settled_flexible_axis_swings_by_its_rounding_and_is_stable_all_the_same() -> None:
+    coupling = FlexibleCoupling(frequency=54.035781, damping_ratio=0.067679, load_ratio=0.53363)
+    plant = Plant(gain=2.075789, damping=17.892746, effects=(coupling,))
+    spec = PDSpec(
+        kp=838.072, settling_time=0.284127, band=0.05, reference=1.0, sample_time=2.48728e-3, derivative_filter=0.577
+    )
+    assert all(evaluate(plant, spec, kd).stable for kd in np.linspace(8.45, 8.55, 200))
+    assert len(tune(plant, replace(spec, kd_max=50.0)).intervals) == 1
+
+
+def test_the_search_ends_where_the_gains_that_do_have_no_end_of_detail() -> None:
+    plant = Plant(gain=6.9034, damping=2.36197, effects=(Backlash(gap=8.7713e-4, load_share=0.3),))
+    spec = PDSpec(kp=71.833, settling_time=0.66889, band=0.05, reference=0.01, sample_time=3.98223e-3, kd_max=20.0)
+    cover = Cover((plant,), spec)
+    finest = cover.gap
+    intervals = cover.intervals()
+    assert len(intervals) > 1
+    assert cover.gap > finest
+    assert cover.loops.count < 3 * EFFORT
+    assert all(evaluate(plant, spec, kd).meets for span in intervals for kd in span)
 
 
 @settings(max_examples=15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.identification import Prior, identify
 from servolens.identification.integral import Pieces, assemble, solve_integral
+from servolens.identification.later import Later
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import refine_closed_loop
 from servolens.identification.regressors import regressor
@@ -70,6 +72,23 @@ def test_virtual_cart_at_kp_60_shows_the_paper_s_rising_damping() -> None:
     assert varying.damping[0] == pytest.approx(6.0, abs=0.3)
     assert varying.damping[-1] > 12.0
     assert np.diff(varying.edges)[0] == pytest.approx(0.15, abs=0.003)
+
+
+def test_what_is_judged_when_asked_for_is_the_same_before_and_after_pickling() -> None:
+    record = step_record(NLM3, 100.0, duration=0.8, encoder=1e-5, noise=1e-5, seed=1)
+    found, again = (identify(record, model="varying") for _ in range(2))
+    kept = pickle.loads(pickle.dumps(found))
+    assert kept.findings == again.findings == found.findings
+    assert kept.errors.keys() == again.errors.keys() == {"varying"}
+    np.testing.assert_array_equal(kept.varying.covariance, again.varying.covariance)  # type: ignore[union-attr]  # asked
+    assert (np.diag(kept.varying.covariance) > 0.0).all()
+
+
+def test_what_is_made_later_is_made_once() -> None:
+    made: list[int] = []
+    later = Later(lambda: made.append(1) or len(made))
+    assert not made
+    assert (later.value, later.value, made) == (1, 1, [1])
 
 
 @pytest.mark.parametrize("duration", [0.7, 0.9, 3.0])

@@ -7,6 +7,8 @@ divided further, down to a stated width.
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
+from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -30,7 +32,7 @@ FINEST = 2.0**-12
 EDGE = 2.0**-5
 """Width over the gap within which the end of an interval is located where the signals are smooth."""
 EFFORT = 1000
-"""After so many simulations the gap is doubled, and again after as many: an irregular motion has no end of detail."""
+"""After so many simulations of each model nothing is divided any more: an irregular motion has no end of detail."""
 SPARE = 2.0
 """How far beyond the largest gain that a linear loop could use the search goes, where its end is not given."""
 
@@ -89,6 +91,9 @@ class Cover:
         self.scale = min(*(gain_scale(model, spec) for model in models), self.top)
         self._found: list[Span] = []
         self._sure: list[Span] = []
+        self._coarser = 1.0
+        self._open: list[tuple[float, int, tuple[Gain, Gain, Gain]]] = []
+        self._count = 0
         self._progress = progress
 
     @property
@@ -105,67 +110,73 @@ class Cover:
 
     def intervals(self) -> tuple[Span, ...]:
         """Return the feasible intervals; their ends were simulated and meet the spec."""
-        grid = self.grid()
-        low = self._gain(grid[0])
-        for i, kd in enumerate(grid[1:]):
-            high = self._gain(kd)
-            self._resolve(low, self._gain(0.5 * (low.kd + kd)), high)
-            low = high
+        ends = [self._gain(kd) for kd in self.grid()]
+        for low, high in pairwise(ends):
+            self._divide(low, high)
+        effort = EFFORT * len(self.loops.models)
+        while self._open:
+            width, _, three = heappop(self._open)
+            if self.loops.count > effort:
+                self._coarser = max(self._coarser, -width)
+            self._resolve(three)
             if self._progress is not None:
-                self._progress("searching gains", i + 1, len(grid) - 1)
-        ends = [self._ends(span) for span in self._merged()]
-        return tuple(span for span in ends if span is not None)
+                self._progress("searching gains", min(self.loops.count, effort), effort)
+        found = [self._ends(span) for span in self._merged()]
+        return tuple(span for span in found if span is not None)
 
     def _gain(self, kd: float) -> Gain:
         return Gain(kd, self.loops)
 
     def _gap(self, kd: float) -> float:
-        coarser = 2.0 ** (self.loops.count // (EFFORT * len(self.loops.models)))
-        return FINEST * coarser * max(self.scale, 0.125 * kd)
+        return FINEST * self._coarser * max(self.scale, 0.125 * kd)
 
-    def _resolve(self, low: Gain, middle: Gain, high: Gain) -> None:
-        """Note where in a cell the spec holds, and look closer where that is open."""
+    def _divide(self, low: Gain, high: Gain) -> None:
+        """Leave open what lies between two gains."""
+        three = (low, self._gain(0.5 * (low.kd + high.kd)), high)
+        width = (high.kd - low.kd) / (FINEST * max(self.scale, 0.125 * low.kd))
+        self._count += 1
+        heappush(self._open, (-width, self._count, three))
+
+    def _resolve(self, three: tuple[Gain, Gain, Gain]) -> None:
+        """Note where in a cell the spec holds, and leave open where that is not known."""
+        low, middle, high = three
         width = high.kd - low.kd
-        three = (low, middle, high)
         if width <= EDGE * self._gap(low.kd):
             self._sample(three)
             return
         left: list[Span] = [(low.kd, high.kd)]
+        known: list[Span] = []
         for level in range(LEVELS):
-            stable = [gain.to(level).is_stable for gain in three]
+            stable = [gain.to(level).is_stable(level) for gain in three]
             if not any(stable):
                 return
             if not all(stable):
                 break
             may, does = between(*three)
-            sure = does if level == LEVELS - 1 else []
-            self._found += sure
-            self._sure += sure
-            left = _without(may, sure)
+            known = does if level == LEVELS - 1 else []
+            left = _without(may, known)
             if _length(left) <= 0.5 * width or not any(gain.is_feasible for gain in three):
                 break
+        self._found += known
+        self._sure += known
         if _length(left) > 0.5 * width and width <= self._gap(low.kd):
             self._sample(three)
         elif _length(left) > 0.5 * width:
-            self._resolve(low, self._gain(0.5 * (low.kd + middle.kd)), middle)
-            self._resolve(middle, self._gain(0.5 * (middle.kd + high.kd)), high)
+            self._divide(low, middle)
+            self._divide(middle, high)
         else:
             for span in left:
-                self._resolve_between(span, three)
+                self._resolve_between(span, three, known)
 
-    def _resolve_between(self, span: Span, known: tuple[Gain, ...]) -> None:
-        """Look closer at what is left open of a cell, unless it is narrow and beside gains that are known to do."""
-        touches = any(a <= span[1] and span[0] <= b for a, b in self._found[-2:])
+    def _resolve_between(self, span: Span, three: tuple[Gain, ...], known: list[Span]) -> None:
+        """Leave open what is left of a cell, unless it is narrow and beside gains that are `known` to do."""
+        touches = any(a <= span[1] and span[0] <= b for a, b in known)
         narrow = span[1] - span[0] <= EDGE * self._gap(span[0])
-        if touches and narrow and not self._is_hole(span):
+        is_hole = any(b == span[0] for _, b in known) and any(a == span[1] for a, _ in known)
+        if touches and narrow and not is_hole:
             return
-        low, high = (next((g for g in known if g.kd == kd), None) or self._gain(kd) for kd in span)
-        self._resolve(low, self._gain(0.5 * (span[0] + span[1])), high)
-
-    def _is_hole(self, span: Span) -> bool:
-        """Whether gains on both sides of what is open are known to do."""
-        recent = self._found[-2:]
-        return any(b == span[0] for _, b in recent) and any(a == span[1] for a, _ in recent)
+        low, high = (next((g for g in three if g.kd == kd), None) or self._gain(kd) for kd in span)
+        self._divide(low, high)
 
     def _sample(self, three: tuple[Gain, ...]) -> None:
         """Decide a cell that is as narrow as the gap by its three gains."""

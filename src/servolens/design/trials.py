@@ -114,27 +114,34 @@ class Loops:
 class Gain:
     """One gain, simulated as far as it was asked for."""
 
-    __slots__ = ("_loops", "kd", "level", "signals", "worst")
+    __slots__ = ("_loops", "_unstable", "kd", "level", "signals", "worst")
 
     def __init__(self, kd: float, loops: Loops) -> None:
         self.kd = kd
         self.level = -1
-        self.signals: tuple[tuple[Signal, ...] | None, ...] = ()
+        self.signals: tuple[tuple[Signal, ...], ...] = ()
         self.worst = np.inf
+        self._unstable = LEVELS
         self._loops = loops
 
     def to(self, level: int) -> Gain:
-        """Simulate for as long as `level` asks for; an unstable loop stays what it is."""
-        if level > self.level and self.is_stable:
-            self.level = level
-            self.signals = tuple(self._loops.signals(model, self.kd, level) for model in self._loops.models)
-            self.worst = max(map(_excess, self.signals))
+        """Simulate for as long as `level` asks for.
+
+        Of a loop that grows beyond all bounds only later, what was seen before that is kept.
+        """
+        if self.level < level < self._unstable:
+            found = [self._loops.signals(model, self.kd, level) for model in self._loops.models]
+            stable = tuple(one for one in found if one is not None)
+            if len(stable) < len(found):
+                self._unstable, self.worst = level, np.inf
+            else:
+                self.level, self.signals = level, stable
+                self.worst = max(map(_excess, stable)) if self._unstable == LEVELS else np.inf
         return self
 
-    @property
-    def is_stable(self) -> bool:
-        """Whether every loop stayed within all bounds as far as it was simulated."""
-        return None not in self.signals
+    def is_stable(self, level: int) -> bool:
+        """Whether every loop stays within all bounds for as long as `level` asks for, as far as it was simulated."""
+        return level < self._unstable
 
     @property
     def is_feasible(self) -> bool:
@@ -142,9 +149,7 @@ class Gain:
         return self.worst <= FEASIBLE
 
 
-def _excess(signals: Sequence[Signal] | None) -> float:
-    if signals is None:
-        return np.inf
+def _excess(signals: Sequence[Signal]) -> float:
     return max(
         float(max(np.max(s.values) - s.upper, s.lower - np.min(s.values))) for s in signals if not s.only_excludes
     )
@@ -157,7 +162,6 @@ def between(low: Gain, middle: Gain, high: Gain) -> tuple[list[Span], list[Span]
     """
     may, does = [(0.0, 1.0), (0.0, 1.0)], [(0.0, 1.0), (0.0, 1.0)]
     for one, two, three in zip(low.signals, middle.signals, high.signals, strict=True):
-        assert one is not None and two is not None and three is not None  # noqa: S101, PT018 - the three are stable
         for signals in zip(one, two, three, strict=True):
             for half, (excluded, shown) in enumerate(_halves(*_cut(*signals))):
                 may[half] = _common(may[half], excluded)

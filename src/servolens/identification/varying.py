@@ -10,6 +10,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces, segment_factors, stacked
+from servolens.identification.later import Later
 from servolens.identification.noise import NoiseModel
 from servolens.identification.piecewise import CAPACITY
 from servolens.identification.smoothing import slope_noise, smooth, smoothing_window
@@ -17,7 +18,7 @@ from servolens.identification.uncertainty import LinearEstimate
 from servolens.solving import Constraint, constrained_least_squares
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -49,18 +50,26 @@ class VaryingDamping:
         c of each piece [1/s].
     speed : ndarray, shape (n,)
         Mean |v| of each piece; not the paper's signed mean (eq. 19), which is near zero in a piece with a reversal.
-    covariance : ndarray, shape (n + 1, n + 1)
-        Of [c₁ … c_n, β], without the constraints on damping.
     active : tuple of str
         Constraints that hold with equality.
+    spread : Later
+        Makes the covariance.
     """
 
     gain: float
     edges: NDArray[np.float64]
     damping: NDArray[np.float64]
     speed: NDArray[np.float64]
-    covariance: NDArray[np.float64]
     active: tuple[str, ...]
+    spread: Later[NDArray[np.float64]]
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of [c₁ … c_n, β], without the constraints on damping, shape (n + 1, n + 1).
+
+        Computed when it is first asked for: the noise that it needs takes a hundred times as long as the fit.
+        """
+        return self.spread.value
 
 
 @final
@@ -94,7 +103,7 @@ def fit_varying(
     delta: float | None = None,
     bounds: tuple[float, float] | None = None,
     gain: tuple[float, float] = (-np.inf, np.inf),
-    noise: NoiseModel | None = None,
+    noise: Callable[[], NoiseModel] | None = None,
 ) -> VaryingDamping:
     """Fit piecewise-constant damping with continuous position and velocity.
 
@@ -112,8 +121,8 @@ def fit_varying(
         Least and largest damping of a piece [1/s].
     gain : tuple of float
         Least and largest β; both the same where it is fixed.
-    noise : NoiseModel, optional
-        Of the records; white, as third differences show it, when None.
+    noise : callable, optional
+        Returns that of the records, when it is needed; white, as third differences show it, when None.
 
     Raises
     ------
@@ -137,16 +146,19 @@ def fit_varying(
         *(within(count, *bounds) if bounds is not None else ()),
     ]
     fit = fit_pieces(segments, shares, wanted, window)
-    estimate = LinearEstimate.of(segments, shares, None if settled is None else settled.rows(segments))
-    least = NoiseModel.white(max(s.noise for s in segments)) if noise is None else noise
-    covariance = estimate.covariance(fit.damping, least, window)
+
+    def covariance() -> NDArray[np.float64]:
+        estimate = LinearEstimate.of(segments, shares, None if settled is None else settled.rows(segments))
+        least = NoiseModel.white(max(s.noise for s in segments)) if noise is None else noise()
+        return estimate.covariance(fit.damping, least, window)
+
     return VaryingDamping(
         gain=fit.gain,
         edges=edges,
         damping=fit.damping,
         speed=_mean_speed(segments, shares, count, window),
-        covariance=covariance,
         active=tuple(name for name in fit.active if name != SETTLED_GAIN),
+        spread=Later(covariance),
     )
 
 
@@ -307,7 +319,8 @@ def _pieces(
         )
     inner = np.append(0.0, (length if first is None else first) + length * np.arange(count))
     inner = inner[inner <= longest - 0.5 * length] if longest > 0.5 * length else inner[:1]
-    inner = inner[[i == 0 or any(_moves(s, t, t + length) for s in segments) for i, t in enumerate(inner)]]
+    moves = np.any([_moves(segment, inner, length) for segment in segments], axis=0)
+    inner = inner[moves | (inner == inner[0])]
     shares = []
     for segment in segments:
         earlier = int(np.searchsorted(inner, segment.since_step + 1e-9, side="right")) - 1
@@ -324,11 +337,13 @@ def _pieces(
     return shares, np.append(inner[:count], longest)
 
 
-def _moves(segment: Segment, start: float, end: float) -> bool:
-    """Tell whether the axis moves between two times; at rest a piece says nothing about damping and joins the last."""
-    first, stop = np.searchsorted(segment.time + segment.since_step, [start, end])
-    floor = max(6.0 * segment.noise, 2.0 * (segment.record.encoder_resolution or 0.0))
-    return bool(stop > first and np.ptp(segment.position[first:stop]) > floor)
+def _moves(segment: Segment, starts: NDArray[np.float64], length: float) -> NDArray[np.bool_]:
+    """Tell of each piece whether the axis moves; at rest it says nothing about damping and joins the last."""
+    bounds = np.searchsorted(segment.time + segment.since_step, np.column_stack([starts, starts + length]).ravel())
+    position = np.append(segment.position, segment.position[-1])  # a piece may begin after the last sample
+    travel = np.maximum.reduceat(position, bounds)[::2] - np.minimum.reduceat(position, bounds)[::2]
+    moving: NDArray[np.bool_] = travel > max(6.0 * segment.noise, 2.0 * (segment.record.encoder_resolution or 0.0))
+    return moving
 
 
 def _mean_speed(segments: Sequence[Segment], shares: Sequence[Pieces], count: int, window: int) -> NDArray[np.float64]:

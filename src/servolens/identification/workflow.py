@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Unpack, final
 
 import numpy as np
 
-from servolens.decoding import findings_in, json_of, read_fields
+from servolens.decoding import fields_of, findings_in, json_of
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
 from servolens.identification.data_range import data_range
+from servolens.identification.later import Later, known
 from servolens.identification.model_error import model_error
-from servolens.identification.options import wanted
+from servolens.identification.options import FitOptions, wanted
 from servolens.identification.piecewise import varying_residual
 from servolens.identification.segments import motion_segments
 from servolens.identification.varying import VaryingDamping, fit_varying
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.noise import NoiseModel
-    from servolens.identification.options import Bounds, FitOptions, Priors
+    from servolens.identification.options import Bounds, Priors
     from servolens.identification.segments import Segment
     from servolens.identification.velocity import VelocityFit
     from servolens.inputs import Records, RecordSettings
@@ -44,6 +45,9 @@ if TYPE_CHECKING:
 __all__ = ["Identification", "identify"]
 
 ModelName = Literal["constant", "varying", "velocity", "all"]
+Request = tuple[float | None, float | None, FitOptions]
+"""Length of a piece, δ of eq. 18, and what is fixed or bounded."""
+Judged = tuple["Mapping[str, tuple[RecordError, ...]]", tuple[Finding, ...]]
 MOST_SAMPLES = 200_000
 """The errors of models are those of the first samples of a record, up to this many."""
 BEYOND_THE_LAW = Finding(
@@ -54,6 +58,9 @@ BEYOND_THE_LAW = Finding(
         "intervals; run `servolens diagnose`."
     ),
 )
+
+
+NOT_JUDGED: Later[Judged] = known(({}, ()))
 
 
 @final
@@ -71,10 +78,8 @@ class Identification(Result):
         Damping against time since the step.
     law_from_pieces : Plant or None
         The paper's own route to the law, eqs. 19–22: a start, shown for comparison.
-    errors : mapping of str to tuple of RecordError
-        Of each model, closed loop on each record.
-    findings : tuple of Finding
-        Warnings and notes.
+    judged : Later
+        Makes the errors and the findings.
     """
 
     kind: ClassVar[str] = "identification"
@@ -84,8 +89,17 @@ class Identification(Result):
     varying: VaryingDamping | None = None
     velocity: Model | None = None
     law_from_pieces: Plant | None = None
-    errors: Mapping[str, tuple[RecordError, ...]] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
+    judged: Later[Judged] = NOT_JUDGED
+
+    @property
+    def errors(self) -> Mapping[str, tuple[RecordError, ...]]:
+        """Of each model, closed loop on each record; those of the time-varying model alone when first asked for."""
+        return self.judged.value[0]
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Warnings and notes; those beside the time-varying model alone when first asked for."""
+        return self.judged.value[1]
 
     @property
     def model(self) -> Model:
@@ -153,18 +167,18 @@ class Identification(Result):
             raise InputError("not an identification: 'models' is missing")
         constant, velocity = (Model.from_json(models[n]) if n in models else None for n in ("constant", "velocity"))
         pieces = (models.get("velocity") or {}).get("law_from_pieces")
+        errors = {
+            name: tuple(RecordError.from_json(one) for one in model["fit"]["records"])
+            for name, model in models.items()
+            if "records" in (model.get("fit") or {})
+        }
         return cls(
             records=(),
             constant=constant,
             velocity=velocity,
             varying=_varying_from(models["varying"]) if "varying" in models else None,
             law_from_pieces=None if pieces is None else Model.from_json(pieces).plant,
-            errors={
-                name: tuple(RecordError.from_json(one) for one in model["fit"]["records"])
-                for name, model in models.items()
-                if "records" in (model.get("fit") or {})
-            },
-            findings=findings_in(data),
+            judged=known((errors, findings_in(data))),
         )
 
     def _fit(self, name: str) -> dict[str, Any]:
@@ -238,23 +252,22 @@ def identify(
     _check(model, delta)
     options = _wanted(fixed, bounds, priors)
     segments = motion_segments(runs)
+    if model == "varying":
+        return _varying_alone(runs, segments, (piece, delta, options))
     constant = fit_constant(segments, options)
-    result = Identification(records=runs, findings=(*_reconstructed(runs), *constant.findings))
-    left = constant.left
-    law = fit_velocity(segments, options, constant.model.plant) if model in ("all", "velocity") else None
+    left, told = constant.left, [*_reconstructed(runs), *constant.findings]
+    law = fit_velocity(segments, options, constant.model.plant) if model != "constant" else None
     if law is not None:
         left = law.left
-    elif model == "varying" and not left.is_enough:
-        left = law_left(segments, options)
-    if model in ("all", "constant"):
-        result = replace(result, constant=constant.model)
-    if model in ("all", "varying"):
-        result = _with_varying(result, segments, (piece, delta, options), left.noise, is_asked=model == "varying")
+    result = Identification(records=runs, constant=None if model == "velocity" else constant.model)
+    if model == "all":
+        varying, findings = _varying_beside(segments, (piece, delta, options), left.noise)
+        result, told = replace(result, varying=varying), [*told, *findings]
     if law is not None:
-        result = _with_velocity(result, law)
+        result, told = _with_velocity(result, law), [*told, *law.findings]
     if not left.is_enough:
-        result = replace(result, findings=(*result.findings, BEYOND_THE_LAW))
-    return _with_errors(result)
+        told.append(BEYOND_THE_LAW)
+    return replace(result, judged=known(_judged(result, told)))
 
 
 def _check(model: str, delta: float | None) -> None:
@@ -272,33 +285,50 @@ def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Pr
     return options
 
 
-def _with_varying(
-    result: Identification,
-    segments: Sequence[Segment],
-    request: tuple[float | None, float | None, FitOptions],
-    noise: NoiseModel,
-    *,
-    is_asked: bool,
-) -> Identification:
-    """Add the time-varying model; where it was not asked for by name, data that do not determine it are a finding."""
+def _varying_alone(runs: tuple[Record, ...], segments: Sequence[Segment], request: Request) -> Identification:
+    """Return the time-varying model; the noise beside it, a hundred times the work, is looked for when asked for."""
+    options = request[2]
+    constant = Later(lambda: fit_constant(segments, options))
+    left = Later(lambda: found if (found := constant.value.left).is_enough else law_left(segments, options))
+    varying = _varying(segments, request, lambda: left.value.noise)
+    result = Identification(records=runs, varying=varying)
+
+    def judged() -> Judged:
+        beyond = () if left.value.is_enough else (BEYOND_THE_LAW,)
+        return _judged(result, (*_reconstructed(runs), *constant.value.findings, *_vague(varying), *beyond))
+
+    return replace(result, judged=Later(judged))
+
+
+def _varying_beside(
+    segments: Sequence[Segment], request: Request, noise: NoiseModel
+) -> tuple[VaryingDamping | None, tuple[Finding, ...]]:
+    """Return the time-varying model and findings; it was not asked for by name, so that its failure is one of these."""
+    try:
+        varying = _varying(segments, request, lambda: noise)
+    except ServolensError as error:
+        if request[0] is not None or request[1] is not None:
+            raise
+        message = f"time-varying damping: {error}."
+        return None, (Finding(code="varying_not_determined", severity="note", message=message),)
+    return varying, _vague(varying)
+
+
+def _varying(segments: Sequence[Segment], request: Request, noise: Callable[[], NoiseModel]) -> VaryingDamping:
     piece, delta, options = request
     within, gain = options.range_of("damping", low=0.0), options.range_of("gain")
-    try:
-        if "damping" in options.values:
-            raise InputError("damping is fixed, so it cannot vary; leave it free, or bound it")
-        varying = fit_varying(segments, duration=piece, delta=delta, bounds=within, gain=gain, noise=noise)
-    except ServolensError as error:
-        if is_asked or piece is not None or delta is not None:
-            raise
-        finding = Finding(code="varying_not_determined", severity="note", message=f"time-varying damping: {error}.")
-        return replace(result, findings=(*result.findings, finding))
+    if "damping" in options.values:
+        raise InputError("damping is fixed, so it cannot vary; leave it free, or bound it")
+    return fit_varying(segments, duration=piece, delta=delta, bounds=within, gain=gain, noise=noise)
+
+
+def _vague(varying: VaryingDamping) -> tuple[Finding, ...]:
     errors = np.sqrt(np.diag(varying.covariance)[:-1])
     vague = [f"{i + 1}" for i in np.flatnonzero(~(errors < np.maximum(varying.damping, 1.0)))]
     if not vague:
-        return replace(result, varying=varying)
+        return ()
     message = f"time-varying damping: the data hardly determine piece {', '.join(vague)} of {errors.size}."
-    finding = Finding(code="pieces_not_determined", severity="note", message=message)
-    return replace(result, varying=varying, findings=(*result.findings, finding))
+    return (Finding(code="pieces_not_determined", severity="note", message=message),)
 
 
 def _with_velocity(result: Identification, law: VelocityFit) -> Identification:
@@ -309,10 +339,11 @@ def _with_velocity(result: Identification, law: VelocityFit) -> Identification:
     except (InputError, NumericalError):
         by_pieces = None
     velocity = replace(law.model, plant=_in_units(result.records, law.model.plant))
-    return replace(result, velocity=velocity, law_from_pieces=by_pieces, findings=(*result.findings, *law.findings))
+    return replace(result, velocity=velocity, law_from_pieces=by_pieces)
 
 
-def _with_errors(result: Identification) -> Identification:
+def _judged(result: Identification, told: Sequence[Finding]) -> Judged:
+    """Return the errors of the models, and what was `told` with what is to be said of these."""
     residuals: dict[str, Callable[[Record], NDArray[np.float64]]] = {}
     for name in ("constant", "velocity"):
         model: Model | None = getattr(result, name)
@@ -327,7 +358,7 @@ def _with_errors(result: Identification) -> Identification:
             errors[name] = tuple(record_error(record, residual(record)) for record in shown)
         except NumericalError as error:
             findings.append(Finding(code="not_simulated", severity="warning", message=f"{name} model: {error}."))
-    return replace(result, errors=errors, findings=(*result.findings, *findings))
+    return errors, (*told, *findings)
 
 
 def _beginnings(runs: tuple[Record, ...]) -> tuple[list[Record], list[Finding]]:
@@ -379,5 +410,6 @@ def _varying_from(data: Mapping[str, Any]) -> VaryingDamping:
     gain = Quantity.from_json(data.get("gain") or {})
     pieces = [Quantity.from_json(one) for one in data.get("pieces") or ()]
     errors = [np.nan if one.stderr is None else one.stderr for one in (*pieces, gain)]
-    known = {**data, "gain": gain.value, "covariance": np.diag(np.square(errors)).tolist()}
-    return read_fields(VaryingDamping, known)
+    names = ("gain", "edges", "damping", "speed", "active")
+    fields = fields_of(VaryingDamping, {**data, "gain": gain.value}, names)
+    return VaryingDamping(**fields, spread=known(np.diag(np.square(errors))))

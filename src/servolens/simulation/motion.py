@@ -48,6 +48,7 @@ __all__ = ["advance"]
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
+ROUNDING = 2.0**-52  # of a position: a term that moves the axis by less shows nowhere but in the rounding of others
 SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
 
 
@@ -177,10 +178,15 @@ def breaking_loose(e: Any, p: Any, out: Any, forward: float, backward: float) ->
 
 
 @njit(**OPTIONS)
-def is_rough(series: Any, v: float, h: float, coarse: float) -> bool:
-    """Whether `h` is so long that the last term of the series matters: more than a share, and a speed of `coarse`."""
-    last: bool = abs(series[2]) * h * h * h > SMOOTH * (abs(series[0]) * h + 2.0 * abs(v)) + coarse
-    return last
+def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
+    """Whether `h` is so long that the last term of the series matters.
+
+    It is more than a share, than a speed of `coarse`, and than what the rounding of the position hides: an axis that
+    has settled swings by its rounding for ever.
+    """
+    last, share = abs(series[2]) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+    matters: bool = last > share + coarse and last * h > ROUNDING * abs(y)
+    return matters
 
 
 @njit(**OPTIONS)
@@ -200,6 +206,8 @@ def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
             tau = reversal_time(c0, c1, c2, c3, h)
             speed = 0.0
         e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
+        if v == 0.0 and speed == 0.0 and e[Y] == y:  # set out and back without moving by one bit: it rests
+            tau = h
     e[V], e[T], e[U], e[D], e[MOVING], e[SHAKING] = speed, x[T] + tau, x[U], d, x[MOVING], x[SHAKING]
     for i in range(ns):
         k = 3 + 3 * i
@@ -237,7 +245,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
         for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, z, nz, part)
             taylor(x, p, series)
-            if is_rough(series, x[V], part, coarse) and part > SHORTEST * h:
+            if is_rough(series, x[Y], x[V], part, coarse) and part > SHORTEST * h:
                 part *= 0.5
                 shorten(begin, end, nz, 0.5)
                 continue
