@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -93,7 +93,10 @@ class Parameter:
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
-        number = float(value)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise InputError(f"{owner}: {self.name} must be a number, got {described(value)}") from None
         if not (isfinite(number) and self.low <= number <= self.high):
             raise InputError(f"{owner}: {self.name} must lie in [{self.low:g}, {self.high:g}], got {number:g}")
         return number
@@ -194,8 +197,6 @@ class Effect(ABC):
         Whether it makes sense for angles only.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
-    bends_with_speed : bool
-        Whether it is a force whose law over the speed has a shape of its own: two of them are a curve that is fitted.
     contact_rate : float
         Rate [1/s] of a contact that it closes somewhere along the travel, with the moving mass.
     looks_like, remedy, for_the_gain : str
@@ -220,7 +221,6 @@ class Effect(ABC):
     is_last_resort: ClassVar[bool] = False
     is_rotary: ClassVar[bool] = False
     passes_for_damping: ClassVar[bool] = False
-    bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
