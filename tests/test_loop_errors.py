@@ -12,6 +12,7 @@ from servolens import lab
 from servolens.effects import CoulombFriction
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
 from servolens.identification.noise import NoiseModel
+from servolens.identification.repeats import common_share, repeats, spread_of
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
 CART = servolens.Plant(gain=GAIN, damping=DAMPING)
@@ -101,3 +102,28 @@ def test_an_axis_that_sticks_may_rest_while_something_shakes_it():
     noise = replace(WHITE, rate=100.0, corner=100.0)
     drawn = drawn_loop_errors([held], [record], [np.full(len(record), 3e-5)], noise)
     assert not loop_error([held], [record], drawn[7], noise, 11.0).depends
+
+
+def test_runs_that_repeat_each_other_are_recognised():
+    one, other, shorter = steps(), steps(), steps(6.0)
+    another_gain = steps(kp=61.0)
+    late = replace(other, time=other.time + 100.0)
+    assert repeats([one, another_gain, shorter, late, other]) == [(0, 3, 4)]
+    assert repeats([one, another_gain]) == []
+
+
+def test_spread_of_repeated_runs_is_that_of_their_noise():
+    stream = np.random.default_rng(3)
+    runs = [replace(run, position=run.position + 2e-5 * stream.standard_normal(len(run))) for run in [steps()] * 3]
+    assert spread_of(runs, [(0, 1, 2)]) == pytest.approx(2e-5, rel=0.03)
+    noise = [stream.standard_normal(5000) for _ in range(4)]
+    assert common_share(noise, [(0, 1, 2, 3)]) == pytest.approx(0.25, abs=0.03)
+    assert common_share([noise[0], noise[0]], [(0, 1)]) == pytest.approx(1.0)
+
+
+def test_an_error_that_repeats_in_each_run_is_no_shaking():
+    record, noise = steps(), shaken(1e-4)
+    first, second = (draw[0] for draw in drawn_loop_errors([CART], [record], [np.full(len(record), 1e-4)], noise)[:2])
+    twice, plants = [record, record], [CART, CART]
+    assert loop_error(plants, twice, [first, first], noise, 11.0).depends
+    assert not loop_error(plants, twice, [first, second], noise, 11.0).depends

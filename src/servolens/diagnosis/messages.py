@@ -11,6 +11,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME
+from servolens.identification.repeats import repeats, spread_of
 from servolens.identification.rounding import DOMINATES, dominates
 from servolens.identification.segments import begins_with_its_step
 from servolens.units import readable
@@ -78,6 +79,10 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
         told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
     if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
         told += f"; the encoder's rounding to {readable(noise.rounding, unit)} dominates"
+    groups = repeats(case.records)
+    if groups:
+        spread = readable(spread_of(case.records, groups), unit)
+        told += f"; {sum(len(g) for g in groups)} runs repeat others and differ from them by {spread}"
     return Finding(code="noise_model", severity="note", message=f"{told}.")
 
 

@@ -52,6 +52,8 @@ SIMPLE = 0.75
 SHARE, SPENT = 0.25, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for."""
+ORDINALS = ("", "second ", "third ", "fourth ", "fifth ")
+"""Of the cause that is looked for beside those found."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -282,7 +284,7 @@ class _Explorer:
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
-        trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
+        trials, what = self.trials, f"looking for a {ORDINALS[len(hypothesis.causes)]}cause"
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(what, done)
         is_observed = hypothesis.noise.rate > 0.0

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import ServolensError
+from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.processors import in_parallel
@@ -74,10 +75,11 @@ def loop_error(
 ) -> LoopError:
     """Compare the errors of simulations in closed loop with what noise and shaking alone would do.
 
-    Two shares of the squared error are compared with those of draws: what is explained by what the simulation itself
+    Shares of the squared error are compared with those of draws: what is explained by what the simulation itself
     does and by the reference at several lags, beside what the parameters could make good; and what arises in the third
     of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
-    doi:10.1080/01621459.1965.10480811). What knows nothing of the inputs is as large at rest as in motion.
+    doi:10.1080/01621459.1965.10480811); and what runs that repeat each other have in common, if there are any. What
+    knows nothing of the inputs is as large at rest as in motion, and another in each run.
 
     Parameters
     ----------
@@ -175,15 +177,20 @@ class _Shares:
         self._basis = _spanned(rows)
         order = np.argsort(np.concatenate(activity), kind="stable")
         third = order.size // 3
+        self._repeats = repeats(records)
         self._least, self._most = order[:third], order[-third:]
 
-    def of(self, errors: Errors) -> tuple[float, float]:
-        """Return the share that the inputs explain, and that which arises where the axis moves most."""
+    def of(self, errors: Errors) -> list[float]:
+        """Return what the inputs explain, what arises where the axis moves most, and what repeated runs have in common.
+
+        The last only where runs repeat each other.
+        """
         error = np.concatenate(errors)
         error = error - self._own @ (self._own.T @ error)
         along = float(np.sum((self._basis.T @ error) ** 2))
         low, high = (float(np.sum(error[part] ** 2)) for part in (self._least, self._most))
-        return along / max(float(error @ error), 1e-300), high / max(low + high, 1e-300)
+        shares = [along / max(float(error @ error), 1e-300), high / max(low + high, 1e-300)]
+        return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
 def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], positions: Errors) -> NDArray[np.float64]:
