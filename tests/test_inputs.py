@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -10,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import servolens
 from servolens import (
     Controller,
     CoulombFriction,
@@ -26,11 +28,14 @@ from servolens import (
     feedforward,
     fit,
     gain_map,
+    held_response,
     identify,
     lab,
     predict,
     profile,
     read_model,
+    read_record,
+    read_records,
     recommend,
     simulate,
     simulate_continuous,
@@ -40,7 +45,7 @@ from servolens import (
     to_control,
     tune,
 )
-from servolens.inputs import RecordSettings, as_effects, as_groups, as_model, as_plant, as_records, is_model
+from servolens.inputs import ARGUMENTS, RecordSettings, as_effects, as_groups, as_model, as_plant, as_records, is_model
 from servolens.reading import KEYS
 from servolens.results import write_json
 
@@ -122,9 +127,22 @@ def test_what_is_no_record_is_refused_with_a_sentence(given, settings, said):
         as_records(given, settings)
 
 
-def test_a_misspelt_argument_is_refused_like_an_unknown_setting():
-    with pytest.raises(InputError, match="'modle' is no argument and no setting of a record"):
-        identify(RECORD, modle="constant")
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [("modle", "'model'"), ("Kp", "'kp'"), ("prior", "'priors'"), ("efort", "'effort'"), ("held_out", "'heldout'")],
+)
+def test_a_misspelt_argument_is_refused_with_the_one_that_may_be_meant(written, meant):
+    with pytest.raises(
+        InputError, match=f"'{written}' is no argument and no setting of a record; did you mean {meant}"
+    ):
+        identify(RECORD, **{written: "constant"})
+
+
+def test_arguments_that_may_be_meant_are_those_of_the_public_functions():
+    functions = [value for name in servolens.__all__ if inspect.isfunction(value := getattr(servolens, name))]
+    signatures = [inspect.signature(function).parameters.values() for function in functions]
+    of_records = [one for one in signatures if any(p.kind is p.VAR_KEYWORD for p in one)]
+    assert {p.name for one in of_records for p in one if p.kind is p.KEYWORD_ONLY} == set(ARGUMENTS)
 
 
 def test_a_plant_is_what_any_result_holds(tmp_path):
@@ -156,7 +174,16 @@ def test_effects_are_instances_classes_or_names():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"), [("friction", "there is no effect 'friction'"), (5, "got int 5"), (Plant, "got the class Plant")]
+    ("given", "said"),
+    [
+        ("friction", "there is no effect 'friction'; did you mean 'asymmetric_friction' or 'coulomb_friction' or"),
+        ("coulomb", r"there is no effect 'coulomb'; did you mean 'coulomb_friction'\?"),
+        ("CoulombFriction", r"there is no effect 'CoulombFriction'; did you mean 'coulomb_friction'\?"),
+        ("backlsh", r"there is no effect 'backlsh'; did you mean 'backlash'\?"),
+        ("step.csv", "there is no effect 'step.csv'; the catalogue holds actuator_lag, "),
+        (5, "got int 5"),
+        (Plant, "got the class Plant"),
+    ],
 )
 def test_what_is_no_effect_is_refused_with_a_sentence(given, said):
     with pytest.raises(InputError, match=said):
@@ -293,8 +320,40 @@ def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
         (lambda: fit(RECORD, "coulomb_friction"), "an effect, its class or its name is needed, .*; got Record"),
         (lambda: fit("coulomb_friction", RECORD, bounds={"gain": 2}), r"the bounds of gain must be .*; got int 2"),
         (lambda: fit("coulomb_friction", RECORD, fixed="gain"), "gain has no value to be fixed at; write fixed="),
+        (lambda: CoulombFriction(level="a"), "coulomb_friction: level must be a number, got str 'a'"),
+        (
+            lambda: Plant(gain=1, damping=1, effects="delay"),
+            "effects with their numbers .*; got str 'delay'",
+        ),
+        (lambda: PLANT.with_effect(CoulombFriction), "effects with their numbers .*; got the class CoulombFriction"),
+        (lambda: Plant(gain=1, damping=1, effects=3), "effects with their numbers are needed, .*; got int 3"),
+        (lambda: read_record(table()), "the path of a log is needed; got DataFrame .*record_from_dataframe"),
+        (lambda: read_records(3), "paths of files, folders or campaigns are needed; got int 3"),
+        (lambda: closed_loop(PLANT, kp="60"), "kp and kd must be finite numbers, got '60'"),
+        (lambda: held_response(PLANT, [0, 1], [1, 1]), "a system of python-control is needed, .*; got Plant"),
+        (lambda: lab.step_record(PLANT, kp=60), "an axis is a Truth of servolens.lab, .*; got Plant"),
+        (lambda: lab.Truth(gain=1, damping=1, effects=["delay"]), r"effects must be names .*; got list \['delay'\]"),
+        (lambda: lab.Truth(gain=1, damping=1, effects={"lag": {}}), "did you mean 'actuator_lag' or 'sensor_lag'"),
+        (lambda: lab.hidden_campaign(1, effects="backlsh"), "no effect 'backlsh' to hide; did you mean 'backlash'"),
     ],
 )
 def test_what_cannot_be_used_is_said(ask, said):
     with pytest.raises(InputError, match=said):
         ask()
+
+
+def test_one_effect_alone_makes_a_plant():
+    friction = CoulombFriction(level=0.3)
+    assert Plant(gain=1.9, damping=6, effects=friction) == Plant(gain=1.9, damping=6, effects=(friction,))
+
+
+def test_a_misspelt_name_of_the_package_or_of_a_parameter_is_answered_with_the_right_one():
+    with pytest.raises(AttributeError, match="did you mean 'CoulombFriction'"):
+        _ = servolens.coulomb_friction
+    with pytest.raises(KeyError, match="gian is no parameter of this model; did you mean 'gain'"):
+        _ = Model(plant=PLANT).quantities["gian"]
+
+
+def test_a_result_of_servolens_in_place_of_a_log_is_said(model_file):
+    with pytest.raises(InputError, match=r"is a result that servolens wrote \(servolens.model/1\); give the log"):
+        as_records(str(model_file))

@@ -446,13 +446,13 @@ def test_what_cannot_be_read_is_refused_by_one_sentence(write, content, sentence
         ({"settings": {"kp": True}}, "kp must be a number, got 'True'"),
         ({"settings": {"kp": [1]}}, "kp must be a number, got '[1]'"),
         ({"settings": {"name": 3}}, "name must be a text, got '3'"),
-        ({"columns": {"pos": "x"}}, "columns: no signal is named 'pos'; known are " + SIGNALS),
+        ({"columns": {"pos": "x"}}, "columns: no signal is named 'pos'; did you mean 'position'?"),
         ({"columns": {"position": 3}}, "columns: position must be a text, got '3'"),
         (
             {"columns": {"position": "qm"}},
             "no column named 'qm' for position; the columns are 'time, position, reference'",
         ),
-        ({"units": {"pos": "m"}}, "units: no signal is named 'pos'; known are " + SIGNALS),
+        ({"units": {"place": "m"}}, "units: no signal is named 'place'; known are " + SIGNALS),
         ({"units": {"position": "blub"}}, "column position: 'blub' is no unit; write e.g. [s], [mm], [rad] or [V]"),
     ],
 )

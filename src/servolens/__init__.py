@@ -195,10 +195,17 @@ def __getattr__(name: str) -> Any:
     if name in _ROOMS:
         return importlib.import_module(f"servolens.{name}")
     if name not in _HOME_OF:
-        raise AttributeError(f"module 'servolens' has no attribute {name!r}")
+        raise AttributeError(f"module 'servolens' has no attribute {name!r}{_meant(name)}")
     value = getattr(importlib.import_module(f"servolens.{_HOME_OF[name]}"), name)
     globals()[name] = value
     return value
+
+
+def _meant(name: str) -> str:
+    from servolens.errors import names_like
+
+    offer = "" if name.startswith("_") else names_like(name, __all__, "")
+    return f"; {offer}" if offer.endswith("?") else ""
 
 
 def __dir__() -> list[str]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 from servolens.reading import KEYS, read_log
 from servolens.reading.files import is_folder, located, printable, quote, read_bytes
 from servolens.reading.formats import SUFFIXES, is_bag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from servolens.reading import Reading
     from servolens.record import Record
@@ -94,7 +95,10 @@ def read_logs(
     InputError
         As :func:`read_records` does.
     """
-    named = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    named = [paths] if isinstance(paths, str | os.PathLike) or not isinstance(paths, Iterable) else list(paths)
+    for path in named:
+        if not isinstance(path, str | os.PathLike):
+            raise InputError(f"paths of files, folders or campaigns are needed; got {described(path)}")
     root = None if data_root is None else _real(Path(data_root))
     beside = (settings or {}).get("reference_file")
     own = None if beside is None else _real(Path(str(beside)))

@@ -5,7 +5,16 @@ Wrong use raises a :class:`ServolensError`; its ``exit_status`` is what the comm
 
 from __future__ import annotations
 
-__all__ = ["InputError", "NumericalError", "ServolensError"]
+import re
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like"]
+
+MOST_NAMES = 6
+"""Names that a message offers where many hold what was written."""
 
 
 class ServolensError(Exception):
@@ -22,3 +31,53 @@ class NumericalError(ServolensError, ArithmeticError):
     """A computation that should have succeeded did not."""
 
     exit_status = 3
+
+
+def described(value: Any) -> str:
+    """Return what a value is, for a message, with at most 40 characters of it."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    text = " ".join(repr(value).split()) if isinstance(value, str | int | float | complex | list | tuple | dict) else ""
+    kind = "None" if value is None else type(value).__name__
+    return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
+
+
+def names_like(name: str, known: Iterable[str], otherwise: str) -> str:
+    """Return the question for a misspelt `name`: which of the `known` was meant; where none is like it, all of them.
+
+    Capitals, spaces, hyphens and underscores do not count, and a part of a name is enough.
+
+    Parameters
+    ----------
+    name : str
+        As written.
+    known : iterable of str
+        All that there are.
+    otherwise : str
+        What leads the list of all of them, e.g. "the catalogue holds".
+
+    Examples
+    --------
+    >>> names_like("CoulombFriction", ["backlash", "coulomb_friction"], "there are")
+    "did you mean 'coulomb_friction'?"
+    >>> names_like("backlsh", ["backlash", "coulomb_friction"], "there are")
+    "did you mean 'backlash'?"
+    >>> names_like("?", ["backlash", "coulomb_friction"], "there are")
+    'there are backlash, coulomb_friction'
+    """
+    from difflib import get_close_matches
+
+    plain = {one: _plain(one) for one in known}
+    wanted = _plain(name)
+    near = [one for one, text in plain.items() if text == wanted]
+    near = near or [one for one, text in plain.items() if len(wanted) > 2 and wanted in text]
+    if not near:
+        close = get_close_matches(wanted, plain.values(), 2)
+        near = [one for one, text in plain.items() if text in close]
+    if near and len(near) <= MOST_NAMES:
+        return f"did you mean {' or '.join(repr(one) for one in near)}?"
+    return f"{otherwise} {', '.join(plain)}"
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\W_]+", "", name).lower()

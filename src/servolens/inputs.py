@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from servolens.campaign import read_records
 from servolens.effects import Effect, check_effect, effect_class
-from servolens.errors import InputError
+from servolens.errors import InputError, described, names_like
 from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import KEYS, record_from_dataframe, record_from_timeresponse
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = [
+    "ARGUMENTS",
     "Effects",
     "Plants",
     "RecordSettings",
@@ -31,7 +32,6 @@ __all__ = [
     "as_record",
     "as_records",
     "check_units",
-    "described",
     "is_model",
     "listed",
 ]
@@ -42,6 +42,32 @@ Plants = Any
 """Plant, Model, path of a model's file, or anything with a `model` or `plant`: fit, identification, diagnosis."""
 Effects = Any
 """Effect, its class or its name, or a sequence of these."""
+
+ARGUMENTS = (
+    "begin",
+    "bounds",
+    "certify",
+    "compared",
+    "delta",
+    "driven",
+    "effort",
+    "fixed",
+    "force",
+    "heldout",
+    "initial_velocity",
+    "local",
+    "loss",
+    "model",
+    "piece",
+    "priors",
+    "progress",
+    "references",
+    "spec",
+    "substeps",
+    "voltage_driven",
+    "with_program",
+)
+"""Keywords of public functions beside the settings of records: one of them may be meant by a misspelt keyword."""
 
 
 class RecordSettings(TypedDict, total=False):
@@ -225,15 +251,6 @@ def listed(source: Any) -> tuple[Any, ...]:
     return (source,)
 
 
-def described(value: Any) -> str:
-    """Return what a value is, for a message, with at most 40 characters of it."""
-    if isinstance(value, type):
-        return f"the class {value.__name__}"
-    text = " ".join(repr(value).split()) if isinstance(value, str | int | float | complex | list | tuple | dict) else ""
-    kind = "None" if value is None else type(value).__name__
-    return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
-
-
 def _holds_model(source: object) -> bool:
     """Tell whether a result of ours is given; a table may have columns of these names."""
     if isinstance(source, type) or hasattr(source, "columns"):
@@ -245,7 +262,9 @@ def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the settings with NumPy's numbers as Python's, without those that are None."""
     for key in settings:
         if key not in KEYS:
-            raise InputError(f"{key[:40]!r} is no argument and no setting of a record; settings are {', '.join(KEYS)}")
+            offer = names_like(key, (*KEYS, *ARGUMENTS), "")
+            offer = offer if offer.endswith("?") else f"settings are {', '.join(KEYS)}"
+            raise InputError(f"{key[:40]!r} is no argument and no setting of a record; {offer}")
     return {k: v.item() if hasattr(v, "item") else v for k, v in settings.items() if v is not None}
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.decoding import read_fields
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 
@@ -131,15 +131,18 @@ class Model:
         """Every parameter by qualified name."""
         variances = np.full(len(self.plant.values), np.nan) if self.covariance is None else np.diag(self.covariance)
         known = np.isfinite(variances) & (variances >= 0)
-        return {
-            name: Quantity(
-                value=value,
-                unit=self.plant.unit(name),
-                stderr=float(np.sqrt(variances[i])) if known[i] else None,
-                reason=None if known[i] else self.reasons.get(name, "given, not estimated"),
+        return _Quantities(
+            (
+                name,
+                Quantity(
+                    value=value,
+                    unit=self.plant.unit(name),
+                    stderr=float(np.sqrt(variances[i])) if known[i] else None,
+                    reason=None if known[i] else self.reasons.get(name, "given, not estimated"),
+                ),
             )
             for i, (name, value) in enumerate(zip(self.plant.parameters, self.plant.values, strict=True))
-        }
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.model/1`` without the file's header."""
@@ -200,6 +203,13 @@ class Model:
             missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
             raise InputError(f"not a model of schema {SCHEMA}: {missing}") from None
         return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
+
+
+class _Quantities(dict[str, Quantity]):
+    """Quantities by name, which answer a misspelt one with those that there are."""
+
+    def __missing__(self, name: object) -> Quantity:
+        raise KeyError(f"{name} is no parameter of this model; {names_like(str(name), self, 'those are')}")
 
 
 def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] = ()) -> Model:

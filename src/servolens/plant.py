@@ -5,6 +5,7 @@ Per unit of moving mass: ``ÿ = gain·a(V) − damping·ẏ − Σ forces − D�
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
@@ -21,7 +22,7 @@ from servolens.effects import (
     check_effect,
     effect_class,
 )
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -60,7 +61,7 @@ class Plant:
         β [m/s²/V]: acceleration per volt from rest, not zero. A drive with a loop of its own sets it.
     damping : float
         c [1/s]: viscous damping per unit of moving mass.
-    effects : tuple of Effect
+    effects : sequence of Effect, or one
         What else the axis does: each name once, at most one transmission, one drive and one delay.
     length_unit : {"m", "rad"}
         Unit of position.
@@ -99,7 +100,7 @@ class Plant:
             object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name), "plant"))
         if self.length_unit not in ("m", "rad"):
             raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
-        object.__setattr__(self, "effects", tuple(self.effects))
+        object.__setattr__(self, "effects", _several(self.effects))
         object.__setattr__(self, "structure", tuple(type(effect) for effect in self.effects))
         _check_together(self.structure)
         for effect in self.effects:
@@ -196,7 +197,7 @@ class Plant:
 
     def with_effect(self, effect: Effect) -> Plant:
         """Return the plant with `effect` added, in place of one of the same name."""
-        others = tuple(e for e in self.effects if e.name != effect.name)
+        others = (e for e in self.effects if e.name != getattr(effect, "name", None))
         return replace(self, effects=(*others, effect))
 
     def without_effect(self, name: str) -> Plant:
@@ -223,6 +224,18 @@ class Plant:
         if sorted(parameters) != sorted(wanted):
             raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {', '.join(parameters) or 'none'}")
         return cls(**parameters)
+
+
+def _several(effects: Any) -> tuple[Effect, ...]:
+    """Return the effects of a plant, each with its numbers; one alone will do."""
+    given = tuple(effects) if isinstance(effects, Iterable) and not isinstance(effects, str | type) else (effects,)
+    for one in given:
+        if not isinstance(one, Effect):
+            raise InputError(
+                "plant: effects with their numbers are needed, such as CoulombFriction(level=0.3); "
+                f"got {described(one)}"
+            )
+    return given
 
 
 @lru_cache(maxsize=1024)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
@@ -13,7 +12,7 @@ import numpy as np
 from servolens.bridge.delay import delay_line, settled
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.effects import TimeShift
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -111,9 +110,7 @@ class Equations:
         known = [*self.defaults, *self._left_out]
         for name in () if all(own in params for own in self.defaults) else params:
             if name not in known:
-                near = get_close_matches(name, known, 1)
-                meant = f"did you mean {near[0]!r}? " if near else ""
-                raise InputError(f"{name[:40]!r} is no parameter of this system; {meant}It has {', '.join(known)}")
+                raise InputError(f"{name[:40]!r} is no parameter of this system; {names_like(name, known, 'it has')}")
 
     def numbers(self, params: Mapping[str, float]) -> list[float]:
         """Return all parameters in the order of `defaults`.

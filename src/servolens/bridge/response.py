@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.bridge.checking import TOLERANCE, judge
 from servolens.bridge.system import PlantSystem
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -112,6 +112,8 @@ def held_response(
 
 
 def _signals(system: Any, time: ArrayLike, inputs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    if not isinstance(system, ct.InputOutputSystem):
+        raise InputError(f"a system of python-control is needed, such as to_control(plant); got {described(system)}")
     grid, held = np.asarray(time, dtype=np.float64), np.atleast_2d(np.asarray(inputs, dtype=np.float64))
     if grid.ndim != 1 or grid.size < 2 or np.diff(grid).min() <= 0:
         raise InputError(f"time must be one-dimensional, of at least 2 samples, and increase; got shape {grid.shape}")

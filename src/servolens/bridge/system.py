@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import TYPE_CHECKING, Any, final
 
 import control as ct
@@ -118,8 +119,8 @@ def closed_loop(
     >>> loop.linearize([0.1, 0.0], 0.1).A.tolist()
     [[0.0, 1.0], [-190.0, -15.5]]
     """
-    if not np.isfinite([kp, kd]).all():
-        raise InputError(f"kp and kd must be finite, got {kp!r} and {kd!r}")
+    if not (isinstance(kp, Real) and isinstance(kd, Real) and np.isfinite([kp, kd]).all()):
+        raise InputError(f"kp and kd must be finite numbers, got {kp!r} and {kd!r}")
     return _system(as_plant(plant), {"kp": float(kp), "kd": float(kd)}, name, prefix, friction_width, delay_order)
 
 

@@ -21,7 +21,7 @@ from servolens.effects.kinds import (
     TimeShift,
     Transmission,
 )
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 
 # The catalogue, a line each. The names are exported as they stand: that is what `as` says to type checkers.
 # isort: off
@@ -121,7 +121,7 @@ def effect_class(name: str) -> type[Effect]:
     """
     found = CATALOGUE.get(name) or _offered(name, tuple(sys.path))
     if found is None:
-        raise InputError(f"there is no effect {name[:40]!r}; the catalogue holds {', '.join(sorted(CATALOGUE))}")
+        raise InputError(f"there is no effect {name[:40]!r}; {names_like(name, CATALOGUE, 'the catalogue holds')}")
     return found
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -93,7 +93,10 @@ class Parameter:
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
-        number = float(value)
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise InputError(f"{owner}: {self.name} must be a number, got {described(value)}") from None
         if not (isfinite(number) and self.low <= number <= self.high):
             raise InputError(f"{owner}: {self.name} must lie in [{self.low:g}, {self.high:g}], got {number:g}")
         return number

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 
-from servolens.errors import InputError
-from servolens.inputs import described
+from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

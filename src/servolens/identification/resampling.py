@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, described
 from servolens.identification.fitting import runs_of
 from servolens.identification.refine import minimise_error
 from servolens.identification.runs import Resampled
-from servolens.inputs import described
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 from servolens.lab.disturbances import Drawn, SensorNoise, Surroundings
 from servolens.lab.loop import Bench, BenchRun, run_many, run_one
+from servolens.lab.truth import Truth
 from servolens.record import Controller, Record
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.lab.truth import Truth
     from servolens.record import LengthUnit
 
     Seed = int | np.random.SeedSequence | np.random.Generator | None
@@ -155,7 +155,7 @@ def step_record(  # noqa: PLR0913 - what is turned from one experiment to the ne
     >>> float(record.voltage[0]), record.voltage_limit
     (6.0, 5)
     """
-    knobs = _Knobs(kp, kd, reference, duration, sample_time, encoder, noise, seed, setup or Setup())
+    knobs = _Knobs(truth, kp, kd, reference, duration, sample_time, encoder, noise, seed, setup or Setup())
     bench = knobs.bench()
     drawn = knobs.around.drawn(bench.time, np.random.default_rng(seed))
     return knobs.record(bench, run_one(truth, bench, drawn), knobs.title, drawn)
@@ -206,7 +206,7 @@ def step_records(  # noqa: PLR0913 - as step_record
     """
     if repeats < 1:
         raise InputError(f"repeats must be at least 1, got {repeats}")
-    knobs = _Knobs(kp, kd, reference, duration, sample_time, encoder, noise, seed, setup or Setup())
+    knobs = _Knobs(truth, kp, kd, reference, duration, sample_time, encoder, noise, seed, setup or Setup())
     bench = knobs.bench()
     each = [knobs.around.drawn(bench.time, stream) for stream in np.random.default_rng(seed).spawn(repeats)]
     if knobs.around.jitter is None:
@@ -230,6 +230,7 @@ def _together(each: Sequence[Drawn]) -> Drawn:
 class _Knobs:
     """What was asked of :func:`step_record`."""
 
+    truth: Truth
     kp: float
     kd: float
     reference: float | Sequence[float]
@@ -241,6 +242,8 @@ class _Knobs:
     setup: Setup
 
     def __post_init__(self) -> None:
+        if not isinstance(self.truth, Truth):
+            raise InputError(f"an axis is a Truth of servolens.lab, such as lab.NLM3; got {described(self.truth)}")
         _check("sample_time", self.sample_time, positive=True)
         _check("encoder", self.encoder)
         _check("noise", self.noise)

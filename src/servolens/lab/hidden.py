@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, names_like
 from servolens.lab.disturbances import Drawn
 from servolens.lab.foreign import FOREIGN
 from servolens.lab.loop import Bench, run_one
@@ -137,7 +137,7 @@ class HiddenCampaign:
 def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by keyword
     seed: int,
     *,
-    effects: Sequence[str] = (),
+    effects: str | Sequence[str] = (),
     foreign: str | None = None,
     visibility: float | None = None,
     noise: str | float | None = None,
@@ -155,7 +155,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
     ----------
     seed : int
         At least 0. The same call gives the same campaign.
-    effects : sequence of str
+    effects : str or sequence of str
         Effects of the catalogue to hide; none for a healthy axis.
     foreign : str, optional
         Name of a law that is not in the catalogue, to hide as well.
@@ -339,7 +339,7 @@ def _number(i: int, repeat: int) -> int:
 
 
 def _checked(
-    effects: Sequence[str],
+    effects: str | Sequence[str],
     foreign: str | None,
     visibility: float | None,
     noise: str | float | None,
@@ -348,11 +348,12 @@ def _checked(
     logged: bool,
 ) -> list[str]:
     """Return the names of all that is to be hidden."""
-    for name in effects:
+    names = [effects] if isinstance(effects, str) else [*effects]
+    for name in names:
         if name not in SIZES:
-            raise InputError(f"no effect {name[:40]!r} to hide; there are {', '.join(sorted(SIZES))}")
+            raise InputError(f"no effect {name[:40]!r} to hide; {names_like(name, sorted(SIZES), 'there are')}")
     if foreign is not None and foreign not in FOREIGN:
-        raise InputError(f"no foreign law {foreign[:40]!r}; there are {', '.join(FOREIGN)}")
+        raise InputError(f"no foreign law {foreign[:40]!r}; {names_like(foreign, FOREIGN, 'there are')}")
     if visibility is not None and not (math.isfinite(visibility) and visibility > 0):
         raise InputError(f"visibility must be positive, got {visibility!r}")
     if isinstance(noise, str) and noise not in NOISES:
@@ -363,4 +364,4 @@ def _checked(
         raise InputError(f"a campaign needs at least 1 record and 0 held-out ones, got {records!r} and {heldout!r}")
     if not logged:
         raise InputError("log_reference and log_voltage are both False; a record needs at least one of the two")
-    return [*effects, *([foreign] if foreign else [])]
+    return [*names, *([foreign] if foreign else [])]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
-from servolens.errors import InputError
+from servolens.errors import InputError, described, names_like
 from servolens.lab.laws import LAWS
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 __all__ = ["LM1", "LM2", "LM3", "NLM1", "NLM2", "NLM3", "Truth"]
 
@@ -55,6 +53,11 @@ class Truth:
             object.__setattr__(self, name, _finite(value, f"truth: {name}"))
         if self.gain == 0:
             raise InputError("truth: gain must not be 0, the command would move nothing")
+        if not isinstance(self.effects, Mapping):
+            raise InputError(
+                "truth: effects must be names with their parameters, such as {'coulomb_friction': {'level': 0.3}}; "
+                f"got {described(self.effects)}"
+            )
         checked = {name: MappingProxyType(_checked(name, values)) for name, values in self.effects.items()}
         _check_together(self.gain, checked)
         object.__setattr__(self, "effects", MappingProxyType(checked))
@@ -66,7 +69,7 @@ class Truth:
 
 def _checked(name: str, values: Mapping[str, float]) -> dict[str, float]:
     if name not in LAWS:
-        raise InputError(f"the laboratory has no effect {name[:40]!r}; it has {', '.join(sorted(LAWS))}")
+        raise InputError(f"the laboratory has no effect {name[:40]!r}; {names_like(name, sorted(LAWS), 'it has')}")
     wanted = LAWS[name].parameters
     if sorted(values) != sorted(wanted):
         raise InputError(f"truth: {name} needs {', '.join(wanted)}; got {', '.join(values) or 'none'}")

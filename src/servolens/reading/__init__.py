@@ -12,6 +12,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from servolens.errors import InputError, described
 from servolens.reading.files import located, printable
 from servolens.reading.formats import read_tables
 from servolens.reading.guess import Guess
@@ -91,6 +92,8 @@ def read_log(
     InputError
         As :func:`read_record` does.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"the path of a log is needed; got {described(path)} (a table: record_from_dataframe)")
     file = Path(path)
     with located(label or os.fspath(path)):
         found = interpret(read_tables(file), columns=columns, units=units, settings=settings)

@@ -38,6 +38,9 @@ def read_json(content: bytes) -> tuple[Table, ...]:
         raise InputError(f"is not valid JSON (line {error.lineno}, column {error.colno})") from error
     except (RecursionError, ValueError) as error:
         raise InputError("is not valid JSON: nested too deep, or a number too long") from error
+    schema = tree.get("schema") if isinstance(tree, dict) else None
+    if isinstance(schema, str) and schema.startswith("servolens."):
+        raise InputError(f"is a result that servolens wrote ({schema[:40]}); give the log that it was made from")
     try:
         tables = tables_of(tree)
     except RecursionError as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
 from servolens.record import SIGNALS
@@ -121,7 +121,7 @@ def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str
     checked = dict(mapping or {})
     for signal, text in checked.items():
         if signal not in SIGNALS:
-            raise InputError(f"{what}: no signal is named {quote(signal)}; known are {', '.join(SIGNALS)}")
+            raise InputError(f"{what}: no signal is named {quote(signal)}; {names_like(signal, SIGNALS, 'known are')}")
         if not isinstance(text, str):
             raise InputError(f"{what}: {signal} must be a text, got {quote(text)}")
     return checked

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 from servolens.findings import Finding
 from servolens.reading.files import quote
 from servolens.units import Unit, parse_unit, split_number
@@ -110,7 +110,7 @@ def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] |
     override = dict(given or {})
     for key in override:
         if key not in KEYS:
-            raise InputError(f"no setting is named {quote(key)}; known are {', '.join(KEYS)}")
+            raise InputError(f"no setting is named {quote(key)}; {names_like(key, KEYS, 'known are')}")
     if "reference_file" in comments and override.get("reference_file") is None:
         raise InputError("the comment lines name a reference_file, which is not followed; give --reference-file")
     merged = {**comments, **{key: value for key, value in override.items() if value is not None}}

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Unpack
 
 from servolens import design as designing
 from servolens.design import PDSpec
-from servolens.errors import InputError
-from servolens.inputs import as_model, as_records, described, is_model, listed
+from servolens.errors import InputError, described
+from servolens.inputs import as_model, as_records, is_model, listed
 from servolens.plant import Plant
 from servolens.study.workflow import study_records
 
