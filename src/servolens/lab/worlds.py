@@ -70,7 +70,7 @@ def surroundings(
     >>> slow = lab.surroundings("coloured", seed=1)
     >>> 0.8 <= slow.noise.slowest <= 0.99
     True
-    >>> record = lab.step_record(lab.NLM3, kp=60, surroundings=slow, seed=1)
+    >>> record = lab.step_record(lab.NLM3, kp=60, seed=1, setup=lab.Setup(surroundings=slow))
     """
     checked_world(world)
     for name, value in (("travel", travel), ("rate", rate), ("damping", damping)):
