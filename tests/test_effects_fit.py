@@ -537,8 +537,10 @@ def test_compared_voltage_shows_what_a_stiff_loop_hides_in_its_position():
 
 def sliced() -> tuple[Record, ...]:
     """Return logs that begin in the middle of a motion."""
-    knobs = {"derivative_filter": 0.1, "reference": (0.1, 0.0)}
-    whole = [logged(STICKY, kp, 4.0, seed=10 + k, **knobs) for k, kp in enumerate((60.0, 90.0))]
+    loops = [Controller(kp=kp, kd=4.0, derivative_filter=0.1) for kp in (60.0, 90.0)]
+    whole = [
+        logged(STICKY, reference=(0.1, 0.0), seed=10 + k, setup=Setup(controller=loop)) for k, loop in enumerate(loops)
+    ]
     return tuple(record.slice(0.85, 1.6) for record in whole)
 
 
