@@ -197,8 +197,6 @@ class Effect(ABC):
         Whether it makes sense for angles only.
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
-    bends_with_speed : bool
-        Whether it is a force whose law over the speed has a shape of its own: two of them are a curve that is fitted.
     contact_rate : float
         Rate [1/s] of a contact that it closes somewhere along the travel, with the moving mass.
     looks_like, remedy, for_the_gain : str
@@ -223,7 +221,6 @@ class Effect(ABC):
     is_last_resort: ClassVar[bool] = False
     is_rotary: ClassVar[bool] = False
     passes_for_damping: ClassVar[bool] = False
-    bends_with_speed: ClassVar[bool] = False
     contact_rate: ClassVar[float] = 0.0
     looks_like: ClassVar[str] = ""
     remedy: ClassVar[str] = ""

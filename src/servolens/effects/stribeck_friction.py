@@ -29,7 +29,6 @@ class StribeckFriction(DryFriction):
     latex = r"(F + S\,e^{-|v|/v_s})\,\operatorname{sgn} v"
     absent_at: ClassVar[dict[str, float]] = {"level": 0.0, "static_excess": 0.0}
     generalises = ("coulomb_friction",)
-    bends_with_speed = True
     typical: ClassVar[dict[str, float]] = {"level": 0.25, "static_excess": 0.2, "stribeck_speed": 0.025}
     looks_like = (
         "At low speed the axis sticks and jumps (stick-slip); near the target it creeps, stops short, "

@@ -27,7 +27,6 @@ class VelocityDecayDamping(Force):
     sentence = "Damping is higher at low speed and decays exponentially to its base value as the axis moves faster."
     latex = r"\alpha_1 e^{-\alpha_2 |v|}\,v"
     absent_at: ClassVar[dict[str, float]] = {"alpha1": 0.0}
-    bends_with_speed = True
     typical: ClassVar[dict[str, float]] = {"alpha1": 16.0, "alpha2": 12.0}
     looks_like = (
         "Fast moves meet little damping and the last, slow part of each move creeps: "

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 __all__ = ["read"]
 
-_OBJECTS = b"MCOS"
-
 
 def read(path: Path) -> list[Table]:
     """Return the arrays of a MAT file as tables.
