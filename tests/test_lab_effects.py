@@ -521,7 +521,7 @@ def test_more_runs_leave_the_first_as_they_were(effects):
 def test_shorter_steps_change_less_than_a_hundredth_of_a_micrometre(effects, monkeypatch):
     def position(share):
         monkeypatch.setattr(loop, "SUBSTEP", 2.5e-4 * share)
-        monkeypatch.setattr(loop, "ANGLE", 0.1 * share)
+        monkeypatch.setattr(loop, "STEP_TIMES_QUICKEST_RATE", 0.1 * share)
         return lab.step_record(axis(**effects), 60, encoder=0.0, reference=(0.1, 0.06), duration=0.2).position
 
     assert np.abs(position(1.0) - position(0.3)).max() < 1e-8
@@ -530,7 +530,7 @@ def test_shorter_steps_change_less_than_a_hundredth_of_a_micrometre(effects, mon
 def test_steps_stay_of_fourth_order_across_every_edge(monkeypatch):
     names = ("flexible_coupling", "force_limit", "coulomb_friction", "periodic_disturbance", "sensor_lag")
     truth = axis(**{name: TYPICAL[name] for name in names})
-    monkeypatch.setattr(loop, "ANGLE", 1e9)
+    monkeypatch.setattr(loop, "STEP_TIMES_QUICKEST_RATE", 1e9)
 
     def position(substep):
         monkeypatch.setattr(loop, "SUBSTEP", substep)

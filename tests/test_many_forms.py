@@ -723,7 +723,7 @@ def test_mcap_with_wrong_json_is_refused(tmp_path, data, part):
 
 
 def test_bombs_are_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(files, "LARGEST", 2**20)
+    monkeypatch.setattr(files, "MAX_BYTES", 2**20)
     (tmp_path / "a.csv.gz").write_bytes(gzip.compress(b"0,0\n" * 2**20))
     assert "unpacks to more than 1 MiB" in read_or_refuse(tmp_path / "a.csv.gz")
     (tmp_path / "b.json").write_text("[" * 200_000)

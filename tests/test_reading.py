@@ -480,7 +480,7 @@ def test_path_with_control_characters_is_escaped(tmp_path):
 
 
 def test_large_files_are_refused(write, monkeypatch):
-    monkeypatch.setattr(files, "LARGEST", 2**20)
+    monkeypatch.setattr(files, "MAX_BYTES", 2**20)
     assert refusal(write(b"1" * (2**21))) == "has 2 MiB; files up to 1 MiB are read"
 
 
@@ -595,7 +595,7 @@ def test_mat_that_cannot_be_read_is_refused_by_one_sentence(write, content, sent
 
 
 def test_mat_that_would_fill_the_memory_is_refused(write, monkeypatch):
-    monkeypatch.setattr(files, "LARGEST", 2**20)
+    monkeypatch.setattr(files, "MAX_BYTES", 2**20)
     long = np.zeros(100_000)
     content = mat(time=long, position=long, voltage=long, compress=True)
     assert len(content) < 10_000

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["controller_voltage", "law_columns", "law_rest", "with_history"]
 
-FORGOTTEN = 1e-3
+FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
 
 
@@ -81,7 +81,7 @@ def with_history(record: Record) -> Record:
     controller = _controller(record)
     remembered = controller.derivative_window
     if controller.derivative_filter < 1.0:
-        remembered += math.ceil(math.log(FORGOTTEN) / math.log(1.0 - controller.derivative_filter))
+        remembered += math.ceil(math.log(FORGOTTEN_SHARE) / math.log(1.0 - controller.derivative_filter))
     ratio = samples_a_period(controller, record.sample_time)  # it forgets as often as it runs
     remembered *= ratio
     if controller.ki != 0 or controller.integral_rate != 0:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["AntiWindup", "Controller"]
 
 AntiWindup = Literal["none", "clamping", "back_calculation"]
-WORDS = {
+TEXT_CHOICES = {
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
     "anti_windup": ("none", "clamping", "back_calculation"),
@@ -99,7 +99,7 @@ class Controller:
     def __post_init__(self) -> None:
         for name in NUMBERS:
             _check_number(name, getattr(self, name), optional=name in OPTIONAL)
-        for name, allowed in WORDS.items():
+        for name, allowed in TEXT_CHOICES.items():
             value = getattr(self, name)
             if value not in allowed:
                 raise InputError(f"{name} must be {' or '.join(map(repr, allowed))}, got {value!r}")
@@ -249,5 +249,5 @@ def _check_number(name: str, value: object, *, optional: bool = False) -> None:
         raise InputError(f"{name} must be finite, got {value!r}")
 
 
-NUMBERS = tuple(name for name in Controller.__slots__ if name not in WORDS)
+NUMBERS = tuple(name for name in Controller.__slots__ if name not in TEXT_CHOICES)
 OPTIONAL = ("tracking_time", "control_period")

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Prediction", "RecordError", "predict", "prediction_error", "prediction_residual", "record_error"]
 
-WINDOW = 5.0
+WINDOW_TIME_CONSTANTS = 5.0
 """Time constants of the axis that a window of a simulation without a reference lasts."""
 
 
@@ -192,7 +192,7 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     """
     if record.reference is not None and record.controller is not None:
         return _difference(plant, record)
-    lasts = max(WINDOW / max(plant.damping, 1e-9), 50 * record.sample_time)
+    lasts = max(WINDOW_TIME_CONSTANTS / max(plant.damping, 1e-9), 50 * record.sample_time)
     count = int(np.clip(np.ceil(record.duration / lasts), 1, max(len(record) // 50, 1)))
     edges = np.linspace(0, len(record), count + 1).astype(int)
     parts = [record.slice(float(record.time[a]), float(record.time[b - 1])) for a, b in pairwise(edges)]

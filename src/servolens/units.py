@@ -22,7 +22,7 @@ __all__ = ["Unit", "parse_unit", "prefixed", "readable", "split_number"]
 
 Dimension = tuple[tuple[str, float], ...]
 
-LONGEST = 40
+LONGEST_UNIT = 40
 """Longest text that is looked at as a unit."""
 PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
 """Units of which people write thousandths with a prefix."""
@@ -123,7 +123,7 @@ def parse_unit(text: str) -> Unit | None:
     True
     """
     text = text.strip().replace("μ", "u").replace("µ", "u")
-    if not text or len(text) > LONGEST or not _HARMLESS.fullmatch(text):
+    if not text or len(text) > LONGEST_UNIT or not _HARMLESS.fullmatch(text):
         return None
     return _from_table(text) or _from_pint(text)
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["progress_bar", "show"]
 
-BAR, BESIDE = 20, 14
+BAR_COLUMNS, OTHER_COLUMNS = 20, 14
 """Columns of the bar, and of what stands beside it but for the description."""
 DELAY = 1.0
 """Work that is done sooner shows no bar [s]."""
@@ -52,13 +52,13 @@ def progress_bar() -> Iterator[Progress]:
     console = _console(sys.stderr)
     bar = Bar(
         SpinnerColumn(),
-        BarColumn(bar_width=BAR),
+        BarColumn(bar_width=BAR_COLUMNS),
         TimeElapsedColumn(),
         TextColumn("{task.description}", markup=False),
         console=console,
         transient=True,
     )
-    room = max(console.width - BAR - BESIDE, 8)
+    room = max(console.width - BAR_COLUMNS - OTHER_COLUMNS, 8)
     task = bar.add_task("Working", total=None)
     timer = threading.Timer(DELAY, bar.start)
     timer.daemon = True

@@ -23,7 +23,7 @@ __all__ = ["HiddenAxis", "TriedGain", "study_hidden_axis"]
 
 SEED, HIDDEN = 2, ("delay",)
 """An axis on which the least gain, off by the model's last error, settles a swing too late."""
-WATCHED = 10.0
+WATCHED_SETTLING_TIMES = 10.0
 """Settling times for which a gain is tried."""
 
 
@@ -104,7 +104,9 @@ def study_hidden_axis(progress: Callable[[str, int, int], None] = lambda _what, 
 def _tried(campaign: HiddenCampaign, name: str, kd: float, spec: PDSpec) -> TriedGain:
     controller = spec.loop(kd)
     try:
-        run = campaign.tried(controller, [spec.reference], WATCHED * spec.settling_time, spec.sample_time)
+        run = campaign.tried(
+            controller, [spec.reference], WATCHED_SETTLING_TIMES * spec.settling_time, spec.sample_time
+        )
     except NumericalError:
         return TriedGain(name=name, kd=kd, settling_time=None, meets=False)
     error = (spec.reference - run.position) / spec.reference

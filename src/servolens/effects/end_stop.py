@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["EndStop"]
 
-NEAR = 0.02
+NEAR_STOP = 0.02
 """Share of the travel within which of a stop the axis may be in contact."""
-NOISES = 4.0
+NOISE_DEVIATIONS = 4.0
 """How many standard deviations of the noise the largest of a few thousand samples may be off."""
 
 
@@ -83,8 +83,8 @@ class EndStop(Force):
         At the ends, and inside, for a stop that the axis does not reach changes nothing; the other one is far away.
         """
         low, high = seen.low, max(seen.low + seen.travel, nextafter(seen.low, inf))
-        for inside in (0.0, NEAR):
-            room = min(inside * seen.travel + NOISES * seen.noise, 0.25 * seen.travel)
+        for inside in (0.0, NEAR_STOP):
+            room = min(inside * seen.travel + NOISE_DEVIATIONS * seen.noise, 0.25 * seen.travel)
             for first, last in (
                 (low + room, high - room),
                 (low - seen.travel, high - room),
@@ -95,10 +95,10 @@ class EndStop(Force):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""
-        noise = NOISES * seen.noise
+        noise = NOISE_DEVIATIONS * seen.noise
         return self.high <= seen.high + noise or self.low >= seen.low - noise
 
     def is_free(self, position: NDArray[np.float64], seen: Seen) -> NDArray[np.bool_]:
         """See :meth:`servolens.effects.base.Effect.is_free`: between the stops, not near them."""
-        room = NEAR * seen.travel + NOISES * seen.noise
+        room = NEAR_STOP * seen.travel + NOISE_DEVIATIONS * seen.noise
         return (position > max(self.low, seen.low) + room) & (position < min(self.high, seen.high) - room)

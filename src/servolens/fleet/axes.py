@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, final
 from urllib.parse import quote
 
-from servolens.campaign import log_files
+from servolens.campaign import LARGEST_TOML, log_files
 from servolens.errors import InputError
 from servolens.reading.files import printable
 from servolens.reading.formats import is_bag
@@ -28,8 +28,7 @@ DATED = re.compile(r"(.*?)[@_ -]?(\d{4})-?(\d\d)-?(\d\d)(?:[T_ -]?(\d\d)[-.:]?(\
 """``2026-05-01`` or ``20260501``, perhaps with a time of day, at the end of a name."""
 LONGEST_NAME = 120
 """Characters of a result file's name; longer ones end in a digest."""
-LARGEST_TOML = 2**20
-MARK = "fleet.lock"
+MARK_FILE = "fleet.lock"
 """A folder that holds this file is the output of a fleet."""
 
 
@@ -97,7 +96,7 @@ def find_axes(folder: Path, *, leave_out: Path | None = None) -> tuple[Axis, ...
     taken = {name for path in entries if path.suffix.lower() == ".toml" for name in _folders_of(path)}
     axes = []
     for path in entries:
-        if path.is_dir() and (path.name in taken or (path / MARK).exists() or _same(path, leave_out)):
+        if path.is_dir() and (path.name in taken or (path / MARK_FILE).exists() or _same(path, leave_out)):
             continue
         axes += list(_measurements(path))
     if not axes:

@@ -17,7 +17,7 @@ from typing import IO, Any
 __all__ = ["main", "memory_of"]
 
 PR_SET_PDEATHSIG = 1
-LOOK = 1.0
+LOOK_INTERVAL = 1.0
 """Seconds between looks whether the parent is still there."""
 PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
@@ -77,5 +77,5 @@ def _end_with_parent() -> None:
 
 def _watch(parent: int) -> None:
     while os.getppid() == parent:
-        time.sleep(LOOK)
+        time.sleep(LOOK_INTERVAL)
     os._exit(1)

@@ -26,7 +26,7 @@ FALSE_DISCOVERIES = 0.05
 """Share of false alarms among the drifts that are told (Benjamini and Hochberg 1995)."""
 FEWEST_DATES = 3
 DAY = 86400.0
-ITERATIONS = 60
+BISECTIONS = 60
 
 
 @final
@@ -194,7 +194,7 @@ def _scatter(time: Values, y: Values, error: Values) -> float:
     if _line(time, y, 1.0 / error**2).excess <= freedom:
         return 0.0
     low, high = 0.0, 10.0 * plain + float(np.max(error)) ** 2
-    for _ in range(ITERATIONS):
+    for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         if _line(time, y, 1.0 / (error**2 + middle)).excess > freedom:
             low = middle

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["dask_executor", "local_executor"]
 
-PATIENCE = 30
+SCHEDULER_SECONDS = 30
 """Seconds to wait for a scheduler."""
-LOOK = 1.0
+LOOK_INTERVAL = 1.0
 """Seconds between looks whether it is there."""
 
 
@@ -68,7 +68,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
         for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
             logging.getLogger(name).setLevel(logging.CRITICAL)  # the fleet says itself what is wrong
     try:
-        client = Client(address, timeout=PATIENCE, set_as_default=False)
+        client = Client(address, timeout=SCHEDULER_SECONDS, set_as_default=False)
     except (OSError, ValueError) as error:
         why = str(error).splitlines()[0][:80] if str(error) else type(error).__name__
         raise InputError(f"no Dask scheduler answers at {address} ({why}); start one, or check the address") from None
@@ -107,7 +107,7 @@ class _Cluster(Executor):
 
     def _watch(self) -> None:
         """Cancel what no scheduler knows any more."""
-        while not self._closed.wait(LOOK):
+        while not self._closed.wait(LOOK_INTERVAL):
             if self._is_gone():
                 for future in list(self._out):
                     future.cancel()

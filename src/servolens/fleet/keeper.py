@@ -25,9 +25,9 @@ __all__ = ["Keeper", "keepers", "study_axis"]
 
 TRIES = 3
 """How often an axis is begun whose process ends for no reason of its own."""
-LOOK = 0.2
+LOOK_INTERVAL = 0.2
 """Seconds between looks at the limits."""
-LARGE = 1024.0
+LARGE_PROCESS = 1024.0
 """A process that holds more memory than this between two axes gives way to a new one [MiB]."""
 SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", PROCESSORS)
 """Each worker has one processor."""
@@ -92,7 +92,7 @@ class Keeper:
             answer = self._ask(job, watch)
             if answer is not None:
                 cost = {"seconds": time.monotonic() - began, "largest": watch.largest, **answer["cost"]}
-                if answer["cost"]["memory"] > LARGE:
+                if answer["cost"]["memory"] > LARGE_PROCESS:
                     self.close()
                 return {"result": answer["result"], "cost": cost}
             code = self._ended()
@@ -171,7 +171,7 @@ class _Watch:
 
     def _look(self) -> None:
         began = time.monotonic()
-        while not self._done.wait(LOOK):
+        while not self._done.wait(LOOK_INTERVAL):
             memory = memory_of(self.child.pid) or 0.0
             self.largest = max(self.largest, memory)
             if memory > self._memory:

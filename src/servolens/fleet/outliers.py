@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Outlier", "outliers_of"]
 
-FAR = 3.5
+OUTLIER_DEVIATIONS = 3.5
 """Robust standard deviations from the median (Iglewicz and Hoaglin 1993)."""
-FEWEST = 8
+FEWEST_VALUES = 8
 """Values without which nobody can tell what is usual."""
 NORMAL = 1.4826
 """The standard deviation of normal values over their median absolute deviation."""
@@ -57,14 +57,16 @@ def outliers_of(rows: Sequence[Row]) -> tuple[Outlier, ...]:
     """Return the values far from the median of their parameter, for parameters with eight values or more."""
     found = []
     for (parameter, unit), those in parameters_of(rows).items():
-        if len(those) < FEWEST:
+        if len(those) < FEWEST_VALUES:
             continue
         values = np.array([value for _, value, _ in those])
         median = float(np.median(values))
         spread = NORMAL * float(np.median(np.abs(values - median)))
         for row, value, error in those:
             scale = math.hypot(spread, error or 0.0)
-            if abs(value - median) > FAR * scale and abs(value - median) > np.finfo(float).eps * abs(median):
+            if abs(value - median) > OUTLIER_DEVIATIONS * scale and abs(value - median) > np.finfo(float).eps * abs(
+                median
+            ):
                 distance = (value - median) / scale if scale > 0 else math.copysign(math.inf, value - median)
                 found.append(
                     Outlier(

@@ -13,7 +13,8 @@ from servolens import __version__
 from servolens.fleet.axis_page import axis_content
 from servolens.fleet.drift import days
 from servolens.fleet.rows import parameters_of
-from servolens.fleet.store import PAGES, RESULTS
+from servolens.fleet.store import PAGES_FOLDER, RESULTS
+from servolens.model import NORMAL_95
 from servolens.reading.files import printable
 from servolens.results import write_atomically
 from servolens.summaries.names import spoken, spoken_parameter
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 __all__ = ["write_pages"]
 
 FOLDER = Path(__file__).parent
-NORMAL_95 = 1.959964
 MOST_SPREADS, MOST_HISTORIES, MOST_OUTLIERS = 24, 12, 60
 """What a page shows of each; the rest stands in the tables."""
 FEWEST_VALUES = 3
@@ -101,7 +101,7 @@ def _write_axes(fleet: Fleet, environment: Environment, progress: Progress) -> N
             title=axis.label, made=_made(), dates=dates, data=f"../{RESULTS}/{quote(axis.key)}.json",
             **axis_content(result),
         )  # fmt: skip
-        write_atomically(fleet.out / PAGES / f"{axis.key}.html", text.encode("utf-8", "replace"))
+        write_atomically(fleet.out / PAGES_FOLDER / f"{axis.key}.html", text.encode("utf-8", "replace"))
 
 
 def _made() -> str:
@@ -210,7 +210,7 @@ def _axis_row(axis: Axis, row: Any) -> dict[str, Any]:
 
 
 def _link(axis: Axis) -> str:
-    return f"{PAGES}/{quote(axis.key)}.html"
+    return f"{PAGES_FOLDER}/{quote(axis.key)}.html"
 
 
 def _label(name: str, unit: str = "") -> str:

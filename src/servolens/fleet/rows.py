@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["FIRST", "Row", "columns_of", "parameters_of", "row_of"]
+__all__ = ["FIRST_COLUMNS", "Row", "columns_of", "parameters_of", "row_of"]
 
 Row: TypeAlias = "dict[str, str | float | bool | None]"
-FIRST = (
+FIRST_COLUMNS = (
     "axis", "measured", "status", "sentence", "verdict", "causes", "data_light", "model_light", "gain_light", "kp",
     "kd", "recommended_kd", "settling_time", "probability", "remainder", "material", "heldout_error", "length_unit",
     "command_unit",
@@ -54,15 +54,17 @@ def row_of(result: Mapping[str, Any]) -> Row:
 
 def columns_of(rows: Sequence[Row]) -> tuple[str, ...]:
     """Return the columns of a table of these rows: the first ones, then the parameters that any of them has."""
-    parameters = {name for row in rows for name in row if name not in FIRST and not name.endswith((ERROR, UNIT))}
+    parameters = {
+        name for row in rows for name in row if name not in FIRST_COLUMNS and not name.endswith((ERROR, UNIT))
+    }
     order = ["gain", "damping", *sorted(parameters - {"gain", "damping"})]
-    return (*FIRST, *(name + tail for name in order for tail in ("", ERROR, UNIT)))
+    return (*FIRST_COLUMNS, *(name + tail for name in order for tail in ("", ERROR, UNIT)))
 
 
 def parameters_of(rows: Sequence[Row]) -> dict[tuple[str, str], list[tuple[Row, float, float | None]]]:
     """Return by parameter and unit the rows that have it, with value and standard error."""
     found: dict[tuple[str, str], list[tuple[Row, float, float | None]]] = {}
-    for name in columns_of(rows)[len(FIRST) :]:
+    for name in columns_of(rows)[len(FIRST_COLUMNS) :]:
         if name.endswith((ERROR, UNIT)):
             continue
         for row in rows:

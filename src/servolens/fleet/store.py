@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, final
 
 from servolens.errors import InputError
-from servolens.fleet.axes import MARK, inputs_digest
+from servolens.fleet.axes import MARK_FILE, inputs_digest
 from servolens.fleet.axis_page import axis_content
 from servolens.fleet.axis_study import KIND
 from servolens.fleet.rows import row_of
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Store", "opened_store"]
 
-RESULTS, PAGES, LOG = "results", "axes", "log.jsonl"
+RESULTS, PAGES_FOLDER, LOG = "results", "axes", "log.jsonl"
 TRIED_AGAIN = "stopped"
 STATUSES = ("done", "refused", "failed", TRIED_AGAIN)
 
@@ -41,9 +41,9 @@ def opened_store(folder: Path) -> Iterator[Store]:
         If the folder cannot be written, or another run writes there.
     """
     with _writable(folder):
-        for part in (folder, folder / RESULTS, folder / PAGES):
+        for part in (folder, folder / RESULTS, folder / PAGES_FOLDER):
             part.mkdir(parents=True, exist_ok=True)
-        lock = (folder / MARK).open("a+", encoding="ascii")
+        lock = (folder / MARK_FILE).open("a+", encoding="ascii")
     with lock:
         _lock(lock, folder)
         store = Store(folder)
@@ -70,7 +70,7 @@ class Store:
 
     def sweep(self) -> None:
         """Remove what ended processes left half-written."""
-        for part in (self.folder, self.folder / RESULTS, self.folder / PAGES):
+        for part in (self.folder, self.folder / RESULTS, self.folder / PAGES_FOLDER):
             for left in part.glob(".*.part"):
                 left.unlink()
 
@@ -80,7 +80,7 @@ class Store:
 
     def page(self, axis: Axis) -> Path:
         """Return the page of an axis."""
-        return self.folder / PAGES / f"{axis.key}.html"
+        return self.folder / PAGES_FOLDER / f"{axis.key}.html"
 
     def read(self, axis: Axis) -> dict[str, Any] | None:
         """Return the result of an axis; None where there is none, or no whole one."""

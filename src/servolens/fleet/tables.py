@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["table_file", "to_csv", "write_table"]
 
-NAMES = ("summary.parquet", "summary.csv")
+TABLE_NAMES = ("summary.parquet", "summary.csv")
 FORMULA = ("=", "+", "-", "@", "＝", "＋", "－", "＠")
 """What a spreadsheet takes for the beginning of a formula (OWASP, CSV injection)."""
 
@@ -34,7 +34,7 @@ def write_table(fleet: Fleet, *, plain: bool = False) -> Path:
     """
     name, content = table_file(fleet.rows, plain=plain)
     write_atomically(fleet.out / name, content, durable=True)
-    for other in {*NAMES} - {name}:
+    for other in {*TABLE_NAMES} - {name}:
         (fleet.out / other).unlink(missing_ok=True)
     return fleet.out / name
 

@@ -27,7 +27,7 @@ __all__ = ["DIRECTION", "Axis", "Body", "Mode"]
 
 DIRECTION, LIMIT, CONTACT, STOP = 0, 1, 2, 3
 """Numbers of the guards."""
-GLANCE = 1e-7
+LOOK_AHEAD = 1e-7
 """How far one looks ahead [s] for the side on which an axis breaks away: a push through zero has no side yet."""
 
 
@@ -211,7 +211,7 @@ class Axis:
             d = m.where(turned, self._departure(t, state, body, u), d)
         broken = (fired == DIRECTION) & (mode.direction == 0.0)
         if m.any(broken):
-            up, down = self._holds(t + GLANCE, state, body, u)
+            up, down = self._holds(t + LOOK_AHEAD, state, body, u)
             d = m.where(broken, m.where(up < down, 1.0, -1.0), d)
         return body._replace(mode=mode._replace(direction=d))
 

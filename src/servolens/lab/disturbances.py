@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Drawn", "Jitter", "SensorNoise", "Shaking", "Surroundings"]
 
-FORGOTTEN = 1e-9
+START_FORGOTTEN = 1e-9
 """What is left of the start when autoregressive noise is taken to be stationary."""
-SLOWEST = 0.9999
+SLOWEST_POLE = 0.9999
 """Largest modulus of a pole: slower noise never becomes stationary within a record."""
 LATEST = 0.45
 """Largest shift of a sample, as a share of the sample time: instants stay in order."""
@@ -71,9 +71,10 @@ class SensorNoise:
         _check("noise: hum", self.hum)
         _check("noise: third_harmonic", self.third_harmonic)
         _check("noise: mains", self.mains, positive=True)
-        if not all(math.isfinite(a) for a in self.autoregression) or self.slowest > SLOWEST:
+        if not all(math.isfinite(a) for a in self.autoregression) or self.slowest > SLOWEST_POLE:
             raise InputError(
-                f"noise: autoregression {self.autoregression} is not stationary; its poles must lie within {SLOWEST}"
+                f"noise: autoregression {self.autoregression} is not stationary; "
+                f"its poles must lie within {SLOWEST_POLE}"
             )
 
     @property
@@ -100,7 +101,7 @@ class SensorNoise:
             return self.deviation * rng.standard_normal(n)
         from scipy.signal import lfilter
 
-        lead = math.ceil(math.log(FORGOTTEN) / math.log(max(self.slowest, 0.1)))
+        lead = math.ceil(math.log(START_FORGOTTEN) / math.log(max(self.slowest, 0.1)))
         poles = [1.0, *(-a for a in self.autoregression)]
         response = lfilter([1.0], poles, np.eye(1, lead)[0])
         noise = lfilter([1.0], poles, rng.standard_normal(lead + n))[lead:]

@@ -44,7 +44,7 @@ LEAST_SHAKEN, MOST_OF_STEP = 4.0, 0.015
 that an effect costs where none is asked for: 150 times the loudest white noise."""
 KEPT_OF_REPEATED = 2
 """Different training runs at most, where each is repeated and no number is asked for."""
-NEAR = 0.17
+NEAR_VISIBILITY = 0.17
 """Distance of the logarithm of visibility at which an axis will do."""
 MOST_AXES = 5
 """Axes that are drawn until one shows the effects as asked."""
@@ -208,7 +208,7 @@ def hidden_campaign(  # noqa: PLR0913 - what may be asked of a campaign, all by 
         if found is not None and (best is None or found.distance < best[0]):
             campaign = site.measured(found, foreign)
             best = best if campaign is None else (found.distance, campaign)
-        if best is not None and best[0] <= NEAR:
+        if best is not None and best[0] <= NEAR_VISIBILITY:
             break
     if best is None:
         raise NumericalError(f"no axis of seed {seed} stays sane with {', '.join(names)}; take another seed")

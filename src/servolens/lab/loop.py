@@ -28,7 +28,7 @@ __all__ = ["Bench", "BenchRun", "run_many", "run_one"]
 
 SUBSTEP = 2.5e-4
 """Longest integration step [s]; what it costs in accuracy is in the tests."""
-ANGLE = 0.1
+STEP_TIMES_QUICKEST_RATE = 0.1
 """Largest product of a step and the quickest rate of the physics; shorter steps than SUBSTEP where that asks for it."""
 BOUNDS = 1e6
 """A position beyond this [m or rad] is a loop that has run away."""
@@ -114,7 +114,14 @@ def _close(
     truth, step = _limited(truth, bench), bench.encoder
     h = float(bench.time[1] - bench.time[0])
     axis, chain, controller = (
-        Axis(truth, m, bench.substep or SUBSTEP, bench.angle or ANGLE, oddity, shaken=each.shaking is not None),
+        Axis(
+            truth,
+            m,
+            bench.substep or SUBSTEP,
+            bench.angle or STEP_TIMES_QUICKEST_RATE,
+            oddity,
+            shaken=each.shaking is not None,
+        ),
         Chain(truth, m, h),
         DigitalController(bench.controller, h, bench.voltage_limit, m),
     )

@@ -25,7 +25,7 @@ NOISES = {"low": 1e-5, "medium": 3e-5, "high": 1e-4}
 """Standard deviation of the sensor's noise, as a share of the largest step."""
 PEAK_SHARE = 0.05
 """Largest product of the loops' frequency and an integration step."""
-ANGLE = 0.25
+STEP_TIMES_QUICKER_RATE = 0.25
 """The same of whatever is quicker, a coupling or a contact: errors stay far below the noise."""
 
 
@@ -165,7 +165,7 @@ def _bench(rng: Generator, i: int, *, gain: float, damping: float, rate: float, 
         encoder=own["encoder"],
         voltage_limit=None,
         substep=min(h, PEAK_SHARE / rate),
-        angle=ANGLE,
+        angle=STEP_TIMES_QUICKER_RATE,
     )
 
 

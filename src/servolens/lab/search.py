@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Found", "Look", "SizeSearch", "heard", "law", "missed", "sane_run"]
 
-CLOSE = 0.12
+CLOSE_VISIBILITY = 0.12
 """Distance of the logarithm of visibility at which the search for a size ends."""
 MOST_SIZES = 8
 """Sizes that are tried."""
@@ -89,7 +89,7 @@ class SizeSearch:
                 continue
             gap = _gap(look, target)
             best = look if best is None or abs(gap) < abs(_gap(best, target)) else best
-            if abs(gap) < CLOSE:
+            if abs(gap) < CLOSE_VISIBILITY:
                 break
             below, above = ((size, gap), above) if gap < 0.0 else (below, (size, gap))
             before, size = size, _next_size(below, above, size, gap, limits)

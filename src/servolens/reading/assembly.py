@@ -30,7 +30,7 @@ __all__ = ["assemble"]
 Signals = dict[str, "NDArray[np.float64]"]
 Stated = dict[str, tuple[str, Unit]]
 
-KINDS = {
+SIGNAL_UNITS = {
     "position": "{length}",
     "reference": "{length}",
     "voltage": "{command}",
@@ -61,8 +61,8 @@ COUNTING = ("counts_per_rev", "pwm_full_scale")
 ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
 """Settings that only one of the two laws has."""
 LENGTHS = ("m", "rad")
-COMMANDS = ("V", "A", "N", "N m", "%", "pwm")
-LARGEST = 1e15
+COMMAND_UNITS = ("V", "A", "N", "N m", "%", "pwm")
+LARGEST_VALUE = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
 
 
@@ -153,7 +153,7 @@ def _column_units(signals: Iterable[str], texts: Mapping[str, str | None]) -> St
 
 def _kinds(settings: Settings) -> dict[str, str]:
     """Return what each quantity is measured in, with the gains of the stated controller."""
-    return {**KINDS, **CASCADE} if settings.words.get("controller") == "cascade" else KINDS
+    return {**SIGNAL_UNITS, **CASCADE} if settings.words.get("controller") == "cascade" else SIGNAL_UNITS
 
 
 def _limit(numbers: Mapping[str, float], command: str) -> float | None:
@@ -165,13 +165,13 @@ def _limit(numbers: Mapping[str, float], command: str) -> float | None:
 
 def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad"], str]:
     """Return the units of length and command that agree with everything that is stated."""
-    left = list(product(LENGTHS, COMMANDS))
+    left = list(product(LENGTHS, COMMAND_UNITS))
     seen: list[str] = []
     for key, kind in kinds.items():
         if key not in stated:
             continue
         text, unit = stated[key]
-        fits = [pair for pair in product(LENGTHS, COMMANDS) if _dimension(kind, pair) == _in_length(unit, pair[0])]
+        fits = [pair for pair in product(LENGTHS, COMMAND_UNITS) if _dimension(kind, pair) == _in_length(unit, pair[0])]
         if not fits:
             raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
         agreed = [pair for pair in left if pair in fits]
@@ -222,8 +222,8 @@ def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated) -> Signa
 def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
     for key, value in quantities.items():
         largest = float(abs(value).max()) if not isinstance(value, float) and value.size else abs(float(value or 0.0))
-        if largest > LARGEST:
-            raise InputError(f"{key} reaches {largest:g} in SI units; up to {LARGEST:g} is read, check its unit")
+        if largest > LARGEST_VALUE:
+            raise InputError(f"{key} reaches {largest:g} in SI units; up to {LARGEST_VALUE:g} is read, check its unit")
 
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:

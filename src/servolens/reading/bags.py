@@ -20,7 +20,7 @@ __all__ = ["read"]
 
 LONGEST_ARRAY = 64
 """Elements of an array of a message that become columns; joints of a robot are fewer."""
-DEEPEST = 6
+DEEPEST_FIELD = 6
 MCAP = b"\x89MCAP0\r\n"
 OTHER = "is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR or JSON"
 STAMPS = (
@@ -44,13 +44,13 @@ def read(path: Path) -> list[Table]:
     """
     _check_inside(path)
     rows: dict[str, list[tuple[int, dict[str, float]]]] = {}
-    left = files.LARGEST // 8
+    left = files.MAX_BYTES // 8
     for topic, recorded, message in _messages(path):
         row = dict(_numbers(message, "", 0))
         stamp = _stamp(row)
         left -= len(row) + 1
         if left < 0:
-            raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+            raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
         rows.setdefault(topic, []).append((recorded if stamp is None else stamp, row))
     start = min((instant for group in rows.values() for instant, _ in group), default=0)
     tables = [table for topic, group in rows.items() if (table := _table(topic, group, start)) is not None]
@@ -109,7 +109,7 @@ def _numbers(message: Any, path: str, depth: int) -> Iterator[tuple[str, float]]
     if isinstance(message, bool | np.bool_ | int | float | np.number):
         yield path, float(message)
         return
-    if depth > DEEPEST:
+    if depth > DEEPEST_FIELD:
         return
     if isinstance(message, np.ndarray | list | tuple):
         for k, item in enumerate(message[:LONGEST_ARRAY]):

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["LARGEST", "is_folder", "located", "printable", "quote", "read_bytes", "read_start"]
+__all__ = ["MAX_BYTES", "is_folder", "located", "printable", "quote", "read_bytes", "read_start"]
 
-LARGEST = 512 * 2**20
+MAX_BYTES = 512 * 2**20
 """Largest file that is read [bytes]; about 10 million rows."""
 QUOTED = 40
 
@@ -28,7 +28,7 @@ def read_bytes(path: Path, largest: int | None = None) -> bytes:
     InputError
         If the path is missing, a folder, a device or a pipe, unreadable, empty or too large.
     """
-    limit = LARGEST if largest is None else largest
+    limit = MAX_BYTES if largest is None else largest
     with _opened(path, limit) as stream:
         content = _read(stream, limit + 1)
     if len(content) > limit:
@@ -44,7 +44,7 @@ def read_start(path: Path, count: int) -> bytes:
     InputError
         As :func:`read_bytes` does.
     """
-    with _opened(path, LARGEST) as stream:
+    with _opened(path, MAX_BYTES) as stream:
         return _read(stream, count)
 
 

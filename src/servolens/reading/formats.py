@@ -38,7 +38,7 @@ class _Kind:
     at: int = 0
 
 
-KINDS = (
+BINARY_FORMATS = (
     _Kind(b"PAR1", "Parquet", "parquet"),
     _Kind(b"TDSm", "TDMS (LabVIEW)", "tdms"),
     _Kind(b"MDF     ", "MDF (ASAM measurement data)", "mdf"),
@@ -87,7 +87,7 @@ def is_bag(path: Path) -> bool:
 
 
 def _kind(start: bytes) -> _Kind | None:
-    for kind in KINDS:
+    for kind in BINARY_FORMATS:
         if start[kind.at :].startswith(kind.magic):
             return kind
     if start.startswith(_ZIP):
@@ -124,12 +124,12 @@ def _unpacked(content: bytes) -> bytes:
     while content:
         packer = zlib.decompressobj(wbits=31)
         try:
-            parts.append(packer.decompress(content, files.LARGEST - size + 1))
+            parts.append(packer.decompress(content, files.MAX_BYTES - size + 1))
         except zlib.error as error:
             raise InputError("is a damaged gzip file; pack it again") from error
         size += len(parts[-1])
-        if size > files.LARGEST:
-            raise InputError(f"unpacks to more than {files.LARGEST / 2**20:.0f} MiB, the most that is read")
+        if size > files.MAX_BYTES:
+            raise InputError(f"unpacks to more than {files.MAX_BYTES / 2**20:.0f} MiB, the most that is read")
         if not packer.eof:
             raise InputError("is a gzip file that ends early; copy it again")
         content = packer.unused_data

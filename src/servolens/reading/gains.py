@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LoggedGains", "guessed_gains"]
 
-FEWEST = 50
+FEWEST_SAMPLES = 50
 """Samples below which two gains can fit anything."""
-UNEXPLAINED = 5e-3
+LARGEST_MISFIT = 5e-3
 """Share of the command that a law may leave unexplained (r.m.s.): what logs print has three digits or more."""
 ODD = 0.05
 """Share of the samples that may be off: edges that ring, samples that were lost."""
@@ -60,12 +60,12 @@ def guessed_gains(record: Record) -> LoggedGains | None:
     its largest value, twice, the second time without the samples that are farthest off.
     """
     r, v = record.reference, record.voltage
-    if r is None or v is None or v.size < FEWEST:
+    if r is None or v is None or v.size < FEWEST_SAMPLES:
         return None
     y, error = record.position, r - record.position
     inside = np.abs(v) < CLIPPED * np.max(np.abs(v))
     inside[:2] = False
-    if np.count_nonzero(inside) < FEWEST or not np.ptp(v[inside]) > 0:
+    if np.count_nonzero(inside) < FEWEST_SAMPLES or not np.ptp(v[inside]) > 0:
         inside = np.arange(v.size) > 1
     laws: list[tuple[dict[str, object], list[Values]]] = [({}, [error])]
     for window in (1, 2):
@@ -101,7 +101,7 @@ def _admissible(record: Record, gains: Values, v: Values) -> float:
     steps = np.abs(np.diff(record.position))
     smallest = float(np.min(steps[steps > 0], initial=np.inf))
     rounding = abs(float(gains[0])) * smallest / np.sqrt(12) if np.isfinite(smallest) else 0.0
-    return float(np.hypot(UNEXPLAINED * np.sqrt(np.mean(v**2)), rounding))
+    return float(np.hypot(LARGEST_MISFIT * np.sqrt(np.mean(v**2)), rounding))
 
 
 def _short(gain: float, term: Values, left: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading import files
-from servolens.reading.nested import DEEPEST, tables_of
+from servolens.reading.nested import DEEPEST_LEVEL, tables_of
 from servolens.reading.table import Column, Table
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def read(path: Path) -> list[Table]:
         If the file is damaged or too large.
     """
     units: dict[str, str] = {}
-    left = [MOST_ITEMS, files.LARGEST]
+    left = [MOST_ITEMS, files.MAX_BYTES]
     try:
         with h5py.File(path, "r") as file:
             tree = _group(file, (), units, left)
@@ -48,7 +48,7 @@ def _group(group: h5py.Group, path: tuple[str, ...], units: dict[str, str], left
     found: dict[str, Any] = {}
     for key in group:
         left[0] -= 1
-        if left[0] < 0 or len(path) > DEEPEST:
+        if left[0] < 0 or len(path) > DEEPEST_LEVEL:
             raise InputError(f"holds more than {MOST_ITEMS} groups and data sets, or nests them too deep")
         if not isinstance(group.get(key, getlink=True), h5py.HardLink):
             continue
@@ -73,7 +73,7 @@ def _values(item: h5py.Dataset, left: list[int]) -> np.ndarray | None:
         return None
     left[1] -= item.size * max(item.dtype.itemsize, 8)
     if left[1] < 0:
-        raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+        raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
     return np.asarray(item[()])
 
 

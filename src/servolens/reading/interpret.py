@@ -27,10 +27,10 @@ __all__ = ["Interpretation", "interpret"]
 
 EPOCH = 1e6
 """Times beyond this [s] count from an epoch (11 days after switching on): they are taken from the first sample."""
-APART = ("in brackets", "behind its name", "stated beside its name")
+SURE_UNITS = ("in brackets", "behind its name", "stated beside its name")
 """Where a unit is one, whatever the signal; letters at the end of a name may be something else."""
-SMOOTH = ("position", "velocity")
-GAINS = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
+SMOOTH_SIGNALS = ("position", "velocity")
+GAIN_NAMES = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
 _INTERVALS = {
     **dict.fromkeys(("delta_x", "sample_time", "sample time", "sampletime", "sampling time", "dt", "abtastzeit"), "s"),
     "sampletime[ms]": "ms",
@@ -171,7 +171,7 @@ def _constant_gains(tables: Sequence[Table], at: int, stated: Mapping[str, objec
     """Return the gains that a file holds as columns of one value, or states in its preamble."""
     table = tables[at]
     found: dict[str, str] = {}
-    for key, names in GAINS.items():
+    for key, names in GAIN_NAMES.items():
         if stated.get(key) is not None:
             continue
         texts = [table.properties[name] for name in names if name in table.properties]
@@ -200,7 +200,7 @@ def _units(
     for signal, choice in chosen.items():
         if signal in stated:
             found[signal] = stated[signal], "unit given by you"
-        elif choice.unit is not None and (choice.meaning.where in APART or allows(signal, choice.unit)):
+        elif choice.unit is not None and (choice.meaning.where in SURE_UNITS or allows(signal, choice.unit)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:
@@ -282,7 +282,7 @@ def _on_one_clock(
         values = choice.column.values
         other = None if choice.table == home or signal == "time" else _own_clock(tables, choice.table)
         if other is not None and not (other.size == time.size and np.array_equal(other, time)):
-            values = _moved(values, other, time, smooth=signal in SMOOTH, name=choice.address)
+            values = _moved(values, other, time, smooth=signal in SMOOTH_SIGNALS, name=choice.address)
         signals[signal] = values
     if start:
         signals["time"] = time - start

@@ -105,7 +105,7 @@ def _limit() -> None:
     with contextlib.suppress(ImportError):
         import resource
 
-        largest = 2 * files.LARGEST
+        largest = 2 * files.MAX_BYTES
         for what, value in (
             (resource.RLIMIT_AS, MEMORY),
             (resource.RLIMIT_CPU, PROCESSOR),
@@ -117,8 +117,8 @@ def _limit() -> None:
 
 
 def _check_size(tables: Sequence[Table]) -> None:
-    if sum(column.values.size for table in tables for column in table.columns) * 8 > files.LARGEST:
-        raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+    if sum(column.values.size for table in tables for column in table.columns) * 8 > files.MAX_BYTES:
+        raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
 
 
 def _say(output: IO[bytes], answer: dict[str, Any]) -> None:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["read_json"]
 
-LARGEST = 128 * 2**20
+LARGEST_TEXT = 128 * 2**20
 """Longest text that is parsed [bytes]: its values take about ten times as much memory."""
 
 
@@ -26,8 +26,10 @@ def read_json(content: bytes) -> tuple[Table, ...]:
     InputError
         If the text is no JSON, is too long, or holds no arrays of numbers.
     """
-    if len(content) > LARGEST:
-        raise InputError(f"is JSON of more than {LARGEST / 2**20:.0f} MiB, the longest that is read; export it as CSV")
+    if len(content) > LARGEST_TEXT:
+        raise InputError(
+            f"is JSON of more than {LARGEST_TEXT / 2**20:.0f} MiB, the longest that is read; export it as CSV"
+        )
     try:
         tree = _documents(content.decode("utf-8-sig"))
     except InputError:

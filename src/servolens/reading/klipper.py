@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 __all__ = ["stream_tree"]
 
 AXES = ("x", "y", "z")
-MOVES, STEPS = "trapq:", "stepq:"
+MOVES_QUERY, STEPS_QUERY = "trapq:", "stepq:"
 """Queries of the moves (time, duration, speed, acceleration, position, direction), and of the motors' steps."""
-ANGLE = {"angle": "angle [counts]"}
+ANGLE_COLUMN = {"angle": "angle [counts]"}
 """The magnetic sensor's angle is in counts, 65 536 a revolution."""
 
 
@@ -36,12 +36,12 @@ def stream_tree(messages: Sequence[Any]) -> dict[str, Any]:
         If the moves are damaged, or nothing was measured beside them.
     """
     found = _queries(messages)
-    moves = [rows["data"] for name, rows in found.items() if name == f"{MOVES}toolhead"]
-    sensors = {name: rows for name, rows in found.items() if not name.startswith((MOVES, STEPS))}
+    moves = [rows["data"] for name, rows in found.items() if name == f"{MOVES_QUERY}toolhead"]
+    sensors = {name: rows for name, rows in found.items() if not name.startswith((MOVES_QUERY, STEPS_QUERY))}
     if found and not any(rows["data"] for rows in sensors.values()):
         raise InputError("is Klipper's log of commanded moves alone; log a sensor that measures the axis, as [angle]")
     for rows in sensors.values():
-        header = [ANGLE.get(name, name) if isinstance(name, str) else name for name in rows.get("header", ())]
+        header = [ANGLE_COLUMN.get(name, name) if isinstance(name, str) else name for name in rows.get("header", ())]
         if header:
             rows["header"] = header
         if moves and moves[0] and "time" in header:

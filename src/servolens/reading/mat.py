@@ -18,7 +18,7 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.reading import files
 from servolens.reading.files import quote
-from servolens.reading.table import Column, Fault, Table
+from servolens.reading.table import MOST_COLUMNS, Column, Fault, Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -32,7 +32,6 @@ _STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8
 _KINDS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse matrix", 16: "function", 17: "object"}
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
-MOST_COLUMNS = 1000
 _HEADER = 128
 _BEGINNING = 4096
 """Bytes of a variable that are inflated to learn its name, its kind and its shape."""
@@ -161,8 +160,8 @@ def _reason(variable: _Variable) -> str | None:
 
 
 def _check_size(needed: Iterable[_Variable]) -> None:
-    if sum(8 * math.prod(variable.shape) for variable in needed) > files.LARGEST:
-        raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+    if sum(8 * math.prod(variable.shape) for variable in needed) > files.MAX_BYTES:
+        raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
 
 
 def _values(variable: _Variable) -> NDArray[np.float64]:

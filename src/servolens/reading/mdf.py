@@ -28,8 +28,8 @@ def read(path: Path) -> list[Table]:
     try:
         with MDF(path) as file:
             counts = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
-            if sum(counts) * 8 > files.LARGEST:
-                raise InputError(f"holds more than {files.LARGEST / 2**20:.0f} MiB of numbers, the most that is read")
+            if sum(counts) * 8 > files.MAX_BYTES:
+                raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
             return [table for index in range(len(file.groups)) if (table := _group(file, index)) is not None]
     except InputError:
         raise

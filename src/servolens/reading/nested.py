@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servolens.reading.table import Column, Table
+from servolens.reading.table import MOST_COLUMNS, Column, Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -16,9 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["tables_of"]
 
-DEEPEST = 12
+DEEPEST_LEVEL = 12
 """Levels that are followed."""
-MOST_COLUMNS = 1000
 _EMPTY = ("values", "value", "data", "y", "signals")
 """Names of leaves that say nothing: their parent's name does."""
 
@@ -73,7 +72,7 @@ def _shared(parents: Sequence[Path]) -> int:
 
 
 def _leaves(node: Any, path: Path, properties: dict[str, str]) -> Iterator[tuple[Path, NDArray[np.float64]]]:
-    if len(path) > DEEPEST:
+    if len(path) > DEEPEST_LEVEL:
         return
     if hasattr(node, "columns") and hasattr(node, "index"):
         yield from _frame(node, path)

@@ -31,8 +31,8 @@ def read(path: Path) -> list[Table]:
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
-                if sum(item.file_size for item in archive.infolist()) > files.LARGEST:
-                    raise InputError(f"unpacks to more than {files.LARGEST / 2**20:.0f} MiB, the most that is read")
+                if sum(item.file_size for item in archive.infolist()) > files.MAX_BYTES:
+                    raise InputError(f"unpacks to more than {files.MAX_BYTES / 2**20:.0f} MiB, the most that is read")
             with np.load(path, allow_pickle=False) as archive:
                 tree = {name: _array(archive, name) for name in archive.files}
         else:

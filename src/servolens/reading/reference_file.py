@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ReferenceFile", "read_reference_file"]
 
-SLACK = 1e-9
+INSTANT_SLACK = 1e-9
 """Share of the record's length by which an instant may miss the record's, for the rounding of decimal texts."""
 
 
@@ -69,7 +69,7 @@ class ReferenceFile:
         InputError
             If the file says nothing of the record's beginning.
         """
-        slack = SLACK * max(float(time[-1] - time[0]), 1.0)
+        slack = INSTANT_SLACK * max(float(time[-1] - time[0]), 1.0)
         if self.time[0] > time[0] + slack:
             raise InputError(
                 f"{self.label}: the reference begins at {self.time[0]:g} s and the record at {time[0]:g} s; add a row"

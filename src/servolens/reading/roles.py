@@ -22,7 +22,7 @@ __all__ = ["Choice", "check_mapping", "choose", "offer"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
-KINDS = ("", "voltage", "duty", "output", "force", "torque", "current")
+COMMAND_KINDS = ("", "voltage", "duty", "output", "force", "torque", "current")
 """Commands in the order in which they are taken: the one nearest to the amplifier's voltage first."""
 SAG = 0.1
 """Relative range below which a voltage beside other commands is a supply's: those are regulated to a few per cent."""
@@ -214,8 +214,8 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
 def _commands(left: Sequence[Choice]) -> tuple[list[Choice], str]:
     """Keep the commands of the kind that comes first, of these those that were asked for rather than measured."""
     moving = [c for c in left if not _is_supply(c)] or list(left)
-    first = min(KINDS.index(c.meaning.kind) for c in moving)
-    kept = [c for c in moving if KINDS.index(c.meaning.kind) == first]
+    first = min(COMMAND_KINDS.index(c.meaning.kind) for c in moving)
+    kept = [c for c in moving if COMMAND_KINDS.index(c.meaning.kind) == first]
     grade = min(c.meaning.grade for c in kept)
     kept = [c for c in kept if c.meaning.grade == grade]
     others = [quote(c.address) for c in left if c not in kept and len(c.column.values)]

@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 __all__ = ["command_unit", "length_unit", "time_unit", "velocity_unit"]
 
-SLOWEST = 0.5
+LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
 SAMPLE_TIMES = (25e-6, 0.1)
 """Sample times that servo drives and hobby loops have [s]: 40 kHz current loops to 10 Hz loggers."""
-FEWEST = 20
+FEWEST_SAMPLES = 20
 """Samples below which a rate and a travel say nothing."""
 LONGEST_AXIS = 10.0
 """Travel beyond which metres are doubtful [m]: gantries are shorter."""
@@ -33,7 +33,7 @@ MOST_TURNS = 4 * np.pi
 """Travel beyond which radians are doubtful where the name says angle [rad]: two turns, and 12.6 degrees."""
 FULL_SCALES = (100, 127, 255, 511, 512, 1000, 1023, 2047, 2048, 4095, 8191, 10000, 32767, 65535)
 """Largest counts of PWM registers."""
-NEAR = 0.05
+VELOCITY_AGREES = 0.05
 """Relative difference up to which the velocity agrees with the position's derivative."""
 
 
@@ -46,10 +46,10 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         If two units are plausible.
     """
     values = choice.column.values
-    if values.size < FEWEST or not np.isfinite(values).all():
+    if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return None, "seconds are assumed"
     interval = float(np.median(np.diff(values)))
-    if not interval >= SLOWEST:
+    if not interval >= LONGEST_SAMPLE_TIME:
         return None, "seconds are assumed"
     low, high = SAMPLE_TIMES
     fits = [unit for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= interval * factor <= high]
@@ -85,7 +85,7 @@ def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
     if settled:
         return settled, "the unit of what belongs to it"
     values = choice.column.values
-    if values.size < FEWEST or not np.isfinite(values).all():
+    if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
     if travel <= (MOST_TURNS if is_angle else LONGEST_AXIS):
@@ -110,15 +110,15 @@ def velocity_unit(
     position, time = chosen["position"], chosen["time"]
     v, y, t = choice.column.values, position.column.values, time.column.values
     per_length, per_time = parse_unit(units.get("position") or "m"), parse_unit(units.get("time") or "s")
-    if not v.size == y.size == t.size or v.size < FEWEST or per_length is None or per_time is None:
+    if not v.size == y.size == t.size or v.size < FEWEST_SAMPLES or per_length is None or per_time is None:
         return None
     span = (t[2:] - t[:-2]) * per_time.factor
     slope = (y[2:] - y[:-2]) / np.where(span > 0, span, np.inf)
     power = float(slope @ slope)
     ratio = float(slope @ v[1:-1]) / power if power > 0 and np.isfinite(power) else 0.0
-    if abs(ratio - 1) < NEAR and units.get("position"):
+    if abs(ratio - 1) < VELOCITY_AGREES and units.get("position"):
         return f"{units['position']}/s", f"{ratio:.3g} times the derivative of the position"
-    if abs(ratio - per_length.factor) < NEAR * per_length.factor:
+    if abs(ratio - per_length.factor) < VELOCITY_AGREES * per_length.factor:
         return None, "SI, as the derivative of the position says"
     return None
 
@@ -132,7 +132,7 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
         If it may be counts of a PWM register as well.
     """
     values = choice.column.values
-    if values.size >= FEWEST and np.isfinite(values).all() and np.array_equal(values, np.round(values)):
+    if values.size >= FEWEST_SAMPLES and np.isfinite(values).all() and np.array_equal(values, np.round(values)):
         largest = float(np.max(np.abs(values)))
         if largest in FULL_SCALES:
             raise InputError(

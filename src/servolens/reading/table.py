@@ -11,7 +11,10 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["Column", "Fault", "Table"]
+__all__ = ["MOST_COLUMNS", "Column", "Fault", "Table"]
+
+MOST_COLUMNS = 1000
+"""Columns of one table that are read; an array is no wider."""
 
 
 @final

@@ -14,7 +14,7 @@ from servolens.reading.cells import fault_of, is_stamp, number, numbers, stamps
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of
 from servolens.reading.settings import comment_settings
-from servolens.reading.table import Column, Fault, Table
+from servolens.reading.table import MOST_COLUMNS, Column, Fault, Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,12 +26,11 @@ if TYPE_CHECKING:
 __all__ = ["read_text"]
 
 SEPARATORS = ("\t", ";", ",", "|", " ")
-MOST_COLUMNS = 1000
-HEAD = 400
+LAYOUT_LINES = 400
 """Lines that are looked at to find the layout; preambles of known programs have up to about 60."""
-CHUNK = 50_000
+LINES_AT_ONCE = 50_000
 """Lines that are split at once, so that memory stays bounded."""
-LARGE = 4 * 2**20
+LARGE_FILE = 4 * 2**20
 """From this size on [bytes] importing pyarrow's reader pays, where it is installed."""
 FILETIME = 1e16
 """Times of a scope from which on they count 100 ns since 1601: such of this century begin with 1.2e17."""
@@ -120,7 +119,7 @@ def _ended(group: Sequence[Column]) -> tuple[Column, ...]:
 
 def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
     """Blank the comment lines and return them; below the head they are only looked for where their signs stand."""
-    end = sum(len(line) + 1 for line in content.split(b"\n", HEAD)[:HEAD])
+    end = sum(len(line) + 1 for line in content.split(b"\n", LAYOUT_LINES)[:LAYOUT_LINES])
     parts = [content[:end], content[end:]]
     found: list[str] = []
     for k, part in enumerate(parts):
@@ -157,7 +156,7 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
 
     Of several separators the one that leaves the largest share of cells that are numbers, then the most of them.
     """
-    lines = [(i, line) for i, line in enumerate(content.split(b"\n", HEAD)[:HEAD]) if line.strip()]
+    lines = [(i, line) for i, line in enumerate(content.split(b"\n", LAYOUT_LINES)[:LAYOUT_LINES]) if line.strip()]
     if not lines:
         raise InputError("holds no header row and no numbers")
     texts = [line.decode(errors="replace") for _, line in lines]
@@ -251,7 +250,7 @@ def _fast(body: bytes, form: _Form) -> Matrix | None:
         body = body.replace(b",", b".")
     if body.count(separator + b"\n") == body.count(b"\n") > 0 and form.separator != " ":
         return None  # a separator at every line's end: the last column is blank
-    if len(body) >= LARGE and form.separator != " ":
+    if len(body) >= LARGE_FILE and form.separator != " ":
         matrix = _arrow(body, form.separator, width)
         if matrix is not None:
             return matrix
@@ -350,7 +349,7 @@ def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]
     at, line = 0, form.first
     while at < len(body):
         end = at
-        for _ in range(CHUNK):
+        for _ in range(LINES_AT_ONCE):
             end = body.find(b"\n", end) + 1
             if end == 0:
                 end = len(body)

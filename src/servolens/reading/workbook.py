@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["read"]
 
 MOST_SHEETS = 50
-HEAD = 400
+LAYOUT_ROWS = 400
 
 
 def read(path: Path) -> list[Table]:
@@ -51,7 +51,7 @@ def read(path: Path) -> list[Table]:
 def _table(name: str, rows: Sequence[Sequence[object]]) -> Table | None:
     cells = [[_text(cell) for cell in row] for row in rows]
     lines = [(k + 1, row) for k, row in enumerate(cells) if any(row)]
-    layout = find_layout([row for _, row in lines[:HEAD]])
+    layout = find_layout([row for _, row in lines[:LAYOUT_ROWS]])
     if layout is None:
         return None
     body = lines[layout.first :]

@@ -20,7 +20,7 @@ __all__ = ["drawing", "keys_from", "keys_of", "legend_of"]
 
 LENGTH, HEIGHT = 34, 12
 """Of a sample in a legend, in the page's pixels."""
-MARK, PIXELS = 7.5, 96 / 72
+LARGEST_MARK, PIXELS = 7.5, 96 / 72
 """Largest mark there, in points; pixels in a point."""
 
 
@@ -118,7 +118,7 @@ def _outline(line: Any) -> str:
     from matplotlib.markers import MarkerStyle
 
     style = MarkerStyle(line.get_marker())
-    size = min(float(line.get_markersize()), MARK) * PIXELS
+    size = min(float(line.get_markersize()), LARGEST_MARK) * PIXELS
     path: Any = style.get_path().transformed(style.get_transform())
     polygons = [
         "M" + "L".join(f"{LENGTH / 2 + size * x:.1f} {HEIGHT / 2 - size * y:.1f}" for x, y in polygon)

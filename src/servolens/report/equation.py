@@ -19,7 +19,7 @@ DELAYED = 30
 """Where a delay stands among the stages of actuators."""
 ASIDE = r",\ "
 """Parts the term of an effect from the equation of what is in it."""
-APART = r",\quad "
+SEPARATOR = r",\quad "
 
 
 def motion_latex(plant: Plant) -> str:
@@ -39,7 +39,7 @@ def motion_latex(plant: Plant) -> str:
     beside += [rest for *_, rest in forces if rest]
     beside += [rf"\mu\,\ddot y = F_\mathrm{{load}} = {latex}" for latex in joint]
     beside += [e.latex for e in effects if isinstance(e, Sensor)]
-    return APART.join([f"{left} = {motor}{''.join(f' - {term}' for term in terms)}", *beside])
+    return SEPARATOR.join([f"{left} = {motor}{''.join(f' - {term}' for term in terms)}", *beside])
 
 
 def _chained(laws: Iterable[str]) -> list[str]:

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Line", "Numbers", "Panel", "Scale", "encoded", "panels_of"]
 
-DIGITS = 4
+DIGITS_OF_RANGE = 4
 """Digits of the range of a line to which its numbers are kept."""
-FEWEST = 2
+POINTS_OF_A_LINE = 2
 
 
 @final
@@ -185,7 +185,7 @@ def _lines(ax: Axes) -> list[Line]:
 
 
 def _count(line: Line2D) -> bool:
-    return np.size(line.get_xdata()) >= FEWEST or not str(line.get_label()).startswith("_")
+    return np.size(line.get_xdata()) >= POINTS_OF_A_LINE or not str(line.get_label()).startswith("_")
 
 
 def encoded(values: NDArray[np.float64]) -> dict[str, Any]:
@@ -202,10 +202,10 @@ def encoded(values: NDArray[np.float64]) -> dict[str, Any]:
     if not finite.any():
         return {"e": 0, "d": [None] * int(values.size)}
     span = float(np.ptp(values[finite])) or float(np.abs(values[finite]).max()) or 1.0
-    exponent = math.floor(math.log10(span)) - DIGITS
+    exponent = math.floor(math.log10(span)) - DIGITS_OF_RANGE
     whole = np.rint(np.where(finite, values, 0.0) / 10.0**exponent)
     steps = np.diff(whole)
-    if finite.all() and values.size > FEWEST and (np.abs(steps - steps[0]) <= 1).all():
+    if finite.all() and values.size > POINTS_OF_A_LINE and (np.abs(steps - steps[0]) <= 1).all():
         step = (whole[-1] - whole[0]) / (values.size - 1)
         if np.abs(whole - (whole[0] + step * np.arange(values.size))).max() <= 1:
             return {"e": exponent, "from": int(whole[0]), "step": _short(step), "n": int(values.size)}

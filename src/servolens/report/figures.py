@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.errors import NumericalError
 from servolens.identification.piecewise import varying_residual
+from servolens.model import NORMAL_95
 from servolens.plant import Plant
 from servolens.report.content import Drawing, Picture
 from servolens.report.curves import Curve, curve
@@ -47,8 +48,6 @@ __all__ = [
     "record_figure",
     "varying_position",
 ]
-
-NORMAL_95 = 1.96
 
 
 @final

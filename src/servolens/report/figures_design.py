@@ -42,8 +42,8 @@ __all__ = [
     "steps_figure",
 ]
 
-NAMES: tuple[tuple[str, Role], ...] = (("linear", "constant"), ("nonlinear", "velocity"), ("diagnosed", "diagnosed"))
-GAINS = 201
+COMPARED: tuple[tuple[str, Role], ...] = (("linear", "constant"), ("nonlinear", "velocity"), ("diagnosed", "diagnosed"))
+GAINS_DRAWN = 201
 JUMP = 0.06
 """A change of settling time from one gain to the next by this share of the loop's undamped period is a gap."""
 
@@ -62,7 +62,7 @@ class Column:
 
 def columns(comparison: Comparison) -> list[Column]:
     """Return the models of a comparison; the last is the one that the data support best."""
-    found = zip(NAMES, comparison.plants, comparison.designs, comparison.on_best, strict=False)
+    found = zip(COMPARED, comparison.plants, comparison.designs, comparison.on_best, strict=False)
     return [
         Column(name=name, role=role, plant=plant, design=design, on_best=on_best)
         for (name, role), plant, design, on_best in found
@@ -81,7 +81,7 @@ def draw_settling(models: Sequence[Column], ax: Axes, *, legend: bool = False) -
     """Draw what :func:`settling_figure` shows; with a `legend`, inside matplotlib's figure."""
     best = models[-1]
     spec = best.design.spec
-    gains = np.linspace(0.0, last_gain([model.design for model in models]), GAINS)
+    gains = np.linspace(0.0, last_gain([model.design for model in models]), GAINS_DRAWN)
     curves = [settling_curve(f"{model.name} model", model.plant, spec, gains, model.role) for model in models]
     plot_settling_times(
         curves,

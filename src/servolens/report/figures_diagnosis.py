@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 MOST_ROWS, MOST_CANDIDATES, MOST_SHARES = 24, 12, 6
-TELLING = 0.1
+SHARE_STRESSED = 0.1
 """By how much the share of the error in a range must exceed that of the samples to be stressed."""
 SHOWS = 0.7
 """Correlation of the pieces with the causes' law from which on it is drawn."""
@@ -80,7 +80,7 @@ def _draw_share(ax: Axes, share: Share) -> None:
     worst = (low >= share.low) & (high <= share.high)
     name = QUANTITIES[share.quantity]
     title = f"{number(100 * share.share_of_error, 2)} % in {number(100 * share.share_of_samples, 2)} % of samples"
-    if share.share_of_error - share.share_of_samples < TELLING:
+    if share.share_of_error - share.share_of_samples < SHARE_STRESSED:
         worst[:], title = False, "nowhere in particular"
     if share.quantity == "direction":
         names = {-1: "backward", 0: "rest", 1: "forward"}

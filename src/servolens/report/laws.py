@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 __all__ = ["law_along"]
 
-POINTS = 101
+POINTS_OF_A_LAW = 101
 VISITED, STRIDES = 40, 200
 """Places and times of the records over whose forces a law is the mean; samples of each record among which they are."""
-VISIBLE = 0.05
+LEAST_CHANGE = 0.05
 """Least change of the law, as a share of the pieces' spread, that is worth a line."""
-KNOWN = {
+QUANTITIES_OF_LAWS = {
     "damping": ("speed", "velocity"),
     "gain": ("time", "voltage", "voltage_size"),
     "force": ("constant", "direction", "position", "time", "velocity"),
@@ -36,14 +36,14 @@ def law_along(diagnosis: Diagnosis, instrument: Instrument) -> Curve | None:
 
     None where no one curve says it, or where it says nothing: the cause shows elsewhere.
     """
-    if instrument.goes_with not in KNOWN[instrument.varies]:
+    if instrument.goes_with not in QUANTITIES_OF_LAWS[instrument.varies]:
         return None
-    x = np.linspace(min(instrument.abscissa), max(instrument.abscissa), POINTS)
+    x = np.linspace(min(instrument.abscissa), max(instrument.abscissa), POINTS_OF_A_LAW)
     y = _law(diagnosis, instrument, x)
     constant = instrument.goes_with == "constant"
     said = float(np.abs(y).max() if constant else np.ptp(y))
     seen = float(np.abs(instrument.value).max() if constant else np.std(instrument.value))
-    return curve("", x, y, "velocity") if np.isfinite(y).all() and said > VISIBLE * seen else None
+    return curve("", x, y, "velocity") if np.isfinite(y).all() and said > LEAST_CHANGE * seen else None
 
 
 def _law(diagnosis: Diagnosis, instrument: Instrument, x: NDArray[np.float64]) -> NDArray[np.float64]:

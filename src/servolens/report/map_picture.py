@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["TITLES", "checked_kind", "map_figure", "write_map"]
 
-KINDS = ("png", "svg")
+PICTURE_KINDS = ("png", "svg")
 """Kinds of files, by the end of the name."""
 DOTS_PER_INCH = 160
 TITLES: dict[Quantity, str] = {
@@ -104,6 +104,6 @@ def checked_kind(path: Path) -> str:
         If it is none of those that can be written.
     """
     kind = path.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
+    if kind not in PICTURE_KINDS:
         raise InputError(f"{path}: a picture is written as .png or .svg; name such a file")
     return kind

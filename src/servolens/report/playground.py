@@ -40,11 +40,11 @@ __all__ = ["playground"]
 
 SCENARIOS, SEED = 16, 2
 """Axes as they may be that the page shows; no other draws have this seed."""
-GAINS, COARSE_GAINS, TIMES = 161, 81, 201
+GAINS_DRAWN, GAINS_OF_SPREAD, INSTANTS_OF_SPREAD = 161, 81, 201
 """Gains of the curve of settling time, and of its spread; instants of the spread of a step."""
 SHOWN = 2.4
 """Settling times for which a step is drawn."""
-LEAST_KP, MOST_KP = 0.25, 2.5
+SLIDER_BEGIN, SLIDER_END = 0.25, 2.5
 """Range of the slider of kp, as a share of the kp of the spec."""
 
 
@@ -65,7 +65,7 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     names = gain_names(spec, plant)
     scenarios = drawn([model], [spec], SCENARIOS, np.random.default_rng([0, SEED]))
     last = last_gain([design])
-    gains = np.linspace(0.0, last, GAINS)
+    gains = np.linspace(0.0, last, GAINS_DRAWN)
     line = settling_curve("as identified", plant, spec, gains, "velocity")
     top = highest([line], spec.settling_time)
     shown = _shown_gain(design, last)
@@ -87,7 +87,7 @@ def playground(key: str, model: Model, design: Design) -> Playground:
         _marks(design),
         limit=spec.settling_time,
         gain=names.free_label,
-        spread=_settling_spread(scenarios, spec, np.linspace(0.0, last, COARSE_GAINS), top),
+        spread=_settling_spread(scenarios, spec, np.linspace(0.0, last, GAINS_OF_SPREAD), top),
         legend=False,
         top=top,
         ax=right,
@@ -152,10 +152,10 @@ def _fit_step(ax: Any, spec: PDSpec) -> None:
 
 def _step_spread(scenarios: Sequence[Scenario], spec: PDSpec, gain: float) -> Band:
     """Return from where to where the positions reach, steps back turned over."""
-    time = np.linspace(0.0, SHOWN * spec.settling_time, TIMES)
+    time = np.linspace(0.0, SHOWN * spec.settling_time, INSTANTS_OF_SPREAD)
     found = [run for run in in_parallel(lambda s: _position(s, gain, time), scenarios) if run is not None]
     if not found:
-        return time, np.full(TIMES, np.nan), np.full(TIMES, np.nan)
+        return time, np.full(INSTANTS_OF_SPREAD, np.nan), np.full(INSTANTS_OF_SPREAD, np.nan)
     return time, np.min(found, axis=0), np.max(found, axis=0)
 
 
@@ -206,7 +206,7 @@ def _data(
     names = gain_names(spec, plant)
     integral = spec.kiv if spec.controller == "cascade" else spec.ki
     sliders = [
-        _slider("kp", names.kp, names.kp_unit, spec.kp, LEAST_KP * spec.kp, MOST_KP * spec.kp),
+        _slider("kp", names.kp, names.kp_unit, spec.kp, SLIDER_BEGIN * spec.kp, SLIDER_END * spec.kp),
         _slider("free", names.free, names.free_unit, shown, 0.0, last),
     ]
     if integral:
@@ -220,9 +220,9 @@ def _data(
         "lengthUnit": plant.length_unit,
         "commandUnit": plant.command_unit,
         "shown": SHOWN,
-        "gains": [0.0, last, GAINS, COARSE_GAINS],
+        "gains": [0.0, last, GAINS_DRAWN, GAINS_OF_SPREAD],
         "settledWithin": 4.0,
-        "times": TIMES,
+        "times": INSTANTS_OF_SPREAD,
         "designed": sliders and [slider["value"] for slider in sliders],
     }
 

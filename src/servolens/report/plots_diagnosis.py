@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["plot_candidates", "plot_pieces", "plot_record_errors", "plot_residuals", "plot_shares"]
 
-BEFORE, AFTER = LOOKS["constant"]["color"], LOOKS["velocity"]["color"]
-FLOOR = COLOURS["green"]
-VISIBLE = 0.1
+COLOUR_BEFORE, COLOUR_AFTER = LOOKS["constant"]["color"], LOOKS["velocity"]["color"]
+COLOUR_OF_NOISE = COLOURS["green"]
+BAND_VISIBLE = 0.1
 """Share of the largest error from which on the band of the noise is seen, and its edges do not hide the error."""
 
 
@@ -42,13 +42,13 @@ def plot_residuals(curves: Sequence[Curve], noise: float, *, title: str = "", ax
     """
     ax = axes_of(ax, 1.75)
     ax.margins(x=0.01)
-    ax.axhspan(-noise, noise, color=FLOOR, alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
+    ax.axhspan(-noise, noise, color=COLOUR_OF_NOISE, alpha=0.22, linewidth=0, zorder=0, label="noise, ± 2 deviations")
     ax.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
     for line in curves:  # errors are near noise, of which dashes make a blot
         ax.plot(line.x, line.y, label=line.label, **{**LOOKS[line.role], "linewidth": 0.8, "linestyle": "-"})
-    if all(noise > VISIBLE * float(abs(line.y).max()) for line in curves):
+    if all(noise > BAND_VISIBLE * float(abs(line.y).max()) for line in curves):
         for edge in (-noise, noise):  # above the noise itself
-            ax.axhline(edge, color=FLOOR, linewidth=1.1, zorder=5)
+            ax.axhline(edge, color=COLOUR_OF_NOISE, linewidth=1.1, zorder=5)
     ax.set_title(title)
     return ax
 
@@ -83,7 +83,7 @@ def plot_shares(
     """
     ax = axes_of(ax, 2.4)
     for i, (height, stressed) in enumerate(zip(error, worst, strict=True)):
-        ax.bar(i + 0.5, height, width=0.84, color=BEFORE, alpha=1.0 if stressed else 0.35, zorder=2)
+        ax.bar(i + 0.5, height, width=0.84, color=COLOUR_BEFORE, alpha=1.0 if stressed else 0.35, zorder=2)
     ax.hlines(samples, [i + 0.04 for i in range(samples.size)], [i + 0.96 for i in range(samples.size)], color=INK)
     ax.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
     ax.set_xlim(0.0, float(error.size))
@@ -126,7 +126,7 @@ def plot_pieces(  # noqa: PLR0913 - points, their look's labels and two lines, t
     ax = axes_of(ax, 3.2)
     if held is not None:
         ax.axhline(
-            held, color=BEFORE, linewidth=1.5, linestyle=LOOKS["constant"]["linestyle"], label="gain and damping"
+            held, color=COLOUR_BEFORE, linewidth=1.5, linestyle=LOOKS["constant"]["linestyle"], label="gain and damping"
         )
     ax.errorbar(
         abscissa,
@@ -180,11 +180,11 @@ def plot_candidates(
     """
     ax = axes_of(ax, 0.27 * len(names) + 1.0)
     for i, (value, answer) in enumerate(zip(left, chosen, strict=True)):
-        colour = AFTER if answer else GREY
+        colour = COLOUR_AFTER if answer else GREY
         if spread is not None:
             ax.plot(spread[i], [i, i], color=colour, linewidth=2.0, marker="|", markersize=7.0, zorder=3)
         ax.plot(value, i, marker="o", color=colour, markersize=6.5 if answer else 5.0, zorder=4)
-    ax.axvline(floor, color=FLOOR, linewidth=1.6, zorder=3, label="noise of the position")
+    ax.axvline(floor, color=COLOUR_OF_NOISE, linewidth=1.6, zorder=3, label="noise of the position")
     shown = left if spread is None else spread
     _error_axis(ax, min(float(shown.min()), floor), max(float(shown.max()), floor))
     _rows(ax, names)
@@ -224,8 +224,8 @@ def plot_record_errors(
     ax = axes_of(ax, 0.32 * len(rows) + 1.2)
     for i, (old, new, noise, held) in enumerate(zip(before, after, floor, held_out, strict=True)):
         ax.plot([old, new], [i, i], color="#b9b9b9", linewidth=2.2, zorder=2)
-        ax.plot([noise, noise], [i - 0.3, i + 0.3], color=FLOOR, linewidth=2.0, zorder=2)
-        for value, colour, shape in ((old, BEFORE, "s"), (new, AFTER, "o")):
+        ax.plot([noise, noise], [i - 0.3, i + 0.3], color=COLOUR_OF_NOISE, linewidth=2.0, zorder=2)
+        for value, colour, shape in ((old, COLOUR_BEFORE, "s"), (new, COLOUR_AFTER, "o")):
             face = colour if held else "white"
             ax.plot(
                 value,
@@ -237,9 +237,9 @@ def plot_record_errors(
                 markeredgewidth=1.5,
                 zorder=4,
             )
-    for name, colour, shape in (("gain and damping", BEFORE, "s"), ("with the causes", AFTER, "o")):
+    for name, colour, shape in (("gain and damping", COLOUR_BEFORE, "s"), ("with the causes", COLOUR_AFTER, "o")):
         ax.plot([], [], linestyle="none", marker=shape, color=colour, markersize=6.0, label=name)
-    ax.plot([], [], color=FLOOR, linewidth=2.0, label="noise")
+    ax.plot([], [], color=COLOUR_OF_NOISE, linewidth=2.0, label="noise")
     if not held_out.all():
         ax.plot([], [], linestyle="none", marker="o", color=INK, markerfacecolor="white", label="fitted to it")
     if held_out.any():

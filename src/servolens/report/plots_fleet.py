@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["History", "Spread", "histories_svg", "plot_counts", "plot_history", "plot_spread", "spreads_svg"]
 
-BAR, PANEL = 0.28, 1.75
+BAR_HEIGHT, PANEL_HEIGHT = 0.28, 1.75
 """Heights of a bar and of a panel [inches]."""
-COLUMNS = 2
+PANELS_PER_ROW = 2
 
 
 @final
@@ -75,7 +75,7 @@ class History:
 @styled
 def plot_spread(spread: Spread, ax: Axes | None = None) -> Axes:
     """Draw a histogram of the values, and a mark for each that lies far from the others."""
-    ax = axes_of(ax, PANEL)
+    ax = axes_of(ax, PANEL_HEIGHT)
     values = np.array(spread.values)
     ax.hist(values, bins=_bins(values).tolist(), color=COLOURS["blue"], edgecolor="white", linewidth=0.5)
     if spread.far:
@@ -93,7 +93,7 @@ def plot_spread(spread: Spread, ax: Axes | None = None) -> Axes:
 @styled
 def plot_counts(counts: Mapping[str, int], ax: Axes | None = None) -> Axes:
     """Draw a bar for each of the names, the first on top."""
-    ax = axes_of(ax, 0.6 + BAR * len(counts))
+    ax = axes_of(ax, 0.6 + BAR_HEIGHT * len(counts))
     names = [shown(name, 34) for name in counts]
     places = np.arange(len(names))
     bars = ax.barh(places, list(counts.values()), color=COLOURS["blue"], height=0.7)
@@ -110,7 +110,7 @@ def plot_counts(counts: Mapping[str, int], ax: Axes | None = None) -> Axes:
 @styled
 def plot_history(history: History, ax: Axes | None = None) -> Axes:
     """Draw the values with their 95 % intervals over the days, and the trend."""
-    ax = axes_of(ax, PANEL)
+    ax = axes_of(ax, PANEL_HEIGHT)
     errors = np.nan_to_num(np.array(history.errors))
     ax.errorbar(
         history.days, history.values, yerr=errors, fmt="o", markersize=3.5, linewidth=1.1, capsize=2.5,
@@ -137,9 +137,9 @@ def histories_svg(histories: Sequence[History], key: str) -> str:
 
 @styled
 def _panels(draw: Sequence[object], key: str) -> str:
-    rows = math.ceil(len(draw) / COLUMNS)
-    columns = min(COLUMNS, len(draw))
-    figure = new_figure(PANEL * rows + 0.3, FULL_WIDTH if columns > 1 else FULL_WIDTH / 2)
+    rows = math.ceil(len(draw) / PANELS_PER_ROW)
+    columns = min(PANELS_PER_ROW, len(draw))
+    figure = new_figure(PANEL_HEIGHT * rows + 0.3, FULL_WIDTH if columns > 1 else FULL_WIDTH / 2)
     for place, one in enumerate(draw, start=1):
         assert callable(one)  # noqa: S101 - made above
         one(figure.add_subplot(rows, columns, place))

@@ -13,9 +13,9 @@ from servolens.errors import InputError
 
 __all__ = ["checked_page", "chromium", "printed"]
 
-PAGES, PDF = (".html", ".htm"), ".pdf"
+PAGE_ENDINGS, PDF = (".html", ".htm"), ".pdf"
 CHOSEN = "SERVOLENS_CHROMIUM"
-NAMES = (
+BROWSER_NAMES = (
     "chromium",
     "chromium-browser",
     "google-chrome",
@@ -24,13 +24,13 @@ NAMES = (
     "msedge",
     "microsoft-edge",
 )
-PLACES = (
+BROWSER_PATHS = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
     r"C:\Program Files\Google\Chrome\Application\chrome.exe",
     r"C:\Program Files (x86)\Microsoft\Edge\Application\msedge.exe",
 )
-LONGEST = 120.0
+BROWSER_SECONDS = 120.0
 """Seconds after which a browser that does not end is given up."""
 
 
@@ -49,7 +49,7 @@ def checked_page(path: Path) -> None:
                 f"{path}: printing a PDF needs Chromium or Chrome, and none was found; install one, or name it in"
                 f" {CHOSEN}, or write a .html file and print that from a browser"
             )
-    elif kind not in PAGES:
+    elif kind not in PAGE_ENDINGS:
         raise InputError(f"{path}: a page is written as .html or .pdf; name such a file")
 
 
@@ -58,8 +58,8 @@ def chromium() -> str | None:
     chosen = os.environ.get(CHOSEN)
     if chosen:
         return shutil.which(chosen)
-    found = (shutil.which(name) for name in NAMES)
-    installed = (place for place in PLACES if Path(place).is_file())
+    found = (shutil.which(name) for name in BROWSER_NAMES)
+    installed = (place for place in BROWSER_PATHS if Path(place).is_file())
     return next((program for program in (*found, *installed) if program), None)
 
 
@@ -79,7 +79,7 @@ def printed(html: str) -> bytes:
         page.write_text(html, encoding="utf-8", errors="replace")
         command = [program, *_options(folder), f"--print-to-pdf={target}", page.as_uri()]
         with suppress(OSError, subprocess.TimeoutExpired):  # what it leaves tells
-            subprocess.run(command, capture_output=True, timeout=LONGEST, check=False)
+            subprocess.run(command, capture_output=True, timeout=BROWSER_SECONDS, check=False)
         if not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
             raise InputError(f"{Path(program).name} did not print the page; write a .html file and print that instead")
         return target.read_bytes()

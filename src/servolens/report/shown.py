@@ -70,7 +70,7 @@ def _responses(result: Any, ax: Axes | None) -> Axes:
     records: Sequence[Record] = result.records[:MOST_DRAWN]
     if not records:
         raise InputError("this result was read from a file, which holds no records; draw .simulate(records).plot()")
-    lines = LINES[result.kind](result, records)
+    lines = LINES_OF_KIND[result.kind](result, records)
     curves: list[Curve] = []
     for i, record in enumerate(records):
         first = i == 0
@@ -147,7 +147,7 @@ def _step(design: Design, ax: Axes | None) -> Axes:
     return ax
 
 
-LINES: dict[str, Callable[[Any, Sequence[Record]], Lines]] = {
+LINES_OF_KIND: dict[str, Callable[[Any, Sequence[Record]], Lines]] = {
     "fit": _fit,
     "identification": _identification,
     "diagnosis": _diagnosis,

@@ -22,14 +22,14 @@ __all__ = ["formula_svg", "svg", "with_shared_letters"]
 ADDRESSES = re.compile(r'\s(?:xmlns(?::\w+)?|version)="[^"]*"')
 PATH = re.compile(r'(?<=\sd=")[^"]+')
 LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-NAMES = re.compile(r'\sid="([^"]+)"')
+ID_ATTRIBUTE = re.compile(r'\sid="([^"]+)"')
 COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
 LETTER = re.compile(r'<path id="letter-[^"]+" d="[^"]*" transform="scale\([\d.]+\)"/>')
 PLACE = re.compile(r'(?<=\s)(x|y)="(-?\d+\.\d{3,})"')
-LINES = {"M", "L"}
+LINE_COMMANDS = {"M", "L"}
 GROWTH = 1.15
 """How far a picture may be enlarged where there is room."""
-KNOWN = ("panel-", "axis-", "live-", "xtick_", "ytick_")
+SCRIPT_PREFIXES = ("panel-", "axis-", "live-", "xtick_", "ytick_")
 """How names begin that the page's script looks for."""
 USES = re.compile(r'(?:href="#|url\(#)([^")]+)')
 
@@ -87,7 +87,7 @@ def _tidy(body: str, key: str) -> str:
     """
     used = set(USES.findall(body))
     letters = {name for name in used if re.search(rf'id="{re.escape(name)}" d="[^"]*" transform="scale', body)}
-    body = NAMES.sub(lambda m: f' id="{_prefix(m[1], key, letters)}"' if m[1] in used else _known(m[1]), body)
+    body = ID_ATTRIBUTE.sub(lambda m: f' id="{_prefix(m[1], key, letters)}"' if m[1] in used else _known(m[1]), body)
     body = USES.sub(lambda m: f"{m[0][: -len(m[1])]}{_prefix(m[1], key, letters)}", body)
     body = COLOUR.sub(lambda m: f"var(--{VARIABLES[m[1]]})" if m[1] in VARIABLES else m[0], body)
     body = PATH.sub(lambda m: _short_path(m[0]), body)
@@ -103,7 +103,7 @@ def _prefix(name: str, key: str, letters: set[str]) -> str:
 def _short_path(text: str) -> str:
     """Return a path to a hundredth of a point; where it is nothing but straight lines, by differences."""
     tokens = text.split()
-    if not LINES.issuperset(t for t in tokens if t.isalpha()) or len(tokens) % 3:
+    if not LINE_COMMANDS.issuperset(t for t in tokens if t.isalpha()) or len(tokens) % 3:
         return LONG_NUMBER.sub(lambda n: _hundredths(float(n[0])), " ".join(tokens))
     parts, x, y = [], 0, 0
     for pen, a, b in zip(*[iter(tokens)] * 3, strict=True):
@@ -125,4 +125,4 @@ def _hundredths(value: float) -> str:
 
 def _known(name: str) -> str:
     """Return the class that a name of :mod:`servolens.report.drawing` becomes."""
-    return f' class="{name}"' if name.startswith(KNOWN) else ""
+    return f' class="{name}"' if name.startswith(SCRIPT_PREFIXES) else ""

@@ -7,12 +7,12 @@ import unicodedata
 
 __all__ = ["shown", "symbol_text"]
 
-LONGEST = 40
+LONGEST_NAME = 40
 LOWERED = str.maketrans("0123456789+-aehijklmnoprstuvx", "₀₁₂₃₄₅₆₇₈₉₊₋ₐₑₕᵢⱼₖₗₘₙₒₚᵣₛₜᵤᵥₓ")
 """Letters that have a small form below the line."""
 
 
-def shown(name: str, longest: int = LONGEST) -> str:
+def shown(name: str, longest: int = LONGEST_NAME) -> str:
     r"""Return `name` in one line of at most `longest` characters, characters that do not print replaced.
 
     Examples

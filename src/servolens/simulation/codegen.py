@@ -26,7 +26,7 @@ INTRINSICS = {
     ca.OP_CONSTPOW: "llvm.pow.f64",
     ca.OP_COPYSIGN: "llvm.copysign.f64",
 }
-NAMES = (
+FUNCTIONS_OF_MATH = (
     "tan",
     "asin",
     "acos",
@@ -43,7 +43,7 @@ NAMES = (
     "atan2",
     "hypot",
 )
-LIBRARY = {getattr(ca, f"OP_{name.upper()}"): name for name in NAMES} | {ca.OP_FMOD: "fmod"}
+LIBRARY = {getattr(ca, f"OP_{name.upper()}"): name for name in FUNCTIONS_OF_MATH} | {ca.OP_FMOD: "fmod"}
 SYMBOLS = (*sorted(LIBRARY.values()), "exp", "log", "sin", "cos", "pow")
 """Functions of the C library that compiled code may call."""
 

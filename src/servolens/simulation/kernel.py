@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel")
-__all__ = ["ENTRY", "GAINS", "cache_folder", "kept", "rule"]
+__all__ = ["GAINS_ENTRY", "RUN_ENTRY", "cache_folder", "kept", "rule"]
 
-ENTRY, GAINS = "servolens_run", "servolens_gains"
+RUN_ENTRY, GAINS_ENTRY = "servolens_run", "servolens_gains"
 """Names of the functions in :func:`rule` that run a simulation, and that give an observer its gains."""
 CALLED = "beyond_pd"
 """The function that is called where it is used, for it is rarely used."""
@@ -85,7 +85,7 @@ def _compiled() -> str:
     whole = llvm.parse_assembly("")
     for name, compiled in stepping.compiled_rule().items():
         # numba wraps a function for C; of an entry the inner one is taken, whose result goes to its first argument
-        is_entry = f"servolens_{name}" in (ENTRY, GAINS)
+        is_entry = f"servolens_{name}" in (RUN_ENTRY, GAINS_ENTRY)
         wanted = compiled.native_name.removeprefix("cfunc.") if is_entry else compiled.native_name
         text = compiled.inspect_llvm().replace(" noinline ", " nounwind ")
         part = llvm.parse_assembly(re.sub(rf'@"?{re.escape(wanted)}"?\(', f"@servolens_{name}(", text))

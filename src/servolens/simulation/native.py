@@ -14,7 +14,7 @@ import numpy as np
 
 from servolens.simulation.codegen import SYMBOLS, function_text, number_text
 from servolens.simulation.equations import Equations
-from servolens.simulation.kernel import ENTRY, GAINS, kept, rule
+from servolens.simulation.kernel import GAINS_ENTRY, RUN_ENTRY, kept, rule
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -77,9 +77,9 @@ def _native(structure: tuple[type[Effect], ...], continuous: bool) -> Native:
     gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 5)
     slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
     return Native(
-        run=run(engine.get_function_address(ENTRY)),
+        run=run(engine.get_function_address(RUN_ENTRY)),
         slopes=slopes(engine.get_function_address("servolens_slopes")),
-        gains=gains(engine.get_function_address(GAINS)),
+        gains=gains(engine.get_function_address(GAINS_ENTRY)),
         sizes=(len(equations.smooth), len(equations.relaxing)),
         order=np.argsort([*equations.smooth, *equations.relaxing], kind="stable").astype(np.int64),
         keeper=engine,
@@ -114,7 +114,7 @@ def _compiled(text: str) -> bytes:
     module = llvm.parse_assembly(rule())
     module.link_in(llvm.parse_assembly(text))
     for function in module.functions:
-        if not function.is_declaration and function.name not in (ENTRY, GAINS, "servolens_slopes"):
+        if not function.is_declaration and function.name not in (RUN_ENTRY, GAINS_ENTRY, "servolens_slopes"):
             function.linkage = "internal"
     tuning = llvm.create_pipeline_tuning_options(speed_level=2)
     builder = llvm.create_pass_builder(machine, tuning)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["completed_spec", "suggested_spec"]
 
 SAMPLING = ("sample_time", "derivative_filter")
-GAINS = 41
-SLACK = 1.25
+GAINS_TRIED = 41
+SETTLING_SLACK = 1.25
 """The settling time asked for is the shortest that any gain reaches, times this, rounded up to two digits."""
 
 
@@ -84,7 +84,7 @@ def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     shortest = None if spec is None else _shortest(plant, spec)
     if spec is None or shortest is None:
         return None
-    return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SLACK * shortest), 4 * sample_time)})
+    return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SETTLING_SLACK * shortest), 4 * sample_time)})
 
 
 def _fastest(records: Sequence[Record]) -> Record | None:
@@ -128,7 +128,7 @@ def _shortest(plant: Plant, spec: PDSpec) -> float | None:
     """Return the shortest settling time of any gain [s]."""
     natural = spec.rate(plant.gain)
     last = max(6.0 * natural - plant.damping, natural) / plant.gain
-    found = (evaluate(plant, spec, float(kd)).settling_time for kd in np.linspace(0.0, last, GAINS))
+    found = (evaluate(plant, spec, float(kd)).settling_time for kd in np.linspace(0.0, last, GAINS_TRIED))
     return min((time for time in found if time), default=None)
 
 

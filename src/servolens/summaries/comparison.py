@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison_summary", "side_by_side"]
 
-KINDS = ("linear", "nonlinear", "diagnosed")
-DIGITS = range(5, 7)
+COMPARED = ("linear", "nonlinear", "diagnosed")
+MORE_DIGITS = range(5, 7)
 """Of gains that look the same with four."""
 CLIFF = 0.02
 """Share of the settling time from which on gains that look the same do not do the same."""
@@ -36,11 +36,13 @@ def comparison_summary(comparison: Comparison, *, length_unit: str = "m", comman
         Of the plants.
     """
     designs = comparison.designs
-    best = KINDS[len(designs) - 1]
+    best = COMPARED[len(designs) - 1]
     kd_unit = f"{command_unit} s/{length_unit}"
     sentences = [
         _verdict(kind, design, gain, response, best, kd_unit)
-        for kind, design, gain, response in zip(KINDS, designs, _told_apart(designs), comparison.on_best, strict=False)
+        for kind, design, gain, response in zip(
+            COMPARED, designs, _told_apart(designs), comparison.on_best, strict=False
+        )
     ]
     sentences += _cliff(designs, comparison.on_best)
     if comparison.linear.kd and designs[-1].kd:
@@ -57,7 +59,7 @@ def comparison_summary(comparison: Comparison, *, length_unit: str = "m", comman
 def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Table:
     """Return the least gain of each model, and what it does on the plant that the data support best."""
     designs = comparison.designs
-    best = KINDS[len(designs) - 1]
+    best = COMPARED[len(designs) - 1]
     own = [next(iter(design.verified), None) for design in designs]
     on = comparison.on_best
     intervals = [", ".join("–".join(inside(*interval)) for interval in d.intervals) or "–" for d in designs]
@@ -70,7 +72,7 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
         (f"Peak there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
         ("Meets the spec there", *("–" if r is None else "yes" if r.meets else "no" for r in on)),
     )
-    columns = ("", *(kind.capitalize() for kind in KINDS[: len(designs)]))
+    columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))
     return Table(title="Side by side", columns=columns, rows=rows)
 
 
@@ -78,7 +80,7 @@ def _told_apart(designs: Sequence[Design]) -> list[str]:
     """Return the least gains with as many digits as tell different ones apart: at a cliff they matter."""
     texts = [least_gain(design) for design in designs]
     gains = [design.kd for design in designs]
-    for digits in DIGITS:
+    for digits in MORE_DIGITS:
         if len(set(texts)) == len(set(gains)):
             return texts
         texts = ["–" if kd is None else number_up(kd, digits) for kd in gains]

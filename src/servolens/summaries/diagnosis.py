@@ -39,7 +39,7 @@ __all__ = [
     "why_enough",
 ]
 
-FEW = 200
+FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis")
 """Findings about what the records hold beside the motion: sentences of their own."""
@@ -168,7 +168,7 @@ def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict in ("partly_explained", "unexplained"):
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
     samples = sum(len(record) for record in diagnosis.records)
-    if 0 < samples <= FEW:
+    if 0 < samples <= FEW_SAMPLES:
         seconds = number(sum(record.duration for record in diagnosis.records), 2)
         told.append(
             f"{samples} samples in {seconds} s show little: before you trust this, log whole moves, up to rest."

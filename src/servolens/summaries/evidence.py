@@ -24,13 +24,13 @@ __all__ = [
 
 CLEAR = 1e-3
 """Significance from which on an instrument says something."""
-TELLING = 0.2
+SHARE_WORTH_A_SENTENCE = 0.2
 """By how much the share of the error in a range must exceed its share of the samples to be worth a sentence."""
 NARROW, PEAK = 2, 0.7
 """Neighbouring bins in which so much of the error is one frequency; that it is slow, every error of a loop is."""
-PLACES = ("speed", "direction", "position", "time_since_step", "voltage")
+QUANTITY_ORDER = ("speed", "direction", "position", "time_since_step", "voltage")
 """Quantities by how much they tell people; the first is taken of those that come close to the best."""
-CLOSE = 0.2
+CLOSE_TO_BEST = 0.2
 QUANTITIES = {
     "constant": "time",
     "direction": "direction of motion",
@@ -48,13 +48,13 @@ QUANTITIES = {
 
 def where_phrase(shares: Sequence[Share]) -> str:
     """Return what part of the error arises in which range of a measured quantity; empty if it arises everywhere."""
-    places = [share for share in shares if share.quantity in PLACES]
-    telling = [share for share in places if share.share_of_error - share.share_of_samples >= TELLING]
+    places = [share for share in shares if share.quantity in QUANTITY_ORDER]
+    telling = [share for share in places if share.share_of_error - share.share_of_samples >= SHARE_WORTH_A_SENTENCE]
     if not telling:
         return "".join(_peak(share) for share in shares if share.quantity == "frequency")
     most = max(share.share_of_error - share.share_of_samples for share in telling)
-    close = [share for share in telling if share.share_of_error - share.share_of_samples >= most - CLOSE]
-    share = min(close, key=lambda share: PLACES.index(share.quantity))
+    close = [share for share in telling if share.share_of_error - share.share_of_samples >= most - CLOSE_TO_BEST]
+    share = min(close, key=lambda share: QUANTITY_ORDER.index(share.quantity))
     return f"{number(100 * share.share_of_error, 2)} % of the error arises {_range(share)}"
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["fleet_summary"]
 
-MOST = 10
+MOST_TABLE_ROWS = 10
 """Rows of each table."""
 
 
@@ -48,7 +48,7 @@ def _sentences(body: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _causes(body: Mapping[str, Any]) -> Table:
-    rows = [(spoken(name), str(count)) for name, count in list(body["causes"].items())[:MOST]]
+    rows = [(spoken(name), str(count)) for name, count in list(body["causes"].items())[:MOST_TABLE_ROWS]]
     return Table(title="Causes", columns=("Cause", "Studies"), rows=tuple(rows))
 
 
@@ -58,7 +58,7 @@ def _drifts(body: Mapping[str, Any]) -> Table:
          f"{one['p']:.1g}")
         for one in body["drifts"] if one["drifts"]
     ]  # fmt: skip
-    return Table(title="Drift", columns=("Axis", "Parameter", "Slope", "Unit", "p"), rows=tuple(rows[:MOST]))
+    return Table(title="Drift", columns=("Axis", "Parameter", "Slope", "Unit", "p"), rows=tuple(rows[:MOST_TABLE_ROWS]))
 
 
 def _failures(body: Mapping[str, Any]) -> Table:
@@ -67,8 +67,8 @@ def _failures(body: Mapping[str, Any]) -> Table:
         for row in body["rows"]
         if row["status"] != "done"
     ]
-    note = f"{len(rows) - MOST} more are on the page." if len(rows) > MOST else ""
-    return Table(title="Not studied", columns=("Axis", "Why"), rows=tuple(rows[:MOST]), note=note)
+    note = f"{len(rows) - MOST_TABLE_ROWS} more are on the page." if len(rows) > MOST_TABLE_ROWS else ""
+    return Table(title="Not studied", columns=("Axis", "Why"), rows=tuple(rows[:MOST_TABLE_ROWS]), note=note)
 
 
 def _label(row: Mapping[str, Any]) -> str:

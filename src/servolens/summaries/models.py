@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["identification_summary", "model_table", "prediction_summary"]
 
-KINDS = {
+MODEL_WORDS = {
     "velocity": "damping that depends on speed",
     "constant": "constant damping",
     "varying": "damping that varies in time",
@@ -43,7 +43,7 @@ def identification_summary(identification: Identification) -> Summary:
     for kind, model in models.items():
         sentences += [] if model is None else _doubtful(kind, model)
     tables = [
-        model_table(model, f"{KINDS[kind].capitalize()} ({kind})")
+        model_table(model, f"{MODEL_WORDS[kind].capitalize()} ({kind})")
         for kind, model in models.items()
         if model is not None
     ]
@@ -113,7 +113,7 @@ def prediction_summary(
 def _accuracy(identification: Identification) -> str:
     """Compare the models' errors in one sentence."""
     parts = []
-    for kind, words in KINDS.items():
+    for kind, words in MODEL_WORDS.items():
         if kind in identification.errors:
             errors = [error.percent_error for error in identification.errors[kind]]
             parts.append((words, percent(float(np.mean(errors)))))
