@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
+ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5
 """Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
 causes that leave nothing that depends on the inputs, all of it."""
@@ -282,9 +283,9 @@ class _Explorer:
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
-        trials, what = self.trials, f"effect {len(hypothesis.causes) + 1}"
+        trials, cause = self.trials, f"a {_ordinal(len(hypothesis.causes))} cause"
         test = ScoreTest(self.likelihood, hypothesis)
-        self.tell(what, done)
+        self.tell(f"Looking for {cause}", done)
         is_observed = hypothesis.noise.rate > 0.0
         is_enough = bool(hypothesis.causes) and not is_observed and self.is_enough(hypothesis)
         kin = set() if is_observed or is_enough else set(hypothesis.causes)
@@ -308,7 +309,8 @@ class _Explorer:
         def told(found: Hypothesis | None) -> Hypothesis | None:
             nonlocal count
             count += 1
-            self.tell(what, done + count * share)
+            tried = f"{min(count, len(chosen))} of {len(chosen)} effects"
+            self.tell(f"Trying {cause}: {tried}", done + count * share)
             return found
 
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
@@ -425,3 +427,8 @@ class _Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)
+
+
+def _ordinal(place: int) -> str:
+    """Return the word for a place in a row that begins at 0."""
+    return ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"
