@@ -12,7 +12,7 @@ from servolens.report.content import Details, Findings, Lights, Section
 from servolens.report.figures import plant_equation
 from servolens.report.figures_diagnosis import (
     candidates_figure,
-    gains_figure,
+    errors_figure,
     instrument_figure,
     shares_figure,
     telling_instrument,
@@ -184,7 +184,7 @@ def _symbols(diagnosis: Diagnosis) -> Table:
 def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Tell what the causes are worth, record by record."""
     drawable = any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains)
-    figure = [gains_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
+    figure = [errors_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
     return (
         *noise_sentences(diagnosis),
         residuals_figure("wrong-residuals", diagnosis),

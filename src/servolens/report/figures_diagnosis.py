@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "candidates_figure",
-    "gains_figure",
+    "errors_figure",
     "instrument_figure",
     "shares_figure",
     "telling_instrument",
@@ -242,7 +242,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
 
 
 @styled
-def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
+def errors_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw each record's error without and with the causes."""
     rows = [*zip(diagnosis.gains, data_kinds(diagnosis), strict=True)]
     if len(rows) > MOST_ROWS:  # those held out come last
