@@ -364,7 +364,7 @@ def test_what_swings_nearby_has_another_phase_in_every_record():
     assert cause.quantities["phase"].value == pytest.approx(0.4, abs=0.05)
     assert diagnosis.remainder.times_noise < 1.2
     assert diagnosis.extended.heldout_rms_error > 10.0 * diagnosis.noise_floor  # no simulation foretells a phase
-    assert "No simulation foretells that phase" in verdict_sentence(diagnosis)
+    assert "No simulation can predict that phase" in verdict_sentence(diagnosis)
 
 
 def test_held_out_record_of_another_axis_is_no_sign_of_health():

@@ -311,7 +311,7 @@ def test_dask_scheduler_that_is_gone_for_good_ends_the_run_with_a_sentence(axes,
     scheduler.kill()
     told = end(run, status=2)
     assert told.startswith(
-        "servolens: error: the executor takes no more work (RuntimeError: the Dask scheduler is gone)"
+        "servolens: error: the executor takes no more work (RuntimeError: the connection to the Dask scheduler is lost)"
     )
     assert told.endswith("of 4 axes are finished and kept: run the same command to go on\n")
     assert told.count("\n") == 1

@@ -304,7 +304,7 @@ def test_a_plant_that_fails_does_not_lose_the_others() -> None:
     wild = Plant(gain=1e9, damping=0.0)
     first, failed, last = simulate_many([plant_with(), wild, plant_with()], [record(5.0)])
     assert isinstance(failed[0], NumericalError)
-    assert "leaves all bounds" in str(failed[0])
+    assert "diverges" in str(failed[0])
     assert isinstance(first[0], Simulation)
     assert isinstance(last[0], Simulation)
     (refused,) = simulate_many([plant_with()], [record()], voltage_driven=True)
@@ -342,7 +342,7 @@ def test_numbers_that_run_away_end_at_once_with_an_error(value: float) -> None:
     voltage = np.zeros(time.size)
     voltage[5] = value
     for plant in (plant_with(), plant_with(*SMOOTH["coupling"], *SMOOTH["stiff bristles"])):
-        with pytest.raises(NumericalError, match="leaves all bounds"):
+        with pytest.raises(NumericalError, match="diverges"):
             simulate_voltage(plant, time, voltage)
 
 
@@ -432,7 +432,7 @@ def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing
         )
 
     if refused:
-        with pytest.raises(NumericalError, match="rattles"):
+        with pytest.raises(NumericalError, match="more parts than allowed"):
             tried()
     else:
         assert np.array_equal(tried().position, simulate_loop(plant, LOOP, time, reference, substeps=4).position)

@@ -708,7 +708,7 @@ def test_mcap_of_other_messages_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("data", "part"),
-    [(b"{", "says to be JSON and is not"), (b"[1, 2]", "no object of names"), (b"[" * 5000, "says to be JSON")],
+    [(b"{", "declared as JSON but is not JSON"), (b"[1, 2]", "no object of names"), (b"[" * 5000, "declared as JSON")],
 )
 def test_mcap_with_wrong_json_is_refused(tmp_path, data, part):
     from mcap.writer import Writer

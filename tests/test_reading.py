@@ -660,7 +660,7 @@ def test_index_of_a_dataframe_is_the_time(index):
         ([1, 2], "a pandas DataFrame is needed, got list"),
         (
             pd.DataFrame({"time": [0, 1], "position": ["a", "b"], "voltage": [0, 1]}),
-            "column 'position' holds something else than numbers",
+            "column 'position' holds values that are not numbers",
         ),
         (
             pd.DataFrame({"time": [0, 1], "position": [0, 1j], "voltage": [0, 1]}),

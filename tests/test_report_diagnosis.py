@@ -145,7 +145,7 @@ def test_doubts_about_the_logs_follow_the_sentence_at_once(rubbing, tmp_path):
     assert "are correlated" not in text[: text.index("<nav")]
     first, second, *_ = diagnosis_summary(doubtful).sentences
     assert first == lead
-    assert second.startswith("First mend the logs: kp 40 and kp 60: samples are lost.")
+    assert second.startswith("Correct the logs first: kp 40 and kp 60: samples are lost.")
 
 
 def test_doubts_of_one_kind_are_told_once():
@@ -235,7 +235,7 @@ def test_page_tells_which_simulation_ran_away(rubbing, tmp_path):
     lost = replace(rubbing, linear=replace(rubbing.linear, plant=plant), where=(), instruments=())
     text = page_of(lost, tmp_path)
     assert "too few samples of motion" in text
-    assert "leaves all bounds: gain and damping on kp 40, gain and damping on kp 60, gain and damping on kp 90" in text
+    assert "diverges: gain and damping on kp 40, gain and damping on kp 60, gain and damping on kp 90" in text
 
 
 def test_names_stay_text_and_doubts_are_told(rubbing, tmp_path):

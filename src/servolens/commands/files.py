@@ -70,7 +70,7 @@ def load_records(
     from servolens.campaign import read_records
 
     check_outputs(outputs, _inputs(recordings))
-    progress("Reading", 0, 0)
+    progress("Reading the logs", 0, 0)
     records = read_records(recordings.paths, **_options(recordings))
     check_outputs(outputs, [record.source for record in records if record.source])
     return records
@@ -83,7 +83,7 @@ def load_logs(
     from servolens.campaign import read_logs
 
     check_outputs(outputs, _inputs(recordings))
-    progress("Reading", 0, 0)
+    progress("Reading the logs", 0, 0)
     logs = read_logs(recordings.paths, **_options(recordings))
     check_outputs(outputs, [log.reading.record.source for log in logs])
     return logs

@@ -70,7 +70,7 @@ def design(
         chosen = None if asked is None else tune_gains(models, wanted, asked, progress=progress)
         wanted = wanted if chosen is None else chosen.spec
         result = tune(plants, wanted, with_program=with_program, certify=certify, progress=progress)
-        progress("Simulating scenarios", 0, 0)
+        progress("Simulating gains on uncertain plants", 0, 0)
         result = recommend(models, result, references=references)
         of_model, of_gain = trust(models, result)
     is_wrong = of_gain.light == "red" and result.feasible

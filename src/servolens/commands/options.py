@@ -224,7 +224,11 @@ def specification(
         _number(
             "--kp", "Proportional gain to design for [V/m or V/rad]; of a cascade [1/s].", required="--kp" in required
         ),
-        _number("--settling-time", "In the band from this time on [s].", required="--settling-time" in required),
+        _number(
+            "--settling-time",
+            "Time from which on the position stays in the band [s].",
+            required="--settling-time" in required,
+        ),
         _number("--band", "Half width of the band as a fraction of the step.  [default: 0.01]"),
         _number("--reference", "Size of the step [m or rad].  [default: that of the records, else 0.1]"),
         _number("--overshoot", "Largest overshoot as a fraction of the step."),
@@ -238,9 +242,9 @@ def specification(
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
         *_law(records),
-        _number("--peak-sensitivity", "Largest Ms of the linearised loop."),
-        _number("--peak-complementary", "Largest Mt of the linearised loop."),
-        _number("--delay-margin", "By how much the command must be able to come later [s]."),
+        _number("--peak-sensitivity", "Largest peak of the sensitivity, Ms, of the linearised loop."),
+        _number("--peak-complementary", "Largest peak of the complementary sensitivity, Mt, of the linearised loop."),
+        _number("--delay-margin", "Least extra delay that the linearised loop must tolerate [s]."),
     )
 
     def decorate(command: Command) -> Command:
@@ -269,14 +273,14 @@ def several_gains() -> Callable[[Command], Command]:
         click.option(
             "--objective",
             type=click.Choice(["noise", "kd", "settling_time", "margin"]),
-            help="What free gains are to be best for.  [default with --free: noise]",
+            help="What the free gains minimise or maximise.  [default with --free: noise]",
         ),
-        _number("--voltage-noise", "Of free gains: largest r.m.s. noise of the command [V]."),
+        _number("--voltage-noise", "With --free: largest r.m.s. noise of the command [V]."),
         click.option(
             "--scenarios",
             type=click.IntRange(min=0),
             metavar="NUMBER",
-            help="Of free gains: scenarios in which all has to hold too.  [default: 100]",
+            help="With --free: number of uncertain plants that must meet the specification too.  [default: 100]",
         ),
         _number("--position-noise", "R.m.s. of the measurement noise [m or rad].  [default: that of the records]"),
     )
@@ -306,13 +310,13 @@ def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
             "controller",
             flag_value="cascade",
             default=None,
-            help="P of the position (--kp), PI of the speed: the gain of the speed loop, kv, is sought.",
+            help="P control of the position (--kp), PI control of the speed; kv, the gain of the latter, is designed.",
         ),
         _number("--kiv", f"Integral gain of the speed loop [V/m].  [default: {records}0]"),
         click.option(
             "--anti-windup",
             type=click.Choice(["none", "clamping", "back_calculation"]),
-            help=f"Of the integral, at the limit of the model.  [default: {records}none]",
+            help=f"How the integral is stopped at the voltage limit.  [default: {records}none]",
         ),
         click.option(
             "--no-hunting",
@@ -409,7 +413,7 @@ def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[
             metavar="KEY=VALUE",
             help="A setting of the records: supply_voltage=24, counts_per_rev=4096.",
         ),
-        click.option("--data-root", metavar="FOLDER", help="Folder that the files of a campaign may not leave."),
+        click.option("--data-root", metavar="FOLDER", help="Folder in which all files of a campaign must lie."),
     )
 
 

@@ -56,7 +56,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
         records = load_records(recordings, {"--json": json_file}, progress)
         qualities = []
         for done, record in enumerate(records):
-            progress("Checking", done, len(records))
+            progress("Checking the records", done, len(records))
             qualities.append(assess(record))
     summary = check_summary(qualities, length_unit=records[0].length_unit)
     if json_file:
@@ -110,7 +110,7 @@ def identify(
     with progress_bar() as progress:
         records = load_records(recordings, {"--out": out, "--json": json_file}, progress)
         quality = quality_findings(records)
-        progress("Identifying", 0, 0)
+        progress("Fitting the models", 0, 0)
         refused = refusal(quality, force=force)
         try:
             with about(*recordings.paths):
@@ -168,7 +168,7 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
             check_units(model.plant, record)
         errors, failed = [], {}
         for done, record in enumerate(records):
-            progress("Simulating", done, len(records))
+            progress("Simulating the records", done, len(records))
             with about(record.source or record.name):
                 try:
                     errors.append(prediction_error(model.plant, record))

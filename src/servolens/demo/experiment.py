@@ -151,27 +151,27 @@ def run_experiment(progress: Callable[[str, int, int], None] | None = None) -> D
         Called with (description, done, total).
     """
     stage = _Stages(progress)
-    stage("measuring the virtual cart")
+    stage("logging steps of the virtual cart")
     records = lab.table_one(TRUTH, SEED)
     training = [r for r in records if r.controller is not None and r.controller.kd == 0]
     fits = []
     for record in training:
         stage(f"identifying from {record.name}")
         fits.append(identify(record))
-    stage("time-varying damping")
+    stage("identifying time-varying damping")
     limited = tuple(_varying(record, delta=DELTA) for record in training)
     short, short_limited = _varying(training[0], piece=SHORT_PIECE), _varying(training[0], DELTA, SHORT_PIECE)
-    stage("predicting Table I")
+    stage("predicting the eight steps of Table I")
     models = _named(fits)
     prediction = predict({name: plant for name, (plant, _) in models.items()}, records)
     held_out = np.array([[record is not used for _, used in models.values()] for record in records])
     sampled = []
     for fit in fits:
-        stage(f"designing from {fit.records[0].name}")
+        stage(f"designing on the model of {fit.records[0].name}")
         sampled.append(compare(_plant(fit, "constant"), _plant(fit, "velocity"), _spec("sampled")))
     stage("designing for the continuous loop")
     continuous = compare(_plant(fits[-1], "constant"), _plant(fits[-1], "velocity"), _spec("continuous"))
-    stage("designing from the pieces and the truth")
+    stage("designing on the piecewise model and on the true axis")
     least = replace(_spec("sampled"), kd_max=LARGEST_LEAST)
     by_pieces = tuple(tune(fit.law_from_pieces, least) for fit in fits if fit.law_from_pieces is not None)
     on_truth = tune(plant_of(TRUTH), least)
@@ -179,7 +179,7 @@ def run_experiment(progress: Callable[[str, int, int], None] | None = None) -> D
     for name, model in PRINTED.items():
         stage(f"designing for the paper's {name}")
         printed[name] = tune(plant_of(model), _spec("continuous"))
-    stage("finding what a hidden axis lacks")
+    stage("diagnosing an axis with a hidden effect")
     hidden = study_hidden_axis()
     stage("writing the page")
     return Demo(

@@ -77,8 +77,8 @@ def _data(demo: Demo) -> Section:
         " on speed. They test both on other gains, and design the least derivative gain on each. All of that is done"
         " here on a virtual cart that obeys the paper's nonlinear model and is logged as the paper logs its real one.",
         "The cart's physics and numerics are written separately from those that identify and simulate it; it obeys the"
-        " very law that is fitted, so the errors here are what remains when the law is right, which no real machine"
-        " grants.",
+        " very law that is fitted, so the errors here are those of a law that is exactly right. No real machine obeys"
+        " its model so well.",
         f"On the gain pairs of the paper's Table I the models with constant damping are {constant} of the step off on"
         f" average, those with damping that depends on speed {velocity}; each model knows one of the eight records.",
         f"Eight steps to {SPEC['reference']:g} m with the gains Kp/Kd = {gains} (V/m, V s/m), the pairs of the"

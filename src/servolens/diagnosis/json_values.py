@@ -7,7 +7,7 @@ from typing import Any
 
 __all__ = ["LOST", "finite"]
 
-LOST = "a record cannot be simulated with this model, or the simulated axis leaves all bounds"
+LOST = "a record cannot be simulated with this model, or its simulation diverges"
 """Why an error is not finite."""
 
 

@@ -64,7 +64,7 @@ def evidence_of(
     ]
     against = [f"{finding.record}: {finding.message}" for finding in fatal(findings)]
     if not np.isfinite([*missed, remainder.rms]).all():
-        against.append("a record cannot be simulated with this model, or the simulated axis leaves all bounds")
+        against.append("a record cannot be simulated with this model, or its simulation diverges")
     return Evidence(
         range=data_range((*case.records, *case.heldout)),
         verdict=verdict,

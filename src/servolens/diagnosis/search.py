@@ -40,20 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
-PROMISING = 0.5
-"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
-causes that leave nothing that depends on the inputs, all of it."""
-FAR_BEHIND = 0.05
-"""Share of the highest score below which an effect is not fitted."""
-STARTED = 2
-"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
-SIMPLE = 0.75
-"""Of the effort, what the search without last resorts may take."""
-SHARE, SPENT = 0.25, 0.25
-"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for."""
-ORDINALS = ("", "second ", "third ", "fourth ", "fifth ")
-"""Of the cause that is looked for beside those found."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -284,9 +270,9 @@ class _Explorer:
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
-        trials, what = self.trials, f"looking for a {ORDINALS[len(hypothesis.causes)]}cause"
+        trials, cause = self.trials, f"a {_ordinal(len(hypothesis.causes))} cause"
         test = ScoreTest(self.likelihood, hypothesis)
-        self.tell(what, done)
+        self.tell(f"Looking for {cause}", done)
         is_observed = hypothesis.noise.rate > 0.0
         is_enough = bool(hypothesis.causes) and not is_observed and self.is_enough(hypothesis)
         kin = set() if is_observed or is_enough else set(hypothesis.causes)
@@ -310,7 +296,8 @@ class _Explorer:
         def told(found: Hypothesis | None) -> Hypothesis | None:
             nonlocal count
             count += 1
-            self.tell(what, done + count * share)
+            tried = f"{min(count, len(chosen))} of {len(chosen)} effects"
+            self.tell(f"Trying {cause}: {tried}", done + count * share)
             return found
 
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
@@ -427,3 +414,8 @@ class _Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)
+
+
+def _ordinal(place: int) -> str:
+    """Return the word for a place in a row that begins at 0."""
+    return ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"

@@ -117,7 +117,7 @@ def _diagnosed(
 
     decision = decided(case, EFFORT[effort], tell)
     case, found, path = decision.case, decision.found, list(decision.path)
-    progress("measuring the gain", 90, 100)
+    progress("Comparing errors with and without the causes", 90, 100)
     gains = case.gains(path)
     verdict = "unexplained" if decision.contradiction is not None else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
@@ -151,7 +151,7 @@ def _diagnosed(
         records=case.records,
         heldout=case.heldout,
     )
-    progress("measuring the gain", 100, 100)
+    progress("Diagnosis done", 100, 100)
     return diagnosis
 
 

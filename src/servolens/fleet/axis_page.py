@@ -42,7 +42,7 @@ def axis_content(result: Mapping[str, Any]) -> dict[str, Any]:
 def _lead(result: Mapping[str, Any], diagnosis: Mapping[str, Any]) -> str:
     if result["status"] != "done":
         return f"This axis could not be studied: {printable(result['sentence'])}"
-    return VERDICTS.get(diagnosis.get("verdict", ""), "What the model misses could not be told.")
+    return VERDICTS.get(diagnosis.get("verdict", ""), "What the model misses is unknown.")
 
 
 def _light(light: Mapping[str, Any]) -> dict[str, str]:

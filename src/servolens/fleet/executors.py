@@ -90,7 +90,7 @@ class _Cluster(Executor):
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Give a call to the cluster."""
         if self._is_gone():
-            raise RuntimeError("the Dask scheduler is gone")
+            raise RuntimeError("the connection to the Dask scheduler is lost")
         future: Future[Any] = self._jobs.submit(fn, *args, **kwargs)
         self._out.add(future)
         future.add_done_callback(self._out.discard)

@@ -185,7 +185,7 @@ class ScoreTest:
             parts.append(run.whiten(missed))
         found = np.concatenate(parts)
         if not np.isfinite(found).all():
-            raise NumericalError("the simulated axis leaves all bounds")
+            raise NumericalError("the simulation of the axis diverges")
         return found
 
     def _of_record(self, plant: Plant, group: int) -> Plant:

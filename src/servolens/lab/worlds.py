@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, names_like
 from servolens.lab.disturbances import Jitter, SensorNoise, Shaking, Surroundings
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def draw_surroundings(world: str, rng: Generator, usual: Usual) -> Surroundings:
 def checked_world(world: str) -> str:
     """Return the name of a world; refuse what is none."""
     if world not in WORLDS:
-        raise InputError(f"no world {world[:40]!r}; there are {', '.join(WORLDS)}")
+        raise InputError(f"no world {world[:40]!r}; {names_like(world, WORLDS, 'there are')}")
     return world
 
 

@@ -74,7 +74,7 @@ def guessed_gains(record: Record) -> LoggedGains | None:
         laws.append(({"derivative_window": window} if window > 1 else {}, [error, -slope]))
     if record.velocity is not None:
         laws.append(({"derivative": "velocity"}, [error, -record.velocity]))
-    found = [_fitted(record, terms, v, inside) for _, terms in laws]
+    found = [_fitted(terms, v, inside) for _, terms in laws]
     for (words, terms), law in zip(laws, found, strict=True):
         if law is not None and law[1] <= _admissible(record, law[0], v[inside]) and law[0][0] > 0:
             gains = [_short(float(gain), term[inside], law[1]) for gain, term in zip(law[0], terms, strict=True)]
@@ -82,7 +82,7 @@ def guessed_gains(record: Record) -> LoggedGains | None:
     return None
 
 
-def _fitted(record: Record, terms: list[Values], v: Values, inside: NDArray[np.bool_]) -> tuple[Values, float] | None:
+def _fitted(terms: list[Values], v: Values, inside: NDArray[np.bool_]) -> tuple[Values, float] | None:
     """Return gains and what they leave of the command (r.m.s.), None where the terms do not vary."""
     matrix, target = np.column_stack(terms)[inside], v[inside]
     if not np.all(np.ptp(matrix, axis=0) > 0) or not np.any(target):

@@ -41,7 +41,7 @@ def _parsed(content: bytes) -> dict[str, Any]:
     try:
         message = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError("is MCAP with a message that says to be JSON and is not") from error
+        raise InputError("is MCAP with a message that is declared as JSON but is not JSON") from error
     if not isinstance(message, dict):
         raise InputError("is MCAP with a JSON message that is no object of names and values")
     return message

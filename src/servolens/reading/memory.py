@@ -116,7 +116,7 @@ def _column(name: str, column: Any) -> Column:
     try:
         return Column(name, np.array(array, dtype=np.float64))
     except (TypeError, ValueError):
-        reason = f"column {quote(name)} holds something else than numbers"
+        reason = f"column {quote(name)} holds values that are not numbers"
         return Column(name, np.empty(0), fault=Fault("", reason))
 
 

@@ -12,7 +12,7 @@ from servolens.report.content import Details, Findings, Lights, Section
 from servolens.report.figures import plant_equation
 from servolens.report.figures_diagnosis import (
     candidates_figure,
-    gains_figure,
+    errors_figure,
     instrument_figure,
     shares_figure,
     telling_instrument,
@@ -87,7 +87,7 @@ def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:
     if diagnosis.verdict != "healthy":
         where += ", and why" if diagnosis.causes else ""
     figure = prediction_figure("prediction", diagnosis)
-    lost = "No model can be simulated on data that it was not fitted to: each leaves all bounds there."
+    lost = "No model can be simulated on data that it was not fitted to: each diverges there."
     return [
         Section(key="prediction", title="Measured against predicted", blocks=(figure or lost,)),
         Section(key="wrong", title=where, blocks=_wrong(diagnosis)),
@@ -118,7 +118,9 @@ def _gains_to_try(diagnosis: Diagnosis) -> list[Section]:
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:
     """Return what is wrong with the logs, which comes before all physics."""
     found = findings_of_logs(diagnosis)
-    return ["First mend the logs: what follows may come of this.", Findings(findings=found)] if found else []
+    return (
+        ["Correct the logs first: this may be the reason for what follows.", Findings(findings=found)] if found else []
+    )
 
 
 def _tested(diagnosis: Diagnosis) -> str:
@@ -182,7 +184,7 @@ def _symbols(diagnosis: Diagnosis) -> Table:
 def _gain(diagnosis: Diagnosis) -> tuple[Block, ...]:
     """Tell what the causes are worth, record by record."""
     drawable = any(np.isfinite(gain.before) and gain.before > 0 for gain in diagnosis.gains)
-    figure = [gains_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
+    figure = [errors_figure("wrong-gains", diagnosis)] if diagnosis.causes and drawable else []
     return (
         *noise_sentences(diagnosis),
         residuals_figure("wrong-residuals", diagnosis),

@@ -88,7 +88,7 @@ def match_figure(key: str, matches: Sequence[Match], caption: str) -> Drawing:
         legend |= {own.label: own for own in keys_of(above)}
         figures.append(figure)
     if unstable:
-        caption += f" Not drawn, because its simulation leaves all bounds: {', '.join(unstable)}."
+        caption += f" Not drawn, because its simulation diverges: {', '.join(unstable)}."
     return drawing(key, figures, caption, legend=[*legend.values()])
 
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "candidates_figure",
-    "gains_figure",
+    "errors_figure",
     "instrument_figure",
     "shares_figure",
     "telling_instrument",
@@ -229,20 +229,20 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         ax=ax,
     )
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
-    caption += " Bold: the answer." if chosen else " None leaves little enough to be a cause."
+    caption += " Bold: the answer." if chosen else " None reduces the error enough to be a cause."
     if chosen and not rows[0][2]:
-        caption += " It explains most for its number of parameters; others may leave less."
+        caption += " It explains the most for its number of parameters; others may leave a smaller error."
     rest = len(best) - MOST_CANDIDATES
     if rest > 0:
         caption += f" {rest} more effects leave more."
-    caption += " Not held out. Driven by the logged voltage, each beside its own noise."
+    caption += " Not held out. Driven by the logged voltage, with the noise estimated anew for each effect."
     left = [(name, float(factor * error)) for name, error in zip(names, errors, strict=True)]
     table = Numbers(columns=("Effect", f"R.m.s. error left [{length}]"), rows=left)
     return drawing(key, figure, caption, legend=legend_of(ax), table=table)
 
 
 @styled
-def gains_figure(key: str, diagnosis: Diagnosis) -> Drawing:
+def errors_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw each record's error without and with the causes."""
     rows = [*zip(diagnosis.gains, data_kinds(diagnosis), strict=True)]
     if len(rows) > MOST_ROWS:  # those held out come last

@@ -144,5 +144,5 @@ def _caption(diagnosis: Diagnosis, missed: Sequence[_Missed], *, enlarged: bool,
         told.append(f"{left_out} more records are in the table only.")
     lost = [f"{name} on {shown(own.record.name)}" for own in missed for name in own.by_model if not own.known(name)]
     if lost:
-        told.append(f"Not drawn, because the simulation leaves all bounds: {', '.join(lost)}.")
+        told.append(f"Not drawn, because the simulation diverges: {', '.join(lost)}.")
     return " ".join(told)

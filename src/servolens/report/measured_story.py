@@ -69,7 +69,7 @@ def write_measured(path: Path, study: Study, held_out: Prediction | None, findin
     names = [shown(record.name) for record in study.records]
     sections = [*_found(study, held_out), _design(study)]
     if study.fit is not None:
-        sections.append(_models(study, study.fit))
+        sections.append(_models(study.fit))
     sections += [_data(study), _open_questions(study, findings)]
     lead, more = _lead(study)
     write_page(path, f"Servo axis: {listed(names)}", lead, (Lights(lights=study.lights), *more), sections)
@@ -172,7 +172,7 @@ def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
     return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
 
 
-def _models(study: Study, fit: Identification) -> Section:
+def _models(fit: Identification) -> Section:
     told = identification_summary(fit)
     blocks: list[Block] = [Summary(title="", sentences=told.sentences)]
     if fit.velocity is not None:

@@ -97,7 +97,7 @@ def _simulated(plants: Mapping[str, tuple[Role, Plant]], records: Sequence[Recor
 
 
 def _position(plant: Plant, record: Record) -> NDArray[np.float64] | None:
-    """Return the simulated position; None where the simulated axis leaves all bounds."""
+    """Return the simulated position; None where the simulation of the axis diverges."""
     try:
         return np.asarray(record.position + prediction_residual(plant, record))
     except NumericalError:

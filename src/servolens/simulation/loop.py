@@ -96,7 +96,7 @@ def simulate(
     InputError
         If the record lacks what is asked for.
     NumericalError
-        If the simulated axis leaves all bounds.
+        If the simulation of the axis diverges.
     """
     plant, record = as_plant(plant), as_record(record, settings)
     can_close = record.reference is not None and record.controller is not None
@@ -379,10 +379,13 @@ def _run(  # noqa: PLR0913 - as it is compiled
     done = ctypes.c_int64()
     code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *places, first, first + results[:3].nbytes)
     if done.value < 0:
-        raise NumericalError("the simulated axis rattles: a step would have to be split more often than is granted")
+        raise NumericalError(
+            "the simulated axis sticks and slips, or hits its contacts, too often: "
+            "a step would need more parts than allowed"
+        )
     if done.value < time.size:
         raise NumericalError(
-            f"the simulated axis leaves all bounds (gain {plant.gain:g}, damping {plant.damping:g}); "
+            f"the simulation of the axis diverges (gain {plant.gain:g}, damping {plant.damping:g}); "
             "the loop is unstable with these gains"
         )
     position, velocity, voltage, measured = results

@@ -84,7 +84,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     given = listed(source)
     kinds = {is_model(one) for one in given}
     if len(kinds) > 1:
-        raise InputError("records and models cannot be mixed; give tune the ones or the others")
+        raise InputError("records and models cannot be mixed; give tune either records or models")
     if kinds == {True}:
         if settings:
             raise InputError(f"{', '.join(settings)} cannot be given for plants and models; they are for records")

@@ -102,7 +102,7 @@ def study_records(
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
-    progress("Checking", 0, 100)
+    progress("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
     begun = Study(
         records=runs,
@@ -138,7 +138,7 @@ def _modelled(
     """Add the models, and what the diagnosis says of them."""
     if not records:
         return replace(found, why_undiagnosed="no record is fit for it")
-    progress("Identifying", 2, 100)
+    progress("Fitting models of gain and damping", 2, 100)
     law = {name: prior for name, prior in priors.items() if name in OF_THE_LAW}
     fit, diagnosis = _side_by_side(
         lambda: identify(records, priors=law),
@@ -180,7 +180,7 @@ def _in_doubt(model: Model, why: str) -> Model:
     """Return a model of which nobody can tell what it misses: no gain is to be designed on it."""
     evidence = model.evidence
     assert isinstance(evidence, Evidence)  # noqa: S101 - an identification's model has it
-    return replace(model, evidence=replace(evidence, fatal=(f"what it misses cannot be told, {why}.",)))
+    return replace(model, evidence=replace(evidence, fatal=(f"what it misses is unknown: {why}.",)))
 
 
 def _designed(
@@ -190,19 +190,19 @@ def _designed(
     fit = found.fit
     if found.model is None or fit is None:
         return found
-    progress("Designing", 80, 100)
+    progress("Searching for the least gains", 80, 100)
     model = with_amplifier(found.model, records)
     found = replace(found, model=model)
     wanted = spec or suggested_spec(records, model.plant)
     if wanted is None:
         return replace(
-            found, why_none="no loop is known, or the model settles with no gain; state kp and settling time"
+            found, why_none="the records state no loop, or the model settles with no gain; give kp and a settling time"
         )
     linear, nonlinear = (with_amplifier(one, records).plant for one in (fit.constant, fit.velocity) if one)
     diagnosed = None if found.diagnosis is None else model.plant
     try:
         comparison = compare(linear, nonlinear, wanted, diagnosed=diagnosed)
-        progress("Simulating scenarios", 90, 100)
+        progress("Simulating gains on uncertain plants", 90, 100)
         design = recommend(model, comparison.diagnosed or comparison.nonlinear, references=references)
     except (NumericalError, np.linalg.LinAlgError) as error:
         return replace(found, why_none=f"{error}")

@@ -97,8 +97,8 @@ def _cliff(designs: Sequence[Design], on_best: Sequence[Response | None]) -> lis
     if all(max(own) - min(own) <= CLIFF * max(own) for own in times.values()):
         return []
     return [
-        "Gains that look the same here differ in a later digit and settle differently: a least gain stands on a cliff,"
-        " so leave a margin."
+        "Gains that look the same here differ in a later digit and settle at different times: just below the least gain"
+        " the spec is missed, so leave a margin."
     ]
 
 

@@ -244,9 +244,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if any(effect.phase_per_record for effect in diagnosis.plant.effects) and not errors[1] < errors[0]:
         times = number(diagnosis.remainder.times_noise or 1.0, 2)
         return (
-            f"{start}; {'they leave' if len(causes) > 1 else 'it leaves'} {times} times the noise, {noise} (r.m.s.), in"
-            f" the phase that each record has of its own. No simulation foretells that phase: the {held}error is"
-            f" {after}, and {before} without."
+            f"{start}; {'they leave' if len(causes) > 1 else 'it leaves'} {times} times the noise, {noise} (r.m.s.),"
+            " where the phase is fitted to each record. No simulation can predict that phase: the"
+            f" {held}error is {after} with {them}, {before} without."
         )
     return f"{start}; with {them} the {held}error falls from {before} to {after} (r.m.s., the noise is {noise})."
 
@@ -257,8 +257,8 @@ def _healthy(diagnosis: Diagnosis) -> str:
     these, they = ("these records", "they") if several else ("this record", "it")
     if any(finding.code == "shaken_axis" for finding in diagnosis.findings):
         return (
-            f"gain and damping explain how {these} depend{'' if several else 's'} on the reference; something shakes"
-            f" the axis beside that, and the sensor's noise is {noise} (r.m.s.)."
+            f"gain and damping explain how {these} depend{'' if several else 's'} on the reference; in addition"
+            f" something shakes the axis, and the sensor's noise is {noise} (r.m.s.)."
         )
     return (
         f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
@@ -286,7 +286,7 @@ def _first_the_log(diagnosis: Diagnosis) -> list[str]:
     if not blamed:
         return []
     told = " ".join(f"{finding.record}: {finding.message}" for finding in blamed)
-    return [f"First mend the logs: {told} What follows may come of it."]
+    return [f"Correct the logs first: {told} This may be the reason for what follows."]
 
 
 def _left(diagnosis: Diagnosis) -> list[str]:
@@ -295,16 +295,16 @@ def _left(diagnosis: Diagnosis) -> list[str]:
         return ["Records that were held out are much farther off than those that were fitted: see the warnings below."]
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
     if not math.isfinite(rest.rms):
-        return ["What the model leaves has no size: a record cannot be simulated with it."]
+        return ["How much the model misses is unknown: a record cannot be simulated with it."]
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
-        told = f"Beside that, the simulation misses {size}, which does not depend on the reference. {worth}"
+        told = f"In addition the simulation misses {size}, which does not depend on the reference. {worth}"
         return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
     if diagnosis.verdict == "partly_explained":
-        return [f"{told} Something else is wrong too, and the causes below may stand for it in part."]
+        return [f"{told} Something else is wrong too, and the causes below may partly take its place."]
     if not rest.material:
         return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]

@@ -95,9 +95,9 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
         title="Best single effects beside gain and damping",
         columns=("Effect", f"Leaves [{length}]", "Times the noise", "Log-likelihood gain"),
         rows=tuple(rows),
-        note="R.m.s. of what is left of the training records, driven by their voltage beside the noise that suits each"
-        " effect; not held out. Gain: of 2 log-likelihood, less the price of the effect's parameters; the most likely"
-        " comes first.",
+        note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
+        " for each effect; not held out. Gain: increase of twice the log-likelihood, less a penalty for each parameter;"
+        " the most likely effect comes first.",
     )
 
 

@@ -99,7 +99,7 @@ def reach_sentence(shares: Sequence[Share]) -> str:
         reached.append(f"{text} {' to '.join(ends)} {unit_}")
     if not reached:
         return ""
-    return f"What shows only beyond these cannot have been seen: {listed(reached)}."
+    return f"The records cover {listed(reached)}; what acts only beyond that was not observed."
 
 
 def _range(share: Share) -> str:

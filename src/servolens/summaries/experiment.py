@@ -64,7 +64,7 @@ def hidden_summary(results: Mapping[str, Any]) -> Summary:
             for run in found["on_axis"]
         ]
     lights = (f"{name.capitalize()}: {found[name]['light']}. {found[name]['sentence']}" for name in LIGHTS)
-    return Summary(title="A second axis, whose lack is not known", sentences=(*sentences, *lights))
+    return Summary(title="A second axis with a hidden effect", sentences=(*sentences, *lights))
 
 
 def _settles(time: float | None) -> str:

@@ -339,7 +339,7 @@ def _searched(design: Design) -> str:
     return (
         f"Searched from 0 to {number(certificate.searched[1])}{end}, "
         f"each step watched for {number(certificate.horizon)} s; "
-        f"what is overlooked is narrower than {number(certificate.gap, 2)} ({trusted})."
+        f"intervals narrower than {number(certificate.gap, 2)} may be missing ({trusted})."
     )
 
 

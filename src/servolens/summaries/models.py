@@ -118,7 +118,7 @@ def _accuracy(identification: Identification) -> str:
             errors = [error.percent_error for error in identification.errors[kind]]
             parts.append((words, percent(float(np.mean(errors)))))
     if not parts:
-        return "No model of these records can be simulated in closed loop without leaving all bounds."
+        return "No model of these records can be simulated in closed loop without diverging."
     (first, error), *others = parts
     text = f"With {first} the simulated step is {error} of the step off on average"
     text += "".join(f"; with {words} {value}" for words, value in others)

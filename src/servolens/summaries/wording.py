@@ -195,7 +195,7 @@ def length(value: float, length_unit: str, *, beside: float | None = None) -> st
     ('1.8 mm', '11 µm', '0.011 mm')
     """
     if not math.isfinite(value):
-        return "more than can be said"
+        return "not a finite number"
     factor, unit_ = scale([value if beside is None or not math.isfinite(beside) else beside], length_unit)
     return f"{number(float(f'{factor * value:.1e}'), 2)} {unit_}"
 
