@@ -40,6 +40,19 @@ if TYPE_CHECKING:
 
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
 
+ORDINALS = ("first", "second", "third", "fourth", "fifth")
+PROMISING = 0.5
+"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
+causes that leave nothing that depends on the inputs, all of it."""
+FAR_BEHIND = 0.05
+"""Share of the highest score below which an effect is not fitted."""
+STARTED = 2
+"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
+SIMPLE = 0.75
+"""Of the effort, what the search without last resorts may take."""
+SHARE, SPENT = 0.25, 0.25
+"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
+whole, with how little left no further effect is looked for."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -296,8 +309,8 @@ class _Explorer:
         def told(found: Hypothesis | None) -> Hypothesis | None:
             nonlocal count
             count += 1
-            tried = f"{min(count, len(chosen))} of {len(chosen)} effects"
-            self.tell(f"Trying {cause}: {tried}", done + count * share)
+            what = f"Trying {cause}: {count} of {len(chosen)} effects"
+            self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
             return found
 
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
