@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -180,6 +181,10 @@ def test_the_same_records_give_the_same_result_and_progress_goes_forward(rubbing
     assert done == sorted(done)
     assert told[-1][1:] == (100, 100)
     assert {total for *_, total in told} == {100}
+    said = [what for what, *_ in told]
+    assert said[0] == "Looking for a first cause"
+    assert re.fullmatch(r"Trying a first cause: 1 of \d+ effects", said[1])
+    assert "Looking for a second cause" in said
 
 
 def first_named(diagnosis, effect):
