@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["NoiseModel", "Whitener", "burg", "instants"]
+__all__ = ["MOST_ORDER", "NoiseModel", "Whitener", "burg", "instants"]
 
 SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.noise import NEGLIGIBLE, NoiseModel, instants
+from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel, instants
 from servolens.identification.rounding import dominates
 from servolens.simulation.rates import substeps_for
 
@@ -59,7 +59,7 @@ class NoiseTrials:
         self.unpowered = unpowered
         self.best: tuple[NoiseModel, float] | None = None
         self._left: list[NDArray[np.float64]] | None = None
-        self._seen: dict[tuple[float, float, float], float] = {}
+        self._seen: dict[tuple[float, float, float, int], float] = {}
 
     def shaken(self, noise: NoiseModel, rate: float) -> NoiseModel:
         """Return `noise` of an axis that is shaken, at a `rate` in units of the loops' own."""
@@ -68,7 +68,9 @@ class NoiseTrials:
     def search(self, noise: NoiseModel, rates: Sequence[float]) -> None:
         """Look at a simulation beside `noise`, at the jitter that its residual shows, and at `rates` of shaking.
 
-        Rate and corner of the shaking that is likeliest are improved in turn, by factors, until neither gets likelier.
+        Rate and corner of the shaking that is likeliest are improved in turn, by factors, until neither gets likelier:
+        beside white noise of the sensor, for a filter would whiten what an observer that is too slow leaves, and so
+        hide the better one. The noise is coloured at the end, where that is likelier.
         Without any `rates` only that of the noise is looked at beside which the starts were fitted.
         """
         likelihood = self.likelihood
@@ -89,18 +91,24 @@ class NoiseTrials:
             if moved is best and share < 1.0:
                 break
             share, best = (0.5 * share if moved is best else share), moved
+        if best.rate > 0.0:
+            self.look(best, is_coloured=True)
 
     def _likeliest(self, noise: NoiseModel, others: Sequence[NoiseModel]) -> NoiseModel:
         return min([noise, *others], key=self.look)
 
-    def look(self, noise: NoiseModel) -> float:
-        """Return −2 log-likelihood beside an observer of this noise, its autoregressive part the likeliest."""
-        key = (noise.rate, noise.corner, noise.jitter)
+    def look(self, noise: NoiseModel, *, is_coloured: bool = False) -> float:
+        """Return −2 log-likelihood beside an observer of this noise, its autoregressive part the likeliest.
+
+        Where the axis is shaken, without one unless `is_coloured`.
+        """
+        order = MOST_ORDER if is_coloured or noise.rate == 0.0 else 0
+        key = (noise.rate, noise.corner, noise.jitter, order)
         if key not in self._seen:
-            self._seen[key] = self._look(noise)
+            self._seen[key] = self._look(noise, order)
         return self._seen[key]
 
-    def _look(self, first: NoiseModel) -> float:
+    def _look(self, first: NoiseModel, most_order: int) -> float:
         likelihood = self.likelihood
         runs = likelihood.runs(first, unpowered=self.unpowered)
         is_own = first.rate == 0.0 or self.like.rate > 0.0
@@ -118,7 +126,9 @@ class NoiseTrials:
         if not first.is_observed:
             self._left = missed
         whiteners = [run.whiten for run in runs]
-        noise = first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners)
+        noise = (
+            first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners, most_order=most_order)
+        )
         if noise.spread > NEGLIGIBLE * likelihood.travel and noise.rate == 0.0 and (noise.wanders or noise.swings):
             noise = replace(first.scaled(missed), is_model_error=True)
         elif noise.swings:

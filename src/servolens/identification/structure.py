@@ -32,8 +32,6 @@ BLOCKS, FEWEST_BLOCKS = (8, 32), 20
 """Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
 SLOW = 1e-2
 """Share of the top speed below which the axis rests."""
-TOGETHER = 16
-"""Samples over which innovations of a shaken axis may go together: a few time constants of its observer."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
@@ -87,22 +85,9 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
             if is_rounded(test.hypothesis.noise):
                 drawn = basis.T @ np.concatenate(test.rounded)
                 limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
-            found.append((_explained(test, basis), limit))
+            along = basis.T @ test.left
+            found.append((float(along @ along), limit))
     return found
-
-
-def _explained(test: ScoreTest, basis: NDArray[np.float64]) -> float:
-    """Return the score statistic of the columns of `basis`, shape (n, k).
-
-    An observer whose rate is one of a few leaves no quite white innovations: there the scores' variance is that of
-    their own products, summed over a few samples (White 1980, doi:10.2307/1912934).
-    """
-    along = basis.T @ test.left
-    noise = test.hypothesis.noise
-    if noise.rate == 0.0:
-        return float(along @ along)
-    scores = np.add.reduceat(basis * test.left[:, None], np.arange(0, test.left.size, TOGETHER), axis=0)
-    return float(along @ np.linalg.lstsq(scores.T @ scores, along, rcond=1e-12)[0])
 
 
 def _is_smoother_in_motion(test: ScoreTest) -> bool:
