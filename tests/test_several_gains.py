@@ -21,6 +21,7 @@ from servolens.errors import InputError
 from servolens.model import Model
 from servolens.model_evidence import DataRange, Evidence, Remainder
 from servolens.results import write_json
+from servolens.summaries import gains_summary
 
 LINEAR = Plant(gain=1.8, damping=6.0)
 PAPER = Plant(gain=1.91, damping=3.799, effects=(VelocityDecayDamping(alpha1=15.2528, alpha2=5.9934),))
@@ -248,6 +249,31 @@ def test_an_integral_is_a_gain_too_where_a_load_keeps_pd_from_the_band():
     assert found.value <= 1.05 * best
     with pytest.raises(InputError, match="ki is a gain of a sampled PID"):
         tune_gains(LINEAR, replace(spec, controller="cascade"), wishes)
+    with pytest.raises(InputError, match="kv and kiv are gains of a cascade"):
+        tune_gains(LINEAR, spec, GainWishes(free=("kp", "kv")))
+
+
+def test_the_gains_of_a_cascade_are_chosen_too():
+    loaded = LINEAR.with_effect(ConstantForce(acceleration=4.0))
+    spec = PDSpec(kp=20.0, settling_time=1.0, band=0.02, sample_time=4e-3, controller="cascade")
+    wishes = GainWishes(free=("kp", "kv", "kiv"), objective="noise", peak_sensitivity=1.8, scenarios=0)
+    found = tune_gains(loaded, spec, wishes)
+    assert found.gains == {"kp": found.spec.kp, "kv": found.kd, "derivative_filter": 1.0, "kiv": found.spec.kiv}
+    assert found.spec.kiv > 0.0
+    assert evaluate(loaded, found.spec, found.kd).meets
+    assert found.margins.peak_sensitivity <= 1.8
+    best = np.inf
+    for kp, kv, kiv in product(
+        *(gain * np.linspace(0.6, 1.6, 11) for gain in (found.spec.kp, found.kd, found.spec.kiv))
+    ):
+        one = replace(found.spec, kp=float(kp), kiv=float(kiv))
+        if evaluate(loaded, one, float(kv)).meets:
+            margins = loop_margins([loaded], one, float(kv))
+            best = min(best, margins.noise_gain if margins.peak_sensitivity <= 1.8 else np.inf)
+    assert found.value <= 1.05 * best
+    told = gains_summary(found).sentences[0]
+    assert " 1/s, kv = " in told
+    assert ", kiv = " in told
 
 
 def test_what_cannot_be_met_is_said():

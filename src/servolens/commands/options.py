@@ -268,7 +268,8 @@ def several_gains() -> Callable[[Command], Command]:
             cls=Paths,
             multiple=True,
             metavar="GAIN...",
-            help="Gains to choose: kp, kd, derivative_filter, ki.  [default with --objective: kp kd]",
+            help="Gains to choose: kp, kd, derivative_filter, ki; of a cascade kp, kv, derivative_filter, kiv."
+            "  [default with --objective: kp kd]",
         ),
         click.option(
             "--objective",

@@ -26,7 +26,7 @@ class GainsFound:
     wishes : GainWishes
         What was asked beside it.
     kd : float or None
-        Derivative gain [V s/m]; None where no gains meet it all.
+        Derivative gain, or kv of a cascade [V s/m]; None where no gains meet it all.
     value : float or None
         Of the objective.
     verified : tuple of Response
@@ -59,14 +59,15 @@ class GainsFound:
 
     @property
     def gains(self) -> dict[str, float | None]:
-        """The gains by name, ki where the loop has an integral."""
+        """The gains by name, with the integral where the loop has one."""
         found = self.kd is not None
         gains = {
             "kp": self.spec.kp if found else None,
-            "kd": self.kd,
+            self.spec.free: self.kd,
             "derivative_filter": self.spec.derivative_filter if found else None,
         }
-        return {**gains, "ki": self.spec.ki} if found and self.spec.ki else gains
+        integral = {name: value for name in ("ki", "kiv") if (value := getattr(self.spec, name)) and found}
+        return gains | integral
 
     def to_json(self) -> dict[str, Any]:
         """Return what was asked and found."""

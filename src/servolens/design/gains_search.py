@@ -33,6 +33,8 @@ __all__ = ["Candidate", "GainsSearch"]
 
 NAMES = (*GAINS, "ki")
 """Gains that can be free; with an integral the program, which is of PD only, is left out."""
+OF_CASCADE = {"kv": "kd", "kiv": "ki"}
+"""Gains of a cascade, by those whose places they take here."""
 GRID = {"kp": 12, "kd": 24, "derivative_filter": 3, "ki": 8}
 """Gains of each kind that are tried first."""
 AROUND = {"kp": 15, "kd": 15, "derivative_filter": 3, "ki": 7}
@@ -40,7 +42,8 @@ AROUND = {"kp": 15, "kd": 15, "derivative_filter": 3, "ki": 7}
 LEAST_FILTER = 0.1
 """Smallest derivative filter that is tried: it remembers ten samples."""
 LEAST_KI, MOST_KI = 0.03, 1.0
-"""Smallest and largest integral gain that is tried, in kp times the undamped frequency of the loop [rad/s]."""
+"""Smallest and largest integral gain that is tried, in kp times the undamped frequency of the loop [rad/s]; of a
+cascade, whose kp is that frequency, in kp² over the plant's gain."""
 GLANCE = 1.25
 """Settling times for which a step is watched at first: most gains that fail do so soon."""
 NEAR = 1.4
@@ -78,6 +81,9 @@ class GainsSearch:
             raise InputError("no model was given; a design needs at least one")
         if len({(plant.length_unit, plant.command_unit) for plant in self.plants}) > 1:
             raise InputError("the models have different units; gains cannot hold for all of them")
+        self.free = {OF_CASCADE.get(name, name) for name in wishes.free}
+        if spec.controller == "pd" and set(OF_CASCADE) & set(wishes.free):
+            raise InputError("kv and kiv are gains of a cascade; ask for a cascade, or leave kd and ki free")
         if spec.control == "continuous" and ("derivative_filter" in wishes.free or wishes.objective == "noise"):
             raise InputError(
                 "an ideal continuous PD has no derivative filter and no finite noise; use control='sampled'"
@@ -99,13 +105,20 @@ class GainsSearch:
         self._own: dict[float, LinearLoops] = {}
 
     def _bounds(self) -> dict[str, tuple[float, float]]:
-        spec, free = self.spec, self.wishes.free
+        spec, free = self.spec, self.free
         kp = (LEAST_KP * spec.kp, MOST_KP * spec.kp) if "kp" in free else (spec.kp, spec.kp)
         last = spec.kd_max or max(last_gain(plant, replace(spec, kp=kp[1])) for plant in self.plants) / SPARE
         share = (LEAST_FILTER, 1.0) if "derivative_filter" in free else (spec.derivative_filter,) * 2
-        rate = spec.kp * max(spec.rate(plant.gain) for plant in self.plants)
-        ki = (LEAST_KI * rate, MOST_KI * rate) if "ki" in free else (spec.ki, spec.ki)
+        ki = self._integrals(kp) if "ki" in free else (spec.ki or spec.kiv,) * 2
         return {"kp": kp, "kd": (0.0, last), "derivative_filter": share, "ki": ki}
+
+    def _integrals(self, kp: tuple[float, float]) -> tuple[float, float]:
+        """Return the ends of the integral gain; that of a cascade goes with the square of its kp."""
+        if self.spec.controller == "cascade":
+            most = 1.0 / min(abs(plant.gain) for plant in self.plants)
+            return LEAST_KI * kp[0] ** 2 * most, MOST_KI * kp[1] ** 2 * most
+        rate = self.spec.kp * max(self.spec.rate(plant.gain) for plant in self.plants)
+        return LEAST_KI * rate, MOST_KI * rate
 
     def grid(self) -> list[dict[str, float]]:
         """Return the gains to be tried first; kd evenly where the loop changes evenly with it."""
@@ -158,9 +171,10 @@ class GainsSearch:
 
     def spec_of(self, gains: Mapping[str, float]) -> PDSpec:
         """Return the spec with these gains."""
-        return replace(
-            self.spec, kp=gains["kp"], derivative_filter=min(gains["derivative_filter"], 1.0), ki=gains["ki"]
-        )
+        share = min(gains["derivative_filter"], 1.0)
+        if self.spec.controller == "cascade":
+            return replace(self.spec, kp=gains["kp"], derivative_filter=share, kiv=gains["ki"])
+        return replace(self.spec, kp=gains["kp"], derivative_filter=share, ki=gains["ki"])
 
     def tried(self, gains: dict[str, float]) -> Candidate | None:
         """Return the gains if they meet everything when the exact loop is simulated."""
@@ -235,7 +249,7 @@ class GainsSearch:
         return best
 
     def _solved(self, start: Candidate | None, spec: PDSpec, weight: str) -> dict[str, float] | None:
-        if not spec.is_pd or "ki" in self.wishes.free:
+        if not spec.is_pd or "ki" in self.free:
             return None
         middle = {name: float(np.sqrt(max(low, 1e-3 * high) * high)) for name, (low, high) in self.bounds.items()}
         found = local_gains(
@@ -267,7 +281,12 @@ class GainsSearch:
     def told(self, best: Candidate | None, *, from_program: bool) -> GainsFound:
         """Return the result."""
         if best is None:
-            ranges = [f"{name} from {low:.4g} to {high:.4g}" for name, (low, high) in self.bounds.items() if high > low]
+            called = {ours: name for name, ours in OF_CASCADE.items()} if self.spec.controller == "cascade" else {}
+            ranges = [
+                f"{called.get(name, name)} from {low:.4g} to {high:.4g}"
+                for name, (low, high) in self.bounds.items()
+                if high > low
+            ]
             count = len(self.scenarios)
             where = f" on the model and in {count} scenarios of what may be otherwise" if count else ""
             reason = f"no gains were found that meet everything{where}, with {' and '.join(ranges)}; ask for less"

@@ -1,4 +1,4 @@
-"""The best of several gains: kp, kd, the derivative's filter and ki, for one of several objectives.
+"""The best of several gains: kp, kd, the derivative's filter and ki, of a cascade kp, kv, the filter and kiv.
 
 A grid over the free gains is simulated first; where it finds gains that meet everything, CasADi's program
 (:mod:`servolens.design.gains_program`) goes on from the best of them, and a finer grid around its optimum tells whether
@@ -31,8 +31,8 @@ __all__ = ["tune_gains"]
 
 ENOUGH = 2e-3
 """Share by which gains around an optimum have to be better than it for the program to begin anew from them."""
-ROUNDS = 4
-"""How often it does at most."""
+ROUNDS = 8
+"""How often it does at most: gains around the last ones cross a decade so."""
 
 
 @single_threaded_blas

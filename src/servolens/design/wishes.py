@@ -11,7 +11,8 @@ from servolens.errors import InputError
 
 __all__ = ["GainWishes"]
 
-FREE = ("kp", "kd", "derivative_filter", "ki")
+LAWS = (("kd", "kp", "derivative_filter", "ki"), ("kv", "kp", "derivative_filter", "kiv"))
+"""Gains of a PD or PID, and of a cascade; the first has to be free."""
 OBJECTIVES = ("kd", "noise", "settling_time", "margin")
 
 
@@ -23,7 +24,8 @@ class GainWishes:
     Parameters
     ----------
     free : tuple of str
-        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``, ``"ki"``; kd among them.
+        Of ``"kp"``, ``"kd"``, ``"derivative_filter"``, ``"ki"``, kd among them; of a cascade ``"kp"``, ``"kv"``,
+        ``"derivative_filter"``, ``"kiv"``, kv among them, for which kd may stand.
     objective : {"noise", "kd", "settling_time", "margin"}
         What is to be least: the noise of the command, kd, the settling time, or the peak of sensitivity, whose inverse
         is the margin.
@@ -56,10 +58,10 @@ class GainWishes:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", tuple(self.free))
-        unknown = [name for name in self.free if name not in FREE]
-        if unknown or "kd" not in self.free:
+        if not any(law[0] in self.free and set(self.free) <= set(law) for law in LAWS):
             raise InputError(
-                f"free gains are kd and perhaps kp, derivative_filter and ki, got {', '.join(self.free)[:80]}"
+                "free gains are kd and perhaps kp, derivative_filter and ki, of a cascade kv and perhaps kp,"
+                f" derivative_filter and kiv, got {', '.join(self.free)[:80]}"
             )
         if self.objective not in OBJECTIVES:
             raise InputError(f"objective must be one of {', '.join(OBJECTIVES)}, got {str(self.objective)[:40]!r}")

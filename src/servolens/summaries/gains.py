@@ -28,7 +28,6 @@ __all__ = [
 
 AIMS = {
     "noise": "the least noise of the command",
-    "kd": "the least kd",
     "settling_time": "the least settling time",
     "margin": "the largest margin",
 }
@@ -102,16 +101,19 @@ def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: st
     length_unit, command_unit : str
         Of the plant.
     """
-    aim = AIMS[found.wishes.objective]
     if found.kd is None or found.margins is None:
         return Summary(title="Several gains", sentences=(sentence(found.reason),))
     spec, margins, unit = found.spec, found.margins, f"{command_unit}/{length_unit}"
+    aim = f"the least {spec.free}" if found.wishes.objective == "kd" else AIMS[found.wishes.objective]
+    kp_unit = "1/s" if spec.controller == "cascade" else unit
     time = max(response.settling_time or 0.0 for response in found.verified)
     delay = "no delay" if margins.delay_margin == float("inf") else f"{number(1e3 * margins.delay_margin, 3)} ms"
     integral = f", ki = {number(spec.ki)} {command_unit}/({length_unit} s)" if spec.ki else ""
+    integral = f", kiv = {number(spec.kiv)} {unit}" if spec.kiv else integral
     told = [
-        f"kp = {number(spec.kp)} {unit}, kd = {number(found.kd)} {command_unit} s/{length_unit}, derivative filter"
-        f" {number(spec.derivative_filter, 3)}{integral}: {aim} of all gains that meet what was asked.",
+        f"kp = {number(spec.kp)} {kp_unit}, {spec.free} = {number(found.kd)} {command_unit} s/{length_unit},"
+        f" derivative filter {number(spec.derivative_filter, 3)}{integral}: {aim} of all gains that meet what was"
+        " asked.",
         f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
         f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
     ]
