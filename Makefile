@@ -13,10 +13,11 @@ CONFUSION_ARGS ?=
 SCAN_ARGS ?=
 FUZZ_ARGS ?=
 TRIED_ARGS ?=
+CHALLENGE_ARGS ?=
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion tried-gains design-scan fleet-kills fuzz trust paper pictures bench examples clean help
+.PHONY: demo test studies check static format format-check lint types layers docs coverage confusion tried-gains design-scan fleet-kills fuzz trust challenge paper pictures bench examples clean help
 
 demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolens-demo/
 	@$(BIN)/servolens demo $(DEMO_ARGS)
@@ -72,6 +73,10 @@ fleet-kills: $(DEV_STAMP) ## a fleet whose processes are killed at 200 random mo
 
 trust: $(DEV_STAMP) ## certified regressions and friction in closed form: digits, into docs/trust.md
 	@$(BIN)/python benchmarks/trust.py
+
+challenge: $(DEV_STAMP) ## servolens and two rivals name hidden effects, into docs/challenge.md (an hour)
+	@$(PIP_INSTALL) --editable '.[benchmarks]'
+	@$(BIN)/python benchmarks/challenge.py $(CHALLENGE_ARGS)
 
 paper: $(DEV_STAMP) ## the paper's numbers computed again, into docs/paper.md
 	@$(BIN)/python benchmarks/paper.py
