@@ -51,8 +51,11 @@ FILTERS = np.geomspace(0.02, 1.0, 24)
 """Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
 STRIDE, REFINED = 4, 3
 """Every fourth of these is tried with all other settings, and refined with the three that leave least."""
-CLAMPED = 3
-"""Times that a clamped integral is found anew with the gains that fit: these tell which samples are clamped."""
+CLAMPED = 2 * (("ki", "integral_before"), (*GAINS, "ki", "integral_before"))
+"""Gains with which a clamped integral is found anew, one after the other: they tell which samples are clamped.
+
+A sample too many or too few is an offset until then.
+"""
 HOLDS = 1e-3
 """Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
@@ -220,8 +223,9 @@ def _tried(record: Record, case: _Case, rows: Rows) -> _Tried | None:
         other = other.slice(float(other.time[first]), float(other.time[-1])) if first else other
         fit, names = LawFit.of(other, rows, gains_known=False), explanation(record)
         left = fit.share_left(fit.fitted(names))
-        for _ in range(CLAMPED if controller_of(other).anti_windup == "clamping" and left < BETTER else 0):
-            found = LawFit.of(other.with_({"controller": fit.fitted((*GAINS, "ki"))}), rows)
+        for free in CLAMPED if controller_of(other).anti_windup == "clamping" and left < BETTER else ():
+            loop = replace(fit.fitted(free), integral_before=fit.controller.integral_before)
+            found = LawFit.of(other.with_({"controller": loop}), rows)
             fit = replace(found, controller=fit.controller)
             left = fit.share_left(fit.fitted(names))
         return _Tried(case, fit, left)
