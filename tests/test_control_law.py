@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servolens import lab
-from servolens.control_law import controller_voltage, law_columns
+from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.record import Controller, Record
 
@@ -67,14 +67,9 @@ def test_law_is_the_definition_sample_by_sample(controller, feedforward):
 
 @pytest.mark.parametrize("share", [1.0, 0.3])
 def test_law_reproduces_the_laboratory_log(share):
-    record = lab.step_record(lab.NLM1, 60, 3, noise=1e-5, encoder=1e-5, seed=1)
     controller = Controller(kp=60, kd=3, derivative_filter=share)
-    if share == 1.0:
-        assert controller_voltage(record) == pytest.approx(record.voltage, abs=1e-9)
-    columns = law_columns(record.with_({"controller": controller}))
-    assert 60 * columns[0] - 3 * columns[1] == pytest.approx(
-        controller_voltage(record.with_({"controller": controller})), abs=1e-12
-    )
+    record = lab.step_record(lab.NLM1, noise=1e-5, seed=1, setup=lab.Setup(controller=controller))
+    assert controller_voltage(record) == pytest.approx(record.voltage, abs=1e-9)
 
 
 def test_constant_position_needs_no_derivative():
@@ -85,7 +80,7 @@ def test_constant_position_needs_no_derivative():
 def test_difference_over_lost_samples_takes_the_time_that_passed():
     time = np.array([0, 1, 2, 7, 8]) * 1e-3
     record = Record(time=time, position=2.0 * time, reference=0 * time, controller=Controller(kp=0, kd=1))
-    assert law_columns(record)[1][1:] == pytest.approx(2.0)
+    assert controller_voltage(record)[1:] == pytest.approx(-2.0)
 
 
 def test_slow_loop_keeps_its_ticks_over_lost_samples():
@@ -95,18 +90,6 @@ def test_slow_loop_keeps_its_ticks_over_lost_samples():
         time=full.time[keep], position=full.position[keep], reference=full.reference[keep], controller=full.controller
     )
     assert controller_voltage(part) == pytest.approx(controller_voltage(full)[keep], abs=1e-12)
-
-
-def test_a_million_samples_take_less_than_a_second():
-    import time
-
-    n = 1_000_000
-    record = Record(
-        time=np.arange(n) * 1e-3, position=np.zeros(n), reference=np.ones(n), controller=Controller(kp=1, kd=1)
-    )
-    begin = time.process_time()
-    controller_voltage(record)
-    assert time.process_time() - begin < 1.0
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 
@@ -157,12 +155,3 @@ def test_axis_that_rests_has_no_stretch(rubbing):
     still = rubbing[0].with_({"position": np.full(len(rubbing[0]), 0.02)})
     with pytest.raises(InputError, match="does not move"):
         Screen.of(motion_segments([still]))
-
-
-def test_instruments_are_read_at_once(rubbing):
-    """12 000 samples take some 20 ms; ten times that is a mistake, not a busy machine."""
-    records = rubbing * 3
-    screen, plant = Screen.of(motion_segments(records)), Plant(**CART)
-    begin = time.process_time()
-    assert instruments(screen, plant)
-    assert time.process_time() - begin < 0.5

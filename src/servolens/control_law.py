@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.controller import Controller
     from servolens.record import Record
 
-__all__ = ["controller_voltage", "law_columns", "law_rest", "with_history"]
+__all__ = ["controller_voltage", "with_history"]
 
 FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
@@ -91,34 +91,6 @@ def with_history(record: Record) -> Record:
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
     added[:remembered] += (voltage - controller_voltage(record))[:remembered]
     return record.with_({"feedforward": added})
-
-
-def law_columns(record: Record) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return error and derivative as the loop sees them: ``V = kp error − kd derivative + law_rest``.
-
-    Both have shape (n,) and are held between the ticks of a loop slower than the log. A difference across lost
-    samples is divided by the time that really passed.
-
-    Raises
-    ------
-    InputError
-        As :func:`controller_voltage`.
-    """
-    found = _answer(record)
-    return found.error, found.derivative
-
-
-def law_rest(record: Record) -> NDArray[np.float64]:
-    """Return what is in the command beside ``kp e − kd d``, shape (n,) [`record.command_unit`].
-
-    The integral, the set-point weight, feedforward of the law and of the record.
-
-    Raises
-    ------
-    InputError
-        As :func:`controller_voltage`.
-    """
-    return _rest(record, _answer(record))
 
 
 def _rest(record: Record, found: Answer) -> NDArray[np.float64]:

@@ -80,7 +80,7 @@ def tune(  # noqa: PLR0913 - a command's options
             write_study(Path(report), found, progress=progress)
     from servolens.summaries import tuning_summaries
 
-    for summary in tuning_summaries(found):
+    for summary in tuning_summaries(found, overrule="--force"):
         show(summary, json_file)
         click.echo(err=json_file == STANDARD_OUTPUT)
     return 0 if found.design is not None and found.design.kd is not None else 1

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["RecordQuality", "assess", "check", "fatal"]
 
 FATAL = ("wrong_sign", "units_contradict")
-"""Errors with which a model can be computed, but is worthless: these ask for ``--force``."""
+"""Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
 
 
 @final

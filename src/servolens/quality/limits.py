@@ -1,4 +1,4 @@
-"""Samples at which the logged voltage sits at a limit: there it is not what the control law asks for."""
+"""Limits at which the logged voltage stays although the control law asks for more."""
 
 from __future__ import annotations
 
@@ -6,42 +6,68 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_arithmetic import samples_a_period
-from servolens.errors import InputError
+from servolens.quality.law import PARAMETERS, LawFit, rms
+from servolens.quality.settings import BETTER
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["NEAR", "at_limit", "beyond_limit", "plateaus"]
+    Limits = tuple[float, float]
+
+__all__ = ["NEAR", "UNLIMITED", "beyond_limit", "voltage_limits", "within"]
 
 NEAR = 0.02
 """Share of a limit, or of the voltage's range, within which a voltage is at it: amplifiers err in gain by less."""
+FEWEST = 3
+"""Samples at a limit that make one."""
+ROUNDS = 4
+"""Times that gains are fitted to what is within the limits, and these found again."""
+STEADY = PARAMETERS[:5]
+"""Parameters of the law that are fitted there: none that answers the edges of a reference alone, as overshoot does."""
+UNLIMITED: Limits = (-np.inf, np.inf)
 
 
-def at_limit(record: Record, seen: Sampling) -> NDArray[np.bool_]:
-    """Mark the samples with a voltage at the stated limit, and runs at its least or largest value.
+def voltage_limits(record: Record) -> Limits:
+    """Return the lower and upper limit of the logged voltage; infinite where there is none.
 
-    A run lasts three periods of the loop and more, and the position moves visibly in it. A stated limit that the log
-    exceeds marks nothing: then the log holds what the controller asks for.
+    Raises
+    ------
+    InputError
+        As :func:`~servolens.control_law.controller_voltage`.
     """
-    assert record.voltage is not None  # noqa: S101 - the caller has refused records without
-    voltage, limit = record.voltage, record.voltage_limit
-    if limit is not None:
-        within = not beyond_limit(record)
-        return np.asarray(within & (np.abs(voltage) >= (1.0 - NEAR) * limit), dtype=np.bool_)
-    y, near = record.position, 1e-9 * float(np.ptp(voltage))
-    visible = 5 * seen.level + 2 * (seen.step or 0.0)
-    marked = np.zeros(len(record), dtype=bool)
+    voltage = record.voltage
+    assert voltage is not None  # noqa: S101 - the caller has refused records without
+    found, rows = UNLIMITED, _off_extremes(voltage)
+    for free in ((), *ROUNDS * (STEADY,)):
+        if np.count_nonzero(rows) < FEWEST:
+            return float(voltage.min()), float(voltage.max())
+        fit = LawFit.of(record, rows)
+        before, found = found, _plateaus(voltage, voltage - fit.missed(fit.fitted(free)))
+        rows = within(voltage, found)
+        if found == before and free:
+            break
+    return found
+
+
+def within(voltage: NDArray[np.float64], limits: Limits) -> NDArray[np.bool_]:
+    """Mark the samples that are at neither limit."""
+    margin = NEAR * float(np.ptp(voltage))
+    if limits == UNLIMITED:
+        return np.ones(voltage.size, dtype=bool)
+    return (voltage > limits[0] + margin) & (voltage < limits[1] - margin)
+
+
+def _off_extremes(voltage: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Mark the samples that are not in a run at the largest or least voltage."""
+    near = 1e-9 * float(np.ptp(voltage))
+    kept = np.ones(voltage.size, dtype=bool)
     for at in (voltage >= voltage.max() - near, voltage <= voltage.min() + near):
-        bounds = np.flatnonzero(np.diff(np.concatenate(([False], at, [False])).astype(np.int8)))
-        starts, ends = bounds[::2], bounds[1::2] - 1
-        flat = (ends - starts + 1 >= 3 * _held(record)) & (np.abs(y[ends] - y[starts]) > visible)
-        for first, last in zip(starts[flat].tolist(), ends[flat].tolist(), strict=True):
-            marked[first : last + 1] = True
-    return marked
+        run = at[1:] & at[:-1]
+        if np.count_nonzero(run) >= FEWEST:
+            kept &= ~at
+    return kept
 
 
 def beyond_limit(record: Record) -> int:
@@ -51,28 +77,23 @@ def beyond_limit(record: Record) -> int:
     return int(np.count_nonzero(np.abs(record.voltage) > (1.0 + NEAR) * record.voltage_limit))
 
 
-def plateaus(voltage: NDArray[np.float64], asked: NDArray[np.float64]) -> tuple[float, float]:
+def _plateaus(voltage: NDArray[np.float64], asked: NDArray[np.float64]) -> Limits:
     """Return the lower and upper limit at which `voltage` stays while more is `asked`; infinite where there is none.
 
     The upper one is the most frequent voltage of those samples that get less than half of what they ask for beyond the
-    median, and the limit is the median of the voltage wherever more than that is asked.
+    median, and the limit is the median of the voltage wherever more than that is asked. There it must leave a tenth of
+    what the law alone leaves.
     """
-    low, high = -np.inf, np.inf
+    low, high = UNLIMITED
+    margin = NEAR * float(np.ptp(voltage))
     for sign in (1.0, -1.0):
         given, wanted = sign * voltage, sign * asked
-        short = (wanted > given + NEAR * np.ptp(voltage)) & (given > np.median(given))
-        if np.count_nonzero(short) < 3:
+        short = (wanted > given + margin) & (given > np.median(given))
+        if np.count_nonzero(short) < FEWEST:
             continue
         counts, edges = np.histogram(given[short], bins=round(1 / NEAR))
-        level = float(edges[np.argmax(counts)])
-        limit = sign * float(np.median(given[wanted > level + NEAR * np.ptp(voltage)]))
-        low, high = (low, limit) if sign > 0 else (limit, high)
+        there = wanted > float(edges[np.argmax(counts)]) + margin
+        limit = float(np.median(given[there]))
+        if rms(given[there] - limit) < BETTER * rms(wanted[there] - given[there]):
+            low, high = (low, limit) if sign > 0 else (-limit, high)
     return low, high
-
-
-def _held(record: Record) -> int:
-    """Return for how many samples the loop holds a voltage."""
-    try:
-        return 1 if record.controller is None else samples_a_period(record.controller, record.sample_time)
-    except InputError:
-        return 1

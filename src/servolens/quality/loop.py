@@ -8,29 +8,22 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_law import law_columns, law_rest
+from servolens.control_law import controller_voltage
+from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.law import (
-    BETTER,
-    HOLDS,
-    UNITS,
-    find_alternative,
-    fit_gains,
-    remembered,
-    rms,
-    tick_phase,
-)
-from servolens.quality.limits import NEAR, at_limit, beyond_limit
-from servolens.record import Controller
+from servolens.quality.beginning import initial_motion
+from servolens.quality.law import GAINS, LawFit, controller_of, remembered, rms, tick_phase
+from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
+from servolens.quality.settings import UNITS, find_alternative
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from servolens.quality.law import Alternative
     from servolens.quality.sampling import Sampling
+    from servolens.quality.settings import Alternative
     from servolens.record import Record
 
 __all__ = ["LoopFit", "fit_loop", "loop_findings"]
@@ -38,10 +31,19 @@ __all__ = ["LoopFit", "fit_loop", "loop_findings"]
 RINGING = 0.02
 """Time after an edge of the reference that is not judged [s]: real drives ring there for 5 to 10 ms."""
 DIFFERENCE = 0.01
-"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much.
+"""Share of the voltage by which stated and fitted gains may differ; it biases the plant's gain by as much."""
+NO_LAW = 0.1
+"""Share of the voltage that the law may leave and still be one: 1 % of its variance."""
 
-Also the relative difference up to which a ratio is that of two units.
-"""
+
+UNITS_OF = {
+    "ki": " {command}/({length} s)",
+    "velocity_feedforward": " {command} s/{length}",
+    "integral_rate": " 1/s",
+    "integral_before": " {command}",
+    "control_period": " s",
+}
+"""Of the controller's settings."""
 
 
 @final
@@ -59,10 +61,10 @@ class LoopFit:
         What the stated gains ask for otherwise, as the same share; 0 where none are stated.
     rounding : float
         What a position rounded in the log to the step seen there can change, as the same share.
-    clipped : int
-        Samples at which the voltage is at a limit that is not stated, and the law asks for more.
     limits : tuple of float
-        Least and largest voltage of these samples.
+        Least and largest voltage that the log shows although the law asks for more; infinite where there is none.
+    at_limit : int
+        Samples there.
     alternative : Alternative or None
         What else than stated the voltage fits; the gains are those that fit with it.
     holds : bool
@@ -74,8 +76,8 @@ class LoopFit:
     misfit: float
     difference: float
     rounding: float
-    clipped: int
     limits: tuple[float, float]
+    at_limit: int
     alternative: Alternative | None
     holds: bool
 
@@ -83,47 +85,40 @@ class LoopFit:
 def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     """Fit kp and kd to the logged voltage by least squares; None without voltage or reference.
 
-    Left out are clipped samples, the 20 ms after each edge of the reference, the first samples (the loop's past is
+    Left out are samples at a limit, the 20 ms after each edge of the reference, the first samples (the loop's past is
     not in the log), and, in three rounds, what is off by more than four standard deviations.
     """
-    if record.voltage is None or record.reference is None or not record.voltage.any():
+    if record.voltage is None or record.reference is None or not record.voltage.any() or len(record) < 4:
         return None
     try:
         aligned = _aligned(record)
-        clipped = at_limit(aligned, seen)
-        other = find_alternative(aligned, clipped, gains_stated=record.controller is not None)
+        limits, free = _limited(aligned)
+        other = find_alternative(aligned, free) or find_alternative(aligned, free & _quiet(aligned))
         if other is not None:
             aligned = _aligned(other.applied(aligned))
-            clipped = at_limit(aligned, seen) if other.kind != "limit" else _reached(aligned, other)
-        error, derivative = law_columns(aligned)
-        rest = law_rest(aligned)
+            limits, free = _limited(aligned)
+        judged = free & _quiet(aligned)
+        judged = judged if np.count_nonzero(judged) >= 10 else free
+        fit = LawFit.of(aligned, judged)
     except InputError:
         return None
-    assert aligned.voltage is not None  # noqa: S101 - as record.voltage
-    target = aligned.voltage - rest
-    judged = _judged(aligned, clipped)
-    if np.count_nonzero(judged) < 4:
+    scale = rms(fit.voltage[judged])
+    if np.count_nonzero(judged) < 4 or scale == 0:
         return None
-    kp, kd, kept = _robust_fit(error, derivative, target, judged)
-    scale = rms(target[judged])
-    if scale == 0 or not kept.any():
-        return None
-    left = target - kp * error + kd * derivative
-    enough = np.count_nonzero(kept) >= 0.8 * np.count_nonzero(judged)
-    misfit = rms(left[kept] if enough else left[judged])
-    short = np.zeros_like(clipped) if record.voltage_limit else clipped & (np.abs(left) > misfit + HOLDS * scale)
+    fit, found = _robust(fit)
+    misfit = fit.left(found) / scale
     stated = record.controller
-    wrong = 0.0 if stated is None else rms(((kp - stated.kp) * error - (kd - stated.kd) * derivative)[judged])
+    wrong = 0.0 if stated is None else rms((fit.asked(found) - fit.asked(_with_gains(found, stated)))[judged])
     return LoopFit(
-        kp=kp,
-        kd=kd,
-        misfit=misfit / scale,
+        kp=found.kp,
+        kd=found.kd,
+        misfit=misfit,
         difference=wrong / scale,
-        rounding=abs(kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
-        clipped=int(np.count_nonzero(short)),
-        limits=_sides(aligned.voltage[short]),
+        rounding=abs(found.kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
+        limits=limits,
+        at_limit=0 if aligned.voltage is None else int(np.count_nonzero(~within(aligned.voltage, limits))),
         alternative=other,
-        holds=kp > 0 and misfit < BETTER * scale,
+        holds=found.kp > 0 and misfit < NO_LAW,
     )
 
 
@@ -131,7 +126,7 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     """Yield findings about voltage and controller."""
     if record.controller is not None and record.reference is not None:
         try:
-            law_columns(record)
+            controller_voltage(record)
         except InputError as error:
             message = f"the controller cannot have run like this: {str(error).removeprefix(f'{record.name}: ')}."
             yield Finding(code="impossible_controller", severity="error", message=message)
@@ -149,22 +144,30 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         )
         yield Finding(code="voltage_beyond_limit", severity="note", message=message)
     if fit is not None:
-        if fit.clipped >= 3:
+        if fit.at_limit >= FEWEST and not _believed(record, fit):
             yield _clipped(record, fit)
-        if fit.alternative is not None and fit.alternative.kind != "limit":
+        if fit.alternative is not None:
             yield _alternative(record, fit, fit.alternative)
         yield from _gains(record, fit)
 
 
+def _believed(record: Record, fit: LoopFit) -> bool:
+    """Tell whether the limits are the stated one."""
+    limit = record.voltage_limit
+    return limit is not None and all(math.isinf(x) or math.isclose(abs(x), limit, rel_tol=NEAR) for x in fit.limits)
+
+
 def _clipped(record: Record, fit: LoopFit) -> Finding:
-    low, high = fit.limits
-    unit, largest = record.command_unit, max(abs(low), abs(high))
-    one_sided = low * high >= 0 or math.isclose(-low, high, rel_tol=NEAR)
-    where = f"{low:.4g} {unit}" if math.isclose(low, high, rel_tol=NEAR) else f"{low:.4g} and {high:.4g} {unit}"
+    unit, stated = record.command_unit, record.voltage_limit
+    reached = [limit for limit in fit.limits if math.isfinite(limit)]
+    one_sided = len(reached) == 1 or math.isclose(-reached[0], reached[1], rel_tol=NEAR)
+    largest = max(map(abs, reached))
+    known = "" if stated is None else f", whatever the stated limit of {stated:.4g} {unit}"
+    what = f"amplifier or controller give no more{known}"
     cure = f"state voltage_limit = {largest:.4g} {unit}, or " if one_sided else ""
     message = (
-        f"the logged voltage stays at {where} for {fit.clipped} samples while the control law asks for more: it is what"
-        f" the amplifier gave; {cure}log what the controller asks for."
+        f"the logged voltage stays at {' and '.join(f'{limit:.4g}' for limit in reached)} {unit} for {fit.at_limit}"
+        f" samples while the control law asks for more: {what}; {cure}log what the controller asks for."
     )
     return Finding(code="clipped_voltage", severity="warning", message=message)
 
@@ -172,168 +175,146 @@ def _clipped(record: Record, fit: LoopFit) -> Finding:
 def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
     """Return the finding of what the voltage fits instead of what is stated."""
     unit = record.command_unit
-    gains = "these settings" if record.controller is None else "the stated setting"
-    left = f"unexplained voltage {other.before:.2g} {unit} r.m.s. with {gains}, {other.left:.2g} {unit} with this one"
-    match other.kind:
-        case "shift":
-            return _shifted(other, _named(fit))
-        case "sign":
-            message = f"the control law holds only with the other sign of the position ({left}); change the sign of it."
-            return Finding(code="wrong_sign", severity="error", message=message)
-        case "unit":
-            message = (
-                f"the control law holds only if the position is {UNITS[other.value]} ({left}); state the unit of each"
-                " column."
-            )
-            return Finding(code="units_contradict", severity="error", message=message)
-        case "added":
-            constant, integral = other.value
-            what, cure = f"a constant {constant:.3g} {unit}", "log what is added as feedforward"
-            if integral:
-                what = f"an integral action with ki = {integral:.3g} {unit}/({record.length_unit} s)"
-                cure = "state ki, and the anti_windup of the loop if it has one"
-                if record.voltage is not None and abs(constant) > HOLDS * rms(record.voltage):
-                    cure += f"; the integral begins at {constant:.3g} {unit} (integral_before)"
-            message = f"the log fits with {what} added to the control law ({left}); {cure}."
-            return Finding(code="added_to_law", severity="warning", message=message)
-    stated = record.controller or Controller(kp=1.0)
-    fits = ", ".join(f"{name} = {_shown(value)}" for name, value in other.value)
-    was = ", ".join(_shown(getattr(stated, name)) for name, _ in other.value)
-    message = f"the log fits {fits}, not {was} ({left}); correct what is stated."
+    left = f"unexplained voltage {other.before:.2g} {unit} r.m.s. as stated, {other.left:.2g} {unit} with this"
+    if other.kind == "shift":
+        return _shifted(other, _named(fit.kp, fit.kd))
+    if other.kind == "scale":
+        return _scaled(other, left)
+    settings = [name for name in other.changed if name not in GAINS]
+    loop = other.controller
+    if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:
+        message = (
+            f"the log fits with a constant {loop.integral_before:.3g} {unit} added to the control law"
+            f" ({left}); log what is added as feedforward."
+        )
+        return Finding(code="added_to_law", severity="warning", message=message)
+    fits = [f"{name} = {_shown(record, loop, name)}" for name in settings]
+    was = [_shown(record, record.controller, name, unit=False) for name in settings]
+    message = f"the log fits {', '.join(fits)}, not {', '.join(was)} ({left}); correct what is stated."
     return Finding(code="settings_contradict_log", severity="warning", message=message)
 
 
-def _shown(value: object) -> str:
-    if value is None:
+def _shown(record: Record, controller: Controller | None, name: str, *, unit: bool = True) -> str:
+    """Return the value of a setting as it would be stated."""
+    found, stated = (getattr(loop or Controller(kp=1.0), name) for loop in (controller, record.controller))
+    if found is None:
         return "every sample"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if not isinstance(found, float):
+        return str(found)
+    size = max(abs(found), abs(stated or 0.0))
+    shown = f"{size * round(found / size, 3) + 0.0:.3g}" if size else "0"
+    own = UNITS_OF.get(name, "") if unit else ""
+    return shown + own.format(command=record.command_unit, length=record.length_unit)
+
+
+def _shifted(other: Alternative, fits: str) -> Finding:
+    count = f"{abs(other.value):.0f} sample{'s' if abs(other.value) > 1 else ''}"
+    late = other.value > 0
+    if other.column == "voltage":
+        message = f"the voltage is logged {count} {'after' if late else 'before'} its position; shift the column."
+    else:
+        against = "reference" if other.column == "position" else "position"
+        message = (
+            f"the {other.column} is logged {count} {'late' if late else 'early'} against {against} and voltage; shift"
+            f" the column, and the voltage fits {fits}."
+        )
+    return Finding(code=f"{other.column}_shifted", severity="warning", message=message)
+
+
+def _scaled(other: Alternative, left: str) -> Finding:
+    """Return the finding of a column of the wrong sign or in the wrong unit."""
+    column = "time stamps" if other.column == "time" else other.column
+    if other.value < 0:
+        message = f"the control law holds only with the other sign of the {column} ({left}); change the sign of it."
+        return Finding(code="wrong_sign", severity="error", message=message)
+    power = round(math.log10(other.value))
+    match other.column:
+        case "time":
+            message = (
+                f"the time stamps are 10^{power} times what the loop used ({left}); state their unit, as ms or us."
+            )
+        case "voltage":
+            message = (
+                f"the voltage is 10^{power} times what the control law asks for ({left}); state its unit, as mV, or"
+                " that of the gains."
+            )
+        case _:
+            message = (
+                f"the control law holds only if the {column} is {UNITS[other.value]} ({left}); state the unit of each"
+                " column."
+            )
+    return Finding(code="units_contradict", severity="error", message=message)
 
 
 def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
     """Yield that the voltage fits no gains, or other gains than stated."""
-    stated, fits = record.controller, _named(fit)
-    if stated is None:
+    stated, fits = record.controller, _named(fit.kp, fit.kd)
+    if fit.misfit < NO_LAW and fit.kp * (1.0 if stated is None else stated.kp) < 0:
+        message = f"the logged voltage fits {fits}: it has the other sign than the control law; change the sign of it."
+        yield Finding(code="wrong_sign", severity="error", message=message)
+    elif stated is None:
         if fit.misfit < 2 * DIFFERENCE:
             message = f"the gains are not stated; the logged voltage fits {fits}."
             yield Finding(code="gains_unknown", severity="note", message=message)
-        if fit.kp < 0 and fit.misfit < BETTER:
-            yield _mirrored(fits)
-    elif fit.misfit > BETTER:
+    elif fit.misfit > NO_LAW:
         message = (
             f"the logged voltage is not kp e − kd d: even {fits} leave {100 * fit.misfit:.0f} % of it;"
             " check sign, unit and derivative settings, or whether something is added to it."
         )
         yield Finding(code="law_contradicts_log", severity="warning", message=message)
     elif fit.difference > max(DIFFERENCE, 0.5 * fit.misfit, 2 * fit.rounding):
-        yield _other_gains(stated, fit, fits)
+        cure = "correct the stated gains"
+        if fit.misfit > DIFFERENCE:
+            cure += f", or the settings of the derivative: {100 * fit.misfit:.2g} % of the voltage is left"
+        message = f"the logged voltage fits {fits}, not {_named(stated.kp, stated.kd)}; {cure}."
+        yield Finding(code="gains_contradict_log", severity="warning", message=message)
 
 
-def _other_gains(stated: Controller, fit: LoopFit, fits: str) -> Finding:
-    """Return the finding of other gains than stated, by a sign or a unit where that explains them."""
-    proportional, derivative = (
-        math.nan if own == 0 else found / own for found, own in ((fit.kp, stated.kp), (fit.kd, stated.kd))
-    )
-    message = f"the logged voltage fits {fits}, not kp = {stated.kp:.4g}, kd = {stated.kd:.4g}"
-    if math.isclose(proportional, -1.0, rel_tol=DIFFERENCE):
-        return _mirrored(fits)
-    power = _power(proportional)
-    if power:
-        cure = f"the voltage is 10^{power} times that of the law: state its unit, as mV, or that of the gains"
-        return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
-    power = _power(derivative)
-    if math.isclose(proportional, 1.0, rel_tol=DIFFERENCE) and power in (-6, -3, 3, 6):
-        cure = f"the time stamps are 10^{power} times what the derivative used: state their unit, as ms, or that of kd"
-        return Finding(code="units_contradict", severity="error", message=f"{message}; {cure}.")
-    cure = "correct the stated gains"
-    if fit.misfit > DIFFERENCE:
-        cure += f", or the settings of the derivative: {100 * fit.misfit:.2g} % of the voltage is left"
-    return Finding(code="gains_contradict_log", severity="warning", message=f"{message}; {cure}.")
+def _named(kp: float, kd: float) -> str:
+    return f"kp = {kp:.4g}, kd = {0.0 if abs(kd) < 1e-9 * abs(kp) else kd:.4g}"
 
 
-def _power(ratio: float) -> int:
-    """Return the power of ten that a ratio is, other than 0; 0 if it is none."""
-    if not ratio > 0:
-        return 0
-    power = round(math.log10(ratio))
-    return power if math.isclose(ratio / 10.0**power, 1.0, rel_tol=DIFFERENCE) else 0
-
-
-def _mirrored(fits: str) -> Finding:
-    message = f"the logged voltage fits {fits}: it has the other sign than the control law; change the sign of it."
-    return Finding(code="wrong_sign", severity="error", message=message)
-
-
-def _named(fit: LoopFit) -> str:
-    return f"kp = {fit.kp:.4g}, kd = {0.0 if abs(fit.kd) < 1e-9 * abs(fit.kp) else fit.kd:.4g}"
-
-
-def _shifted(shift: Alternative, fits: str) -> Finding:
-    count = f"{abs(shift.value)} sample{'s' if abs(shift.value) > 1 else ''}"
-    late = shift.value > 0
-    if shift.column == "voltage":
-        message = f"the voltage is logged {count} {'after' if late else 'before'} its position; shift the column."
-    else:
-        other = "reference" if shift.column == "position" else "position"
-        message = (
-            f"the {shift.column} is logged {count} {'late' if late else 'early'} against {other} and voltage; shift the"
-            f" column, and the voltage fits {fits}."
-        )
-    return Finding(code=f"{shift.column}_shifted", severity="warning", message=message)
+def _with_gains(fitted: Controller, stated: Controller) -> Controller:
+    return replace(fitted, kp=stated.kp, kd=stated.kd)
 
 
 def _aligned(record: Record) -> Record:
-    """Return the record with some controller, and from a tick of a slow loop on: there its voltage changes."""
-    if record.controller is None:
-        return replace(record, controller=Controller(kp=1.0))
+    """Return the record from a tick of a slow loop on: there its voltage changes."""
     first = tick_phase(record)
     return record.slice(float(record.time[first]), float(record.time[-1])) if first else record
 
 
-def _reached(record: Record, limit: Alternative) -> NDArray[np.bool_]:
-    """Mark the samples at the limits that were found."""
+def _limited(record: Record) -> tuple[tuple[float, float], NDArray[np.bool_]]:
+    """Return the limits of the logged voltage, and the samples that tell of the law."""
     assert record.voltage is not None  # noqa: S101 - fit_loop has refused records without
-    margin = NEAR * float(np.ptp(record.voltage))
-    low, high = limit.value
-    return np.asarray((record.voltage < low + margin) | (record.voltage > high - margin))
+    limits = voltage_limits(record)
+    free = within(record.voltage, limits)
+    if initial_motion(record):
+        free[: remembered(controller_of(record), record)] = False
+    return limits, free
 
 
-def _sides(clipped: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the voltage at the lower and at the upper limit, by the median; one of them twice if there is no other."""
-    if not clipped.size:
-        return 0.0, 0.0
-    upper = clipped > 0.5 * (clipped.min() + clipped.max())
-    if np.ptp(clipped) <= 0.5 * np.abs(clipped).max():
-        return (level := float(np.median(clipped))), level
-    return float(np.median(clipped[~upper])), float(np.median(clipped[upper]))
-
-
-def _judged(record: Record, clipped: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    judged = ~clipped
-    judged[: remembered(record)] = False
+def _quiet(record: Record) -> NDArray[np.bool_]:
+    """Mark the samples after what the loop remembers, and off the edges of the reference."""
+    judged = np.ones(len(record), dtype=bool)
     edges = record.edges()
     span = math.ceil(RINGING / record.sample_time)
     if edges.size * span < 0.3 * len(record):
-        quiet = judged.copy()
         for edge in edges.tolist():
-            quiet[edge : edge + span] = False
-        judged = quiet
-    return judged if np.count_nonzero(judged) >= 10 else ~clipped
+            judged[edge : edge + span] = False
+    judged[: remembered(controller_of(record), record)] = False
+    return judged
 
 
-def _robust_fit(
-    error: NDArray[np.float64], derivative: NDArray[np.float64], target: NDArray[np.float64], judged: NDArray[np.bool_]
-) -> tuple[float, float, NDArray[np.bool_]]:
-    kept = judged
-    kp, kd = fit_gains(error[kept], derivative[kept], target[kept])
+def _robust(fit: LawFit) -> tuple[LawFit, Controller]:
+    """Return the fit to the samples that are not off by more than four standard deviations, and its gains."""
+    judged, found = fit.rows, fit.fitted(GAINS)
     for _ in range(3):
-        left = np.abs(target - kp * error + kd * derivative)
-        bound = max(4 * 1.4826 * float(np.median(left[kept])), 1e-9 * float(np.max(np.abs(target))))
-        within = judged & (left <= bound)
-        if np.count_nonzero(within) < 0.8 * np.count_nonzero(judged):
+        left = np.abs(fit.missed(found))
+        bound = max(4 * 1.4826 * float(np.median(left[fit.rows])), 1e-9 * float(np.max(np.abs(fit.voltage))))
+        kept = judged & (left <= bound)
+        if np.count_nonzero(kept) < 0.8 * np.count_nonzero(judged) or np.array_equal(kept, fit.rows):
             break
-        done = np.array_equal(within, kept)
-        kept = within
-        if done:
-            break
-        kp, kd = fit_gains(error[kept], derivative[kept], target[kept])
-    return kp, kd, kept
+        fit = fit.over(kept)
+        found = fit.fitted(GAINS)
+    return fit, found

@@ -10,7 +10,8 @@ import numpy as np
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.law import UNITS, follows, rms
+from servolens.quality.law import rms
+from servolens.quality.settings import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,13 +24,25 @@ if TYPE_CHECKING:
 __all__ = ["sense_findings"]
 
 CLOSE = 0.1
-"""Relative difference up to which an axis at rest is at a ratio: friction and weight hold it off its target."""
+"""Relative difference up to which an axis at rest has gone a ratio of its way, or is at rest."""
+STUCK = 0.5
+"""Share of its way that an axis goes at least: dry friction and springs hold it off the rest."""
 SLOWEST_LOOP = 0.5
 """Sample time from which on time stamps cannot be seconds [s]: logs at 2 kHz and slower, in ms, are all above it."""
 EXPLAINS = 0.5
 """Share of the acceleration that the voltage must explain, beyond what else may, to tell the sign."""
 TELLS = 1e-3
 """Share of the voltage that must differ from what a force that depends on the position could be, to tell them apart."""
+
+
+def follows(record: Record) -> bool:
+    """Tell whether the position is nearer to the reference than where it began.
+
+    A loop with the wrong sign somewhere runs away, and an axis in another unit stays far off: who follows has neither.
+    """
+    if record.reference is None:
+        return False
+    return rms(record.reference - record.position) < rms(record.reference - record.position[0])
 
 
 def sense_findings(record: Record, seen: Sampling, *, law_holds: bool) -> Iterator[Finding]:
@@ -59,31 +72,53 @@ def sense_findings(record: Record, seen: Sampling, *, law_holds: bool) -> Iterat
 
 
 def _at_rest(record: Record) -> Iterator[Finding]:
-    """Yield an axis that comes to rest at its targets times -1, or what one unit is of another.
+    """Yield an axis that goes against its reference, or as many times as far as one unit is of another.
 
-    One target alone does not tell a sign: a weight may have drawn the axis there.
+    A step inside the record tells how far the axis goes, whatever weight hangs on it. A step at the first sample does
+    not tell a sign: a weight may have drawn the axis there.
     """
-    edges = record.edges()
-    if record.reference is None or (edges.size > 1 and np.min(np.diff(edges)) < 3):
+    steps = _steps(record)
+    if steps is None:
         return
-    ends = np.array([*edges, len(record)]) - 1
-    before = np.maximum(ends - np.maximum(np.diff(ends, prepend=-1) // 5, 1), 0)
-    target, reached = record.reference[ends], record.position[ends]
-    if not target.any():
+    asked, gone, sure, rests = steps
+    if not asked.any() or not gone.any():
         return
-    weight = target / float(np.max(np.abs(target)))
-    if abs(float(weight @ (reached - record.position[before]))) > CLOSE * abs(float(weight @ reached)):
-        return  # still on its way
-    ratio = float(weight @ reached) / float(weight @ target)
-    where = f"the position comes to rest at {ratio:.4g} times its reference"
-    if math.isclose(ratio, -1.0, rel_tol=CLOSE) and rms(reached - ratio * target) < CLOSE * rms(reached):
-        sure = np.unique(target).size > 1
+    ratio = float(asked @ gone) / float(asked @ asked)
+    where = f"the axis moves {ratio:.4g} times as far as its reference"
+    if rests and math.isclose(ratio, -1.0, rel_tol=CLOSE) and rms(gone - ratio * asked) < CLOSE * rms(gone):
         message = f"{where}; change the sign of one of the two{'' if sure else ', unless a weight has drawn it there'}."
         yield Finding(code="wrong_sign", severity="error" if sure else "warning", message=message)
-    for known, what in UNITS.items():
-        if math.isclose(ratio, known, rel_tol=CLOSE):
-            message = f"{where}: it is {what}; state the unit of each column."
+    elif ratio > 0.0:
+        unit = min(UNITS, key=lambda one: abs(math.log(ratio / one)))
+        off = abs(math.log(ratio / unit))
+        if off < -math.log(STUCK) if unit > 1.0 else rests and off < CLOSE:
+            message = f"{where}: the position is {UNITS[unit]}; state the unit of each column."
             yield Finding(code="units_contradict", severity="error", message=message)
+
+
+def _steps(record: Record) -> tuple[NDArray[np.float64], NDArray[np.float64], bool, bool] | None:
+    """Return how far the reference and the axis go in each step, whether they begin inside, and whether it rests then.
+
+    None where there are no steps.
+    """
+    edges, y = record.edges(), record.position
+    if record.reference is None or (edges.size > 1 and np.min(np.diff(edges)) < 3):
+        return None
+    bounds = np.array([0, *edges, len(record)])
+    quarters = np.maximum(np.diff(bounds) // 4, 1)
+    last = np.array([y[end - q : end].mean() for end, q in zip(bounds[1:], quarters, strict=True)])
+    third = np.array(
+        [
+            y[max(end - 2 * q, 0) : end - q].mean() if end > q else y[0]
+            for end, q in zip(bounds[1:], quarters, strict=True)
+        ]
+    )
+    target = record.reference[bounds[:-1]]
+    inside = edges.size > 0
+    asked, gone = (np.diff(target), last[1:] - y[edges]) if inside else (target, last)
+    weight = np.abs(asked)
+    rests = float(weight @ np.abs(last - third)[-asked.size :]) <= CLOSE * float(weight @ np.abs(gone))
+    return asked, gone, inside, rests
 
 
 def _against(record: Record, seen: Sampling) -> Iterator[Finding]:

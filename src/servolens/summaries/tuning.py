@@ -24,13 +24,15 @@ if TYPE_CHECKING:
 __all__ = ["compared_summary", "gain_sentences", "tuning_summaries"]
 
 
-def tuning_summaries(study: Study) -> tuple[Summary, Summary]:
+def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Summary, Summary]:
     """Tell what was found, then, as what one should read last, the lights and the gains.
 
     Parameters
     ----------
     study : Study
         Of one axis.
+    overrule : str
+        How a withheld gain is asked for.
     """
     record = study.records[0]
     checked = check_summary(study.check, length_unit=record.length_unit).sentences
@@ -49,7 +51,7 @@ def tuning_summaries(study: Study) -> tuple[Summary, Summary]:
         tables.append(side_by_side(study.comparison, unit, record.command_unit))
     findings = tuple(f for f in study.findings if study.diagnosis is None or not tells_noise_again(f, study.diagnosis))
     found = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
-    told = (*light_sentences(study.lights), *gain_sentences(study))
+    told = (*light_sentences(study.lights), *gain_sentences(study, overrule=overrule))
     return found, Summary(title="The gain", sentences=told)
 
 
@@ -62,13 +64,13 @@ def compared_summary(study: Study) -> Summary:
     return replace(told, sentences=(*told.sentences, *lights), findings=study.findings)
 
 
-def gain_sentences(study: Study) -> tuple[str, ...]:
+def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, ...]:
     """Return the gain to use and the least one, or why there is none."""
     design, record = study.design, study.records[0]
     if design is None:
         return (f"No gain was sought: {study.why_none.rstrip('.')}.",)
     if design.withheld:
-        return ("The gain is withheld: see its light. Option --force gives it all the same.",)
+        return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
     if design.kd is None:
         return (sentence(design.reason),)
     unit = f"{record.command_unit} s/{record.length_unit}"

@@ -1,0 +1,129 @@
+"""What a check says of a loop that is not the stated one: settings, signs, units, limits; in several worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.quality import check, fatal
+from servolens.record import Controller
+
+RUBBING = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.5}})
+WORLDS = ("white", "coloured", "coarse", "hum")
+
+
+def logged(world, *, stated=None, levels=(0.1, 0.02, 0.07), rounding=0.0, limit=None, **true):
+    """Steps of a rubbing axis in a world; `stated` is what the log says of the loop, beside kp = 60 and kd = 4."""
+    loop = {"kp": 60.0, "kd": 4.0}
+    rig = lab.Setup(
+        controller=Controller(**{**loop, **true}), surroundings=lab.surroundings(world, seed=1), voltage_limit=limit
+    )
+    record = lab.step_record(RUBBING, seed=2, reference=levels, duration=0.6, setup=rig)
+    voltage = np.round(record.voltage / rounding) * rounding if rounding else record.voltage
+    return record.with_({"voltage": voltage, "controller": Controller(**{**loop, **(stated or {})})})
+
+
+def told(record):
+    return {finding.code: finding.message for finding in check(record) if finding.severity != "note"}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("rounding", [0.0, 0.01])
+def test_loop_as_stated_raises_nothing(world, rounding):
+    assert told(logged(world, rounding=rounding, ki=40.0, derivative_filter=0.3, setpoint_weight=0.7,
+                       stated={"ki": 40.0, "derivative_filter": 0.3, "setpoint_weight": 0.7})) == {}  # fmt: skip
+
+
+CASES = {
+    "integral larger": ({"ki": 40.0}, {"ki": 20.0}, "ki = 40 V/(m s), not 20 "),
+    "integral unstated": ({"ki": 40.0}, {}, "ki = 40 V/(m s), not 0 "),
+    "integral that is none": ({}, {"ki": 40.0}, "ki = 0 V/(m s), not 40 "),
+    "filter and integral": (
+        {"derivative_filter": 0.3, "ki": 40.0},
+        {},
+        "derivative_filter = 0.3, ki = 40 V/(m s), not 1, 0 ",
+    ),
+    "set-point weight": ({"setpoint_weight": 0.5}, {}, "setpoint_weight = 0.5, not 1 "),
+    "I-PD": ({"setpoint_weight": 0.0, "ki": 400.0}, {"ki": 400.0}, "setpoint_weight = 0, not 1 "),
+    "period and integral": (
+        {"control_period": 0.004, "ki": 40.0},
+        {},
+        "control_period = 0.004 s, ki = 40 V/(m s), not every sample, 0 ",
+    ),
+    "on error, filtered": (
+        {"derivative_on": "error", "derivative_filter": 0.2},
+        {},
+        "derivative_on = error, derivative_filter = 0.2, not measurement, 1 ",
+    ),
+}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("case", CASES)
+def test_settings_are_named_with_their_values(world, case):
+    true, stated, said = CASES[case]
+    found = told(logged(world, stated=stated, **true))
+    assert list(found) == ["settings_contradict_log"]
+    assert found["settings_contradict_log"].startswith(f"the log fits {said}")
+
+
+@pytest.mark.parametrize("world", ["coloured", "coarse"])
+def test_settings_are_named_through_a_rounded_voltage(world):
+    found = told(logged(world, rounding=0.01, derivative_filter=0.3, ki=40.0))
+    assert "ki = 40 V/(m s), not 1, 0 " in found["settings_contradict_log"]
+
+
+@pytest.mark.parametrize("levels", [(0.1,), (0.0, 0.1), (0.1, 0.02, 0.07)], ids=["one", "rest", "three"])
+@pytest.mark.parametrize("column", ["reference", "position", "voltage"])
+def test_wrong_sign_of_any_column_is_fatal(column, levels):
+    record = logged("coloured", levels=levels)
+    mirrored = record.with_({column: -getattr(record, column)})
+    (finding,) = fatal(check(mirrored))
+    assert finding.code == "wrong_sign"
+    assert column in finding.message
+
+
+@pytest.mark.parametrize("levels", [(0.1,), (0.1, 0.02, 0.07)], ids=["one", "three"])
+@pytest.mark.parametrize("column", ["reference", "position"])
+@pytest.mark.parametrize(("factor", "said"), [(180 / np.pi, "in degrees"), (1e3, "in thousandths")])
+def test_wrong_unit_of_a_column_is_fatal(column, levels, factor, said):
+    record = logged("coarse", levels=levels)
+    other = record.with_({column: factor * getattr(record, column)})
+    (finding,) = fatal(check(other))
+    assert finding.code == "units_contradict"
+    assert f"the {column} is {said}" in finding.message
+
+
+@pytest.mark.parametrize("level", [0.5, 3.0], ids=["little friction", "much friction"])
+@pytest.mark.parametrize("kd", [0.0, 4.0])
+def test_degrees_are_told_without_a_voltage_and_before_the_axis_rests(level, kd):
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": level}})
+    record = lab.step_record(truth, 60, kd, noise=1e-5, seed=3, duration=0.8)
+    assert fatal(check(record.with_({"voltage": None}))) == ()
+    (finding,) = fatal(check(record.with_({"voltage": None, "position": np.degrees(record.position)})))
+    assert "in degrees where radians are meant" in finding.message
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_plateau_below_the_stated_limit_is_said(world):
+    record = logged(world)
+    clipped = record.with_({"voltage": np.clip(record.voltage, -3.0, 3.0)})
+    assert told(clipped.with_({"voltage_limit": 3.0})) == {}
+    found = told(clipped.with_({"voltage_limit": 10.0}))
+    assert list(found) == ["clipped_voltage"]
+    assert "stays at -3 and 3 V" in found["clipped_voltage"]
+    assert "whatever the stated limit of 10 V; state voltage_limit = 3 V" in found["clipped_voltage"]
+
+
+CLAMPED = {"ki": 400.0, "anti_windup": "clamping"}
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_clamped_integral_is_named_with_its_size(world):
+    assert told(logged(world, limit=3.0, stated=CLAMPED, **CLAMPED)) == {}
+    smaller = told(logged(world, limit=3.0, stated={**CLAMPED, "ki": 200.0}, **CLAMPED))
+    assert "ki = 400 V/(m s), not " in smaller["settings_contradict_log"]
+    unstated = told(logged(world, limit=3.0, **CLAMPED))
+    assert unstated["settings_contradict_log"].startswith("the log fits anti_windup = clamping, ")
+    assert "ki = 400 V/(m s), not " in unstated["settings_contradict_log"]
