@@ -75,7 +75,7 @@ def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
             "Sample time [ms]",
             "Duration [s]",
             f"Noise [{length}]",
-            "Warnings and notes",
+            "Warnings and errors",
             "Usable",
         ),
         rows=tuple(rows),
