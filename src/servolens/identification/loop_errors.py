@@ -39,6 +39,8 @@ MOVED = 1e-3
 """Share of a parameter by which it is moved for the sensitivity of the loop."""
 SIZED = 8
 """Draws by which the size of what shakes is corrected, until the loops miss as much as they do."""
+UNSURE = 0.1
+"""Probability with which few draws show so little of a variance that the limit is too low."""
 VISIBLE = 0.9
 """Share of the error that must be seen to depend on the inputs if it does: a structure of nine times the rest."""
 
@@ -214,11 +216,12 @@ def share_limit(draws: NDArray[np.float64], level: float) -> float:
     """Return what a share, of which there are `draws`, exceeds with probability `level`.
 
     Of the beta distribution with their mean and variance: of shares of squares of normal values it is exact, with the
-    numbers of independent values as parameters.
+    numbers of independent values as parameters. The variance is that which such draws show less of in one of ten cases.
     """
-    from scipy.stats import beta
+    from scipy.stats import beta, chi2
 
-    mean, variance = float(np.mean(draws)), float(np.var(draws))
+    freedom = draws.size - 1
+    mean, variance = float(np.mean(draws)), float(np.var(draws)) * freedom / float(chi2.isf(1.0 - UNSURE, freedom))
     if not 0.0 < mean < 1.0 or variance == 0.0:
         return mean
     count = max(mean * (1.0 - mean) / variance - 1.0, 1e-3)

@@ -24,8 +24,8 @@ __all__ = ["NoiseTrials"]
 
 CORNER, CORNERS = 4.0, (0.05, 64.0)
 """Corner of what shakes the axis with which rates are compared first, and its range, in units of the loops' rate."""
-MOST_MOVES = 8
-"""Steps from one model of what shakes the axis to a likelier one."""
+MOST_MOVES, FINEST = 16, 0.25
+"""Steps from one model of what shakes the axis to a likelier one; share of the first step at which none is refined."""
 
 
 @final
@@ -88,7 +88,7 @@ class NoiseTrials:
         share = 1.0
         for _ in range(MOST_MOVES if best.rate > 0.0 and rates else 0):
             moved = self._likeliest(best, [*_neighbours(best, likelihood.rate, share)])
-            if moved is best and share < 1.0:
+            if moved is best and share <= FINEST:
                 break
             share, best = (0.5 * share if moved is best else share), moved
         if best.rate > 0.0:
@@ -150,10 +150,12 @@ class NoiseTrials:
 def _neighbours(noise: NoiseModel, unit: float, share: float) -> Iterator[NoiseModel]:
     """Yield noise that shakes the axis twice as fast or half, or with a corner three times as high or a third.
 
-    Or by a `share` of that, on a logarithmic scale.
+    Or by a `share` of that, on a logarithmic scale. Another corner leaves the spectrum as it was below it, or, as
+    rate⁴·corner², above it: one of both is what the records tell best.
     """
     for factor in (2.0**share, 0.5**share):
         yield replace(noise, rate=factor * noise.rate)
     for factor in (3.0**share, 3.0**-share):
         if CORNERS[0] * unit <= factor * noise.corner <= CORNERS[1] * unit:
             yield replace(noise, corner=factor * noise.corner)
+            yield replace(noise, corner=factor * noise.corner, rate=noise.rate / factor**0.5)
