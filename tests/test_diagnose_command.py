@@ -611,7 +611,7 @@ def test_errors_that_are_not_finite_are_null_with_a_reason(found):
     assert "cannot be simulated" in body["remainder"]["reason"]
     assert "reason" not in body["baseline"]
     text = " ".join(diagnosis_summary(replace(found, extended=lost, remainder=runaway)).sentences)
-    assert "What the model leaves has no size" in text
+    assert "How much the model misses is unknown" in text
     assert "nan" not in text
     assert "inf " not in text
 

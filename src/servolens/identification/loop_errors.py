@@ -17,6 +17,7 @@ from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
+from servolens.model_evidence import MATERIAL
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 
@@ -41,8 +42,9 @@ SIZED = 8
 """Draws by which the size of what shakes is corrected, until the loops miss as much as they do."""
 UNSURE = 0.1
 """Probability with which few draws show so little of a variance that the limit is too low."""
-VISIBLE = 0.9
-"""Share of the error that must be seen to depend on the inputs if it does: a structure of nine times the rest."""
+VISIBLE, MATTERS = 0.9, 0.5
+"""Share of the error that must be seen to depend on the inputs if it does: a structure of nine times the rest; of an
+error that is material, one as large as the rest."""
 
 
 @final
@@ -55,7 +57,7 @@ class LoopError:
     depends : bool
         Whether the error depends on the inputs.
     is_seen : bool
-        Whether the records would show it if nine tenths of the error did.
+        Whether the records would show it if nine tenths of the error did; if half of it did, where it is material.
     """
 
     depends: bool
@@ -81,7 +83,8 @@ def loop_error(
     does and by the reference at several lags, beside what the parameters could make good; and what arises in the third
     of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
     doi:10.1080/01621459.1965.10480811); and what runs that repeat each other have in common, if there are any. What
-    knows nothing of the inputs is as large at rest as in motion, and another in each run.
+    knows nothing of the inputs is as large at rest as in motion, and another in each run. Where nothing shakes the
+    axis, the first of these is asked alone: an encoder's rounding differs at rest.
 
     Parameters
     ----------
@@ -101,12 +104,15 @@ def loop_error(
     if not all(np.isfinite(error).all() for error in errors):
         return LoopError(depends=True, is_seen=True)
     shares = _Shares(plants, records, rate)
-    drawn = np.array([shares.of(draw) for draw in drawn_loop_errors(plants, records, errors, noise, ripples)])
+    asked = slice(None) if noise.rate > 0.0 else slice(1)
+    drawn = np.array([shares.of(draw)[asked] for draw in drawn_loop_errors(plants, records, errors, noise, ripples)])
     if len(drawn) < DRAWS // 2:
         return LoopError(depends=True, is_seen=True)
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
-    found = np.array(shares.of(errors))
-    return LoopError(depends=bool(np.any(found > limits)), is_seen=bool(limits[0] < VISIBLE))
+    found = np.array(shares.of(errors)[asked])
+    size = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    is_material = size > MATERIAL * max(float(np.ptp(record.position)) for record in records)
+    return LoopError(bool(np.any(found > limits)), bool(limits[0] < (MATTERS if is_material else VISIBLE)))
 
 
 def drawn_loop_errors(

@@ -70,8 +70,9 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
     left, refined = _by_likelihood(start, used, options)
     depends = _depends_on_speed(refined)
     findings = [] if is_all else [_shortened(used)]
-    if not left.is_enough and all(s.record.reference is not None and s.record.controller is not None for s in used):
-        refined = _in_closed_loop((constant, start, refined.plant), used, options)
+    steps = () if left.is_enough or not all(_is_closed(s.record) for s in used) else _first_steps(_records_of(used))
+    if steps:
+        refined = _in_closed_loop((constant, start, refined.plant), used, steps, options)
     elif not depends:
         findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{NO_DEPENDENCE}."))
     if not refined.converged:
@@ -111,7 +112,7 @@ def _optimum(left: Explained, start: Plant, segments: Sequence[Segment], options
     """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
     if left.hypothesis is None and left.loop is None:
         return refine(start, segments, options.holding(SHAPE))
-    return left.optimum(tuple({id(s.record): s.record for s in segments}.values()))
+    return left.optimum(_records_of(segments))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
@@ -120,9 +121,18 @@ def _depends_on_speed(refined: Refinement) -> bool:
     return bool(refined.plant.values[index] > SIGNIFICANT * spread)
 
 
-def _in_closed_loop(starts: tuple[Plant, ...], segments: Sequence[Segment], options: FitOptions) -> Refinement:
+def _is_closed(record: Record) -> bool:
+    return record.reference is not None and record.controller is not None
+
+
+def _records_of(segments: Sequence[Segment]) -> tuple[Record, ...]:
+    return tuple({id(s.record): s.record for s in segments}.values())
+
+
+def _in_closed_loop(
+    starts: tuple[Plant, ...], segments: Sequence[Segment], records: Sequence[Record], options: FitOptions
+) -> Refinement:
     """Fit the law to whole steps in closed loop, from where it errs least."""
-    records = _first_steps({id(s.record): s.record for s in segments}.values())
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
     steep = VelocityDecayDamping(alpha1=EXTRA * abs(starts[0].damping), alpha2=DECAY / max(fastest, 1e-12))

@@ -48,7 +48,7 @@ __all__ = ["advance"]
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
-ROUNDING = 2.0**-52  # of a position: a term that moves the axis by less shows nowhere but in the rounding of others
+ROUNDING = 2.220446049250313e-16  # share of a position by which a term moves the axis unseen: 2⁻⁵²
 SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
 
 
