@@ -46,10 +46,9 @@ def test_a_linear_loop_that_is_shaken_misses_what_its_lyapunov_equation_says(cor
     states = np.array([[0.0, 1.0, 0.0], [-GAIN * 60.0, -DAMPING, 1.0], [0.0, 0.0, -corner]])
     pushed = np.array([0.0, 0.0, np.sqrt(2.0 * corner * power)])
     variance = solve_continuous_lyapunov(states, -np.outer(pushed, pushed))[0, 0]
-    asked = np.sqrt(variance) * np.random.default_rng(0).standard_normal(len(record))
-    drawn = drawn_loop_errors([CART], [record], [asked], noise)
+    drawn = drawn_loop_errors([CART], [record], noise)
     found = np.mean([np.mean(draw[0][1000:] ** 2) for draw in drawn])
-    assert found == pytest.approx(variance, rel=0.1)  # 40 draws of some 100 independent values
+    assert found == pytest.approx(variance + WHITE.spread**2, rel=0.1)  # 40 draws of some 100 independent values
 
 
 @pytest.mark.parametrize("seed", [441001, 441002, 441003])
@@ -59,11 +58,14 @@ def test_an_axis_that_is_shaken_depends_on_no_input(seed):
     assert (found.verdict, found.remainder.depends_on_inputs) == ("healthy", False)
 
 
+SHAKEN = replace(WHITE, rate=80.0, corner=60.0)
+
+
 def errors_of(kind, record, size):
     """Return errors of `record` that follow its motion, or that know nothing of it."""
     stream = np.random.default_rng(11)
     speed = np.gradient(record.position, record.time)
-    missed = [draw[0] for draw in drawn_loop_errors([CART], [record], [0.0 * speed + size], shaken(size))]
+    missed = [draw[0] for draw in drawn_loop_errors([CART], [record], SHAKEN)]
     return {
         "shaking": missed[0],
         "friction": size * np.sign(speed) * (np.abs(speed) > 1e-3),
@@ -72,26 +74,22 @@ def errors_of(kind, record, size):
     }[kind]
 
 
-def shaken(size):
-    return replace(WHITE, rate=80.0, corner=60.0, spread=WHITE.spread * min(size / 1e-5, 1.0))
-
-
 @pytest.mark.parametrize(
     ("kind", "depends"),
     [("shaking", False), ("friction", True), ("force in fast motion", True), ("noise", False)],
 )
 def test_what_follows_the_motion_is_no_shaking(kind, depends):
     record = steps()
-    found = loop_error([CART], [record], [errors_of(kind, record, 1e-4)], shaken(1e-4), 11.0)
+    found = loop_error([CART], [record], [errors_of(kind, record, 1e-4)], SHAKEN, 11.0)
     assert found.depends is depends
     assert found.is_seen
 
 
 def test_a_record_of_a_moment_does_not_show_whether_its_axis_is_shaken():
     record = steps().slice(0.4, 0.9)
-    noise = replace(WHITE, rate=40.0, corner=2.0)
-    found = loop_error([CART], [record], [errors_of("shaking", record, 1e-4)], noise, 11.0)
-    assert not found.is_noise
+    noise = replace(WHITE, rate=400.0, corner=2.0)
+    for draw in drawn_loop_errors([CART], [record], noise)[:5]:
+        assert not loop_error([CART], [record], draw, noise, 11.0).is_noise
 
 
 def test_an_axis_that_sticks_may_rest_while_something_shakes_it():
@@ -100,7 +98,7 @@ def test_an_axis_that_sticks_may_rest_while_something_shakes_it():
     still = servolens.simulation.loop.simulate(held, record).position
     record = replace(record, position=still)
     noise = replace(WHITE, rate=100.0, corner=100.0)
-    drawn = drawn_loop_errors([held], [record], [np.full(len(record), 3e-5)], noise)
+    drawn = drawn_loop_errors([held], [record], noise)
     assert not loop_error([held], [record], drawn[7], noise, 11.0).depends
 
 
@@ -122,8 +120,8 @@ def test_spread_of_repeated_runs_is_that_of_their_noise():
 
 
 def test_an_error_that_repeats_in_each_run_is_no_shaking():
-    record, noise = steps(), shaken(1e-4)
-    first, second = (draw[0] for draw in drawn_loop_errors([CART], [record], [np.full(len(record), 1e-4)], noise)[:2])
+    record, noise = steps(), SHAKEN
+    first, second = (draw[0] for draw in drawn_loop_errors([CART], [record], noise)[:2])
     twice, plants = [record, record], [CART, CART]
     assert loop_error(plants, twice, [first, first], noise, 11.0).depends
     assert not loop_error(plants, twice, [first, second], noise, 11.0).depends

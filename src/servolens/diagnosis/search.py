@@ -283,7 +283,7 @@ class _Explorer:
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""
-        trials, cause = self.trials, f"a {_ordinal(len(hypothesis.causes))} cause"
+        trials, cause = self.trials, f"a {ORDINALS[len(hypothesis.causes)]} cause"
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(f"Looking for {cause}", done)
         is_observed = hypothesis.noise.rate > 0.0
@@ -427,8 +427,3 @@ class _Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)
-
-
-def _ordinal(place: int) -> str:
-    """Return the word for a place in a row that begins at 0."""
-    return ORDINALS[place] if place < len(ORDINALS) else f"{place + 1}th"

@@ -34,12 +34,10 @@ if TYPE_CHECKING:
 
 __all__ = ["LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
 
-LAGS = (0.5, 1.0, 2.0, 4.0)
+REFERENCE_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
-MOVED = 1e-3
+PARAMETER_STEP = 1e-3
 """Share of a parameter by which it is moved for the sensitivity of the loop."""
-SIZED = 8
-"""Draws by which the size of what shakes is corrected, until the loops miss as much as they do."""
 UNSURE = 0.1
 """Probability with which few draws show so little of a variance that the limit is too low."""
 VISIBLE, MATTERS = 0.9, 0.5
@@ -105,7 +103,7 @@ def loop_error(
         return LoopError(depends=True, is_seen=True)
     shares = _Shares(plants, records, rate)
     asked = slice(None) if noise.rate > 0.0 else slice(1)
-    drawn = np.array([shares.of(draw)[asked] for draw in drawn_loop_errors(plants, records, errors, noise, ripples)])
+    drawn = np.array([shares.of(draw)[asked] for draw in drawn_loop_errors(plants, records, noise, ripples)])
     if len(drawn) < DRAWS // 2:
         return LoopError(depends=True, is_seen=True)
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
@@ -116,13 +114,12 @@ def loop_error(
 
 
 def drawn_loop_errors(
-    plants: Sequence[Plant], records: Sequence[Record], errors: Errors, noise: NoiseModel, ripples: Errors = ()
+    plants: Sequence[Plant], records: Sequence[Record], noise: NoiseModel, ripples: Errors = ()
 ) -> list[tuple[NDArray[np.float64], ...]]:
     """Return draws of what simulations in closed loop miss of the records if `plants` are the axis.
 
     The loop answers to the noise, and to what shakes the axis; the simulation that is compared with the record knows
-    neither. What shakes it is taken for as large as the `errors` of the simulations show. Draws in which the loop
-    leaves all bounds are left out.
+    neither. Draws in which the loop diverges are left out.
 
     Returns
     -------
@@ -137,32 +134,25 @@ def drawn_loop_errors(
         error += ripple[:, None]
     pushes = [_shaking(noise, record, stream) / plant.gain for plant, record in zip(plants, records, strict=True)]
 
-    def one(k: int, size: float = 1.0) -> tuple[NDArray[np.float64], ...] | None:
+    def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(ServolensError):
             return tuple(
-                simulate(plant, disturbed(record, error[:, k], size * push[:, k])).position + error[:, k] - position
+                simulate(plant, disturbed(record, error[:, k], push[:, k])).position + error[:, k] - position
                 for plant, record, error, push, position in zip(plants, records, drawn, pushes, still, strict=True)
             )
         return None
 
-    first = [draw for draw in in_parallel(one, range(SIZED if noise.rate > 0.0 else 0)) if draw is not None]
-    shaken = [float(np.mean(np.concatenate(draw) ** 2)) for draw in first]
-    size = float(np.sqrt(np.mean(np.concatenate(errors) ** 2) / np.mean(shaken))) if shaken else 1.0
-    return [draw for draw in in_parallel(lambda k: one(k, size), range(DRAWS)) if draw is not None]
+    return [draw for draw in in_parallel(one, range(DRAWS)) if draw is not None]
 
 
 def _shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
-    """Return draws of the acceleration that shakes the axis, shape (n, draws): see :func:`observer_of`."""
+    """Return draws of the acceleration that shakes the axis, shape (n, draws)."""
     from scipy.signal import lfilter
 
-    shape = len(record), DRAWS
-    if noise.rate == 0.0:
-        return np.zeros(shape)
-    kept = float(np.exp(-noise.corner * record.sample_time))
-    size = noise.spread * noise.rate**2 * np.sqrt((1.0 - kept) / (1.0 + kept))
-    white = stream.standard_normal(shape)
+    kept, power = noise.shaking(record.sample_time)
+    white = stream.standard_normal((len(record), DRAWS))
     white[1:] *= np.sqrt(1.0 - kept**2)
-    return np.asarray(size * lfilter([1.0], [1.0, -kept], white, axis=0))
+    return np.asarray(noise.spread * np.sqrt(power) * lfilter([1.0], [1.0, -kept], white, axis=0))
 
 
 class _Shares:
@@ -174,7 +164,7 @@ class _Shares:
         columns, activity = [], []
         for run, record in zip(runs, records, strict=True):
             reference = np.asarray(record.reference)
-            lags = [int(lag / rate / record.sample_time) for lag in LAGS]
+            lags = [int(lag / rate / record.sample_time) for lag in REFERENCE_LAGS]
             step = reference - reference[0]
             moved = [shifted(step, lag) - shifted(step, 2 * lag) for lag in lags]
             own = [run.velocity, np.sign(run.velocity), run.velocity * np.abs(run.velocity), run.position - reference]
@@ -206,7 +196,7 @@ def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], positions
     values = plants[0].named
     columns = []
     for name, value in values.items():
-        step = MOVED * value
+        step = PARAMETER_STEP * value
         if step == 0.0:
             continue
         with suppress(ServolensError):

@@ -113,6 +113,15 @@ class NoiseModel:
         """Whether the axis is observed, for something shakes it or its instants are not those that are stated."""
         return self.rate > 0.0 or self.jitter > 0.0
 
+    def shaking(self, sample_time: float) -> tuple[float, float]:
+        """Return which share of the acceleration that shakes the axis is left a sample later, and its variance.
+
+        The variance [1/s⁴] is the stationary one, in units of that of the sensor's noise. A first-order process with
+        the spectral density ``rate⁴`` times the sensor's at low frequencies.
+        """
+        left = float(np.exp(-self.corner * sample_time))
+        return left, (self.rate**4 * (1.0 - left) / (1.0 + left) if self.rate > 0.0 else 0.0)
+
     @property
     def order(self) -> int:
         """Of the autoregressive process."""

@@ -50,17 +50,16 @@ def observer_of(
 
     Notes
     -----
-    See :mod:`servolens.simulation.kalman`. The acceleration that shakes the axis is a first-order process with the
-    spectral density ``rate⁴`` times the sensor's at low frequencies.
+    See :mod:`servolens.simulation.kalman`.
     """
     if not noise.is_observed:
         return None
     from servolens.simulation.native import native
 
     h = float(np.median(np.diff(time[:64])))
-    kept, left = float(np.exp(-noise.corner * h)), float(np.exp(-noise.damping * h))
+    left = float(np.exp(-noise.damping * h))
     given = (1.0 - left) / noise.damping if noise.damping * h > 1e-9 else h
-    power = noise.rate**4 * (1.0 - kept) / (1.0 + kept)
+    kept, power = noise.shaking(h)
     model = np.array([left, given, kept, 0.5 * given * h, given, power])
     size = noise.jitter / max(noise.floor, 1e-300)
     late, kick = size * speed, size * noise.gain * np.diff(voltage, prepend=voltage[0])
