@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servolens.lab.command import Signal
-    from servolens.lab.oddity import Oddity
     from servolens.lab.truth import Truth
+    from servolens.lab.unmodelled import UnmodelledEffect
 
     State = tuple[Any, ...]
 
@@ -77,14 +77,20 @@ class Axis:
         Longest integration step [s].
     angle : float
         Largest product of step and quickest rate.
-    oddity : Oddity, optional
+    unmodelled : UnmodelledEffect, optional
         What the axis does beyond the effects of the truth.
     shaken : bool
         Whether commands carry what shakes the axis.
     """
 
     def __init__(
-        self, truth: Truth, m: Any, longest: float, angle: float, oddity: Oddity | None = None, shaken: bool = False
+        self,
+        truth: Truth,
+        m: Any,
+        longest: float,
+        angle: float,
+        unmodelled: UnmodelledEffect | None = None,
+        shaken: bool = False,
     ) -> None:
         own = {name: SimpleNamespace(**values) for name, values in truth.effects.items()}
         self.m, self._gain, self._damping, self._angle = m, truth.gain, truth.damping, angle
@@ -92,9 +98,9 @@ class Axis:
         transmitted = EXTERNAL if self._load_friction else frozenset()
         self._external = _functions(own, "force", only=transmitted)
         self._forces, self._frictions = _functions(own, "force", but=transmitted), _functions(own, "friction")
-        if oddity is not None:
-            self._forces += [(oddity.force, SimpleNamespace())]
-            self._frictions += [(oddity.friction, SimpleNamespace())]
+        if unmodelled is not None:
+            self._forces += [(unmodelled.force, SimpleNamespace())]
+            self._frictions += [(unmodelled.friction, SimpleNamespace())]
         self._servo, self._limit = own.get("speed_servo"), own.get("force_limit")
         self._dahl, self._stop = own["presliding"] if _slips(own) else None, own.get("end_stop")
         self._joint, self._load_share = _joint(own)
@@ -103,7 +109,7 @@ class Axis:
         self.lag = own["sensor_lag"].time_constant if "sensor_lag" in own else 0.0
         self.has_load, self.has_contact = self._joint is not None, "backlash" in own
         moving_in_time = {"actuator_lag", "gain_drift", "periodic_disturbance", "sensor_lag", "speed_servo"}
-        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own) or oddity is not None or shaken
+        self.evolves_at_rest = self.has_load or not moving_in_time.isdisjoint(own) or unmodelled is not None or shaken
         paces = [pace(p) for name, p in own.items() if (pace := LAWS[name].pace) is not None]
         quickest = max([abs(truth.damping), *paces]) / self._share
         self._step = min(longest, angle / quickest) if quickest > 0.0 else longest

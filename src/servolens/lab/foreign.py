@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
+    from servolens.lab.unmodelled import UnmodelledEffect
 
     Dice = np.random.Generator
 
@@ -32,7 +32,7 @@ class Foreign(NamedTuple):
     per_mille : float
         Size at which the best linear model misses about a thousandth of the step.
     make : callable
-        (scene, size, dice of the axis, dice of the run) → Oddity.
+        (scene, size, dice of the axis, dice of the run) → UnmodelledEffect.
     same_as : tuple of str
         Effects of the catalogue with the same structure: naming one of them is no mistake.
     """
@@ -41,7 +41,7 @@ class Foreign(NamedTuple):
     low: float
     high: float
     per_mille: float
-    make: Callable[[Scene, float, Dice, Dice], Oddity]
+    make: Callable[[Scene, float, Dice, Dice], UnmodelledEffect]
     same_as: tuple[str, ...] = ()
 
 

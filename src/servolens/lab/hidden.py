@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
     from servolens.lab.disturbances import Surroundings
     from servolens.lab.loop import BenchRun
-    from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
     from servolens.lab.search import Found
+    from servolens.lab.unmodelled import UnmodelledEffect
     from servolens.record import Controller, LengthUnit
 
 __all__ = ["HiddenCampaign", "hidden_campaign"]
@@ -91,7 +91,7 @@ class HiddenCampaign:
     visibility: float
     shares: Mapping[str, float]
     seed: int
-    laws: Callable[[int], Oddity | None] = field(repr=False)
+    laws: Callable[[int], UnmodelledEffect | None] = field(repr=False)
 
     def tried(self, controller: Controller, levels: Sequence[float], duration: float, sample_time: float) -> BenchRun:
         """Run the hidden axis, foreign law included, in another loop: from rest at 0, without noise or encoder.

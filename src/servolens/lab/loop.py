@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.lab.disturbances import Drawn
-    from servolens.lab.oddity import Oddity
+    from servolens.lab.unmodelled import UnmodelledEffect
     from servolens.record import Controller
 
 __all__ = ["Bench", "BenchRun", "run_many", "run_one"]
@@ -61,12 +61,12 @@ class BenchRun(NamedTuple):
     velocity: NDArray[np.float64]
 
 
-def run_one(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None = None) -> BenchRun:
-    """Return one run; what is drawn has shape (n,). An oddity is what no effect of the truth does."""
+def run_one(truth: Truth, bench: Bench, drawn: Drawn, unmodelled: UnmodelledEffect | None = None) -> BenchRun:
+    """Return one run; what is drawn has shape (n,). An unmodelled effect is what no effect of the truth does."""
     noises, shaking, instants = drawn
     plain = None if shaking is None else shaking.tolist()
     each = _Each(noises.tolist(), plain, (bench.time if instants is None else instants).tolist())
-    signals = _close(truth, bench, each, bench.start, FLOATS, advance_one, oddity)
+    signals = _close(truth, bench, each, bench.start, FLOATS, advance_one, unmodelled)
     return BenchRun(*(np.array(signal) for signal in signals))
 
 
@@ -108,7 +108,7 @@ def _close(
     start: Any,
     m: Any,
     advance: Callable[..., Any],
-    oddity: Oddity | None = None,
+    unmodelled: UnmodelledEffect | None = None,
 ) -> tuple[list[Any], list[Any], list[Any]]:
     """Run the loop through its samples; a sample is a float for one run, an array for many."""
     truth, step = _limited(truth, bench), bench.encoder
@@ -119,7 +119,7 @@ def _close(
             m,
             bench.substep or SUBSTEP,
             bench.angle or STEP_TIMES_QUICKEST_RATE,
-            oddity,
+            unmodelled,
             shaken=each.shaking is not None,
         ),
         Chain(truth, m, h),
@@ -131,14 +131,14 @@ def _close(
     signals: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
     for k, (t, length, noise) in enumerate(zip(each.instants, each.lengths(h), each.noises, strict=True)):
         place, moving = axis.output(body.state)
-        shown = body.shown if oddity is None else oddity.shows(t, body.shown, place, moving)
+        shown = body.shown if unmodelled is None else unmodelled.shows(t, body.shown, place, moving)
         seen = shown + noise
         if step:
             seen = m.floor(seen / step + 0.5) * step
         asked = controller.ask(k, reference[k], seen, moving, added[k])
         for signal, value in zip(signals, (seen, asked, moving), strict=True):
             signal.append(value)
-        felt = asked if oddity is None else oddity.turns(t, asked, place)
+        felt = asked if unmodelled is None else unmodelled.turns(t, asked, place)
         try:
             for since, stretch, command in chain.apply(t, length, felt, each.shake(k, t, length)):
                 body = advance(axis, since, stretch, body, command)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from servolens.lab.disturbances import Drawn
     from servolens.lab.loop import Bench, BenchRun
-    from servolens.lab.oddity import Oddity
     from servolens.lab.scene import Scene
+    from servolens.lab.unmodelled import UnmodelledEffect
 
 __all__ = ["Found", "Look", "SizeSearch", "heard", "law", "missed", "sane_run"]
 
@@ -145,7 +145,9 @@ def _next_size(
     return math.sqrt(low * high) if not low <= new <= high else new
 
 
-def law(scene: Scene, key: tuple[int, int], sizes: Mapping[str, float]) -> tuple[Truth, Callable[[int], Oddity | None]]:
+def law(
+    scene: Scene, key: tuple[int, int], sizes: Mapping[str, float]
+) -> tuple[Truth, Callable[[int], UnmodelledEffect | None]]:
     """Return the truth with effects of these sizes, and run → the foreign law of that run."""
     values, odd = {}, None
     for name, size in sizes.items():
@@ -171,10 +173,12 @@ def heard(truth: Truth, key: tuple[int, int], i: int) -> Truth:
     return replace(truth, effects={**truth.effects, "periodic_disturbance": {**own, "phase": phase}})
 
 
-def sane_run(truth: Truth, bench: Bench, drawn: Drawn, oddity: Oddity | None, step: float) -> BenchRun | None:
+def sane_run(
+    truth: Truth, bench: Bench, drawn: Drawn, unmodelled: UnmodelledEffect | None, step: float
+) -> BenchRun | None:
     """Return a run of an axis that moved, rested before each new level if it steps, and did not run away; else None."""
     try:
-        run = run_one(truth, bench, drawn, oddity)
+        run = run_one(truth, bench, drawn, unmodelled)
     except NumericalError:
         return None
     position = run.position

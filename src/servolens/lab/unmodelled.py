@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from servolens.lab.laws import Instant
 
-__all__ = ["Oddity"]
+__all__ = ["UnmodelledEffect"]
 
 
 def _nothing(instant: Instant) -> float:
@@ -19,7 +19,7 @@ def _nothing(instant: Instant) -> float:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Oddity:
+class UnmodelledEffect:
     """One foreign law of one run, in plain floats; what is not given does nothing. It may remember: one for each run.
 
     Attributes
