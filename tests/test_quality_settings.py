@@ -120,10 +120,16 @@ CLAMPED = {"ki": 400.0, "anti_windup": "clamping"}
 
 
 @pytest.mark.parametrize("world", WORLDS)
-def test_clamped_integral_is_named_with_its_size(world):
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        ({**CLAMPED, "ki": 200.0}, "ki = 400 V/(m s), not 200 "),
+        ({"ki": 400.0}, "anti_windup = clamping, not none "),
+        ({}, "anti_windup = clamping, ki = 400 V/(m s), not none, 0 "),
+    ],
+    ids=["size", "anti-windup", "all of it"],
+)
+def test_clamped_integral_is_named_with_its_size(world, stated, said):
     assert told(logged(world, limit=3.0, stated=CLAMPED, **CLAMPED)) == {}
-    smaller = told(logged(world, limit=3.0, stated={**CLAMPED, "ki": 200.0}, **CLAMPED))
-    assert "ki = 400 V/(m s), not " in smaller["settings_contradict_log"]
-    unstated = told(logged(world, limit=3.0, **CLAMPED))
-    assert unstated["settings_contradict_log"].startswith("the log fits anti_windup = clamping, ")
-    assert "ki = 400 V/(m s), not " in unstated["settings_contradict_log"]
+    found = told(logged(world, limit=3.0, stated=stated, **CLAMPED))
+    assert found["settings_contradict_log"].startswith(f"the log fits {said}")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["GAINS", "PARAMETERS", "LawFit", "controller_of", "remembered", "rms", "tick_phase"]
+__all__ = ["GAINS", "PARAMETERS", "LawFit", "controller_of", "remembered", "rms", "tick_phase", "voltage_of"]
 
 GAINS = ("kp", "kd")
 PARAMETERS = (*GAINS, "setpoint_weight", "ki", "integral_before", "velocity_feedforward", "integral_rate")
@@ -74,8 +74,7 @@ class LawFit:
             As :func:`~servolens.control_law.controller_voltage`.
         """
         columns = _columns(record, gains_known=gains_known)
-        assert record.voltage is not None  # noqa: S101 - the caller has refused records without
-        voltage = record.voltage - _known(record)
+        voltage = voltage_of(record) - _known(record)
         stated = controller_of(record)
         if stated.anti_windup == "back_calculation":  # its default would follow the gains
             stated = replace(stated, tracking_time=stated.tracking)
@@ -86,6 +85,20 @@ class LawFit:
         """Return the fit over the samples `rows`."""
         used = columns[:, rows]
         return cls(controller, columns, voltage, rows, used @ used.T, used @ voltage[rows])
+
+    def clamped(self, record: Record, controller: Controller) -> LawFit:
+        """Return the fit whose integral stands still where the voltage grows, with these gains, as if it did.
+
+        A voltage beyond the limit says so by itself; just below it only its growth does.
+        """
+        parts, voltage = self.columns[:4], voltage_of(record)
+        weights, _ = _weights(np.array([getattr(controller, name) for name in PARAMETERS]))
+        grown = _growth(record, controller) * (weights[4:8] @ parts)
+        grows = np.diff(self.voltage - weights[:4] @ parts, prepend=math.nan)
+        stands = (np.abs(grows) < np.abs(grows - grown)) | (np.abs(voltage) > _limit(record))
+        near = (np.abs(voltage) + np.abs(grown) > _limit(record)) & (voltage * grown > 0.0)
+        columns = _with_integrals(parts, np.where(near & stands, 0.0, _growth(record, controller)))
+        return LawFit.over_rows(self.controller, columns, self.voltage, self.rows)
 
     def over(self, rows: NDArray[np.bool_]) -> LawFit:
         """Return the fit over other samples."""
@@ -135,6 +148,13 @@ def _positive(sizes: Array) -> Array:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
+def voltage_of(record: Record) -> Array:
+    """Return the logged voltage; records without are judged elsewhere."""
+    if record.voltage is None:
+        raise TypeError("a law is fitted to a logged voltage")
+    return record.voltage
+
+
 def controller_of(record: Record) -> Controller:
     """Return the stated controller, or one of which only the settings count."""
     return record.controller or Controller(kp=1.0)
@@ -170,18 +190,28 @@ def _columns(record: Record, *, gains_known: bool) -> Array:
     found = record.answer(plain)  # what leads is then the reference, as the loop saw it
     slope = record.answer(replace(plain, setpoint_weight=1.0, velocity_feedforward=1.0)).ahead
     parts = np.stack((found.error, -found.derivative, found.ahead, slope))
-    growth = np.where(_ticks(record, stated), samples_a_period(stated, record.sample_time) * record.sample_time, 0.0)
+    growth = _growth(record, stated)
     if stated.anti_windup == "clamping":
         growth[_clamped(record, stated if gains_known else None, found.error)] = 0.0
+    return _with_integrals(parts, growth)
+
+
+def _with_integrals(parts: Array, growth: Array) -> Array:
     return np.concatenate((parts, np.cumsum(growth * parts, axis=1), np.ones((1, growth.size))))
+
+
+def _growth(record: Record, controller: Controller) -> Array:
+    """Return by how much the integral of 1 grows at each sample, while nothing clamps it [s]."""
+    period = samples_a_period(controller, record.sample_time) * record.sample_time
+    return np.where(_ticks(record, controller), period, 0.0)
 
 
 def _clamped(record: Record, stated: Controller | None, error: Array) -> NDArray[np.bool_]:
     """Mark the samples at which the integral does not grow: its own, or while the voltage is beyond the limit."""
     if stated is not None and stated.integrates:
         return np.asarray(np.diff(record.answer(stated).integral, prepend=stated.integral_before) == 0.0)
-    assert record.voltage is not None  # noqa: S101 - LawFit.of is given records with a voltage
-    return np.asarray((np.abs(record.voltage) > _limit(record)) & (record.voltage * error > 0.0))
+    voltage = voltage_of(record)
+    return np.asarray((np.abs(voltage) > _limit(record)) & (voltage * error > 0.0))
 
 
 def _known(record: Record) -> Array:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.quality.law import PARAMETERS, LawFit, rms
+from servolens.quality.law import PARAMETERS, LawFit, rms, voltage_of
 from servolens.quality.settings import BETTER
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ def voltage_limits(record: Record) -> Limits:
     InputError
         As :func:`~servolens.control_law.controller_voltage`.
     """
-    voltage = record.voltage
-    assert voltage is not None  # noqa: S101 - the caller has refused records without
+    voltage = voltage_of(record)
     found, rows = UNLIMITED, _off_extremes(voltage)
     for free in ((), *ROUNDS * (STEADY,)):
         if np.count_nonzero(rows) < FEWEST:

@@ -13,7 +13,7 @@ from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.beginning import initial_motion
-from servolens.quality.law import GAINS, LawFit, controller_of, remembered, rms, tick_phase
+from servolens.quality.law import GAINS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
 from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
 from servolens.quality.settings import UNITS, find_alternative
 
@@ -64,7 +64,7 @@ class LoopFit:
     limits : tuple of float
         Least and largest voltage that the log shows although the law asks for more; infinite where there is none.
     at_limit : int
-        Samples there.
+        Samples there while the law asks for more.
     alternative : Alternative or None
         What else than stated the voltage fits; the gains are those that fit with it.
     holds : bool
@@ -116,10 +116,17 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
         difference=wrong / scale,
         rounding=abs(found.kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
         limits=limits,
-        at_limit=0 if aligned.voltage is None else int(np.count_nonzero(~within(aligned.voltage, limits))),
+        at_limit=_count_at_limit(voltage_of(aligned), fit.missed(found), limits),
         alternative=other,
         holds=found.kp > 0 and misfit < NO_LAW,
     )
+
+
+def _count_at_limit(voltage: NDArray[np.float64], missed: NDArray[np.float64], limits: tuple[float, float]) -> int:
+    """Return how many samples are at a limit while the law, which misses so much of the voltage, asks for more."""
+    low, high = limits
+    asked = voltage - missed
+    return int(np.count_nonzero(~within(voltage, limits) & ((asked > high) | (asked < low))))
 
 
 def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
@@ -286,9 +293,8 @@ def _aligned(record: Record) -> Record:
 
 def _limited(record: Record) -> tuple[tuple[float, float], NDArray[np.bool_]]:
     """Return the limits of the logged voltage, and the samples that tell of the law."""
-    assert record.voltage is not None  # noqa: S101 - fit_loop has refused records without
     limits = voltage_limits(record)
-    free = within(record.voltage, limits)
+    free = within(voltage_of(record), limits)
     if initial_motion(record):
         free[: remembered(controller_of(record), record)] = False
     return limits, free

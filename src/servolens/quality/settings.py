@@ -15,7 +15,7 @@ import numpy as np
 
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
-from servolens.quality.law import GAINS, PARAMETERS, LawFit, controller_of, remembered, rms, tick_phase
+from servolens.quality.law import GAINS, PARAMETERS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
 from servolens.quality.sampling import quantisation_step
 
 if TYPE_CHECKING:
@@ -51,11 +51,8 @@ FILTERS = np.geomspace(0.02, 1.0, 24)
 """Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
 STRIDE, REFINED = 4, 3
 """Every fourth of these is tried with all other settings, and refined with the three that leave least."""
-CLAMPED = 2 * (("ki", "integral_before"), (*GAINS, "ki", "integral_before"))
-"""Gains with which a clamped integral is found anew, one after the other: they tell which samples are clamped.
-
-A sample too many or too few is an offset until then.
-"""
+CLAMPED = 2
+"""Times that an integral is clamped anew by the fitted gains: the second time they are those of the true samples."""
 HOLDS = 1e-3
 """Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
@@ -158,7 +155,7 @@ def find_alternative(record: Record, used: Rows) -> Alternative | None:
         return None
     part, rows, begun = _stretch(record, used)
     fit, free = LawFit.of(part, rows), () if record.controller else GAINS
-    stated = fit.missed(fit.fitted(free)) if free else _known_voltage(part) - controller_voltage(part)
+    stated = fit.missed(fit.fitted(free)) if free else voltage_of(part) - controller_voltage(part)
     rounding, size = AS_WELL * _rounding(part), rms(fit.voltage[rows])
     before = rms(stated[rows]) / size if size > 0.0 else 0.0
     if not max(HOLDS, rounding) < before < math.inf:
@@ -200,13 +197,8 @@ def _share(missed: NDArray[np.float64], fit: LawFit, one: _Tried) -> float:
 
 def _rounding(record: Record) -> float:
     """Return the rounding of the logged voltage, as a share of it."""
-    voltage = _known_voltage(record)
+    voltage = voltage_of(record)
     return (quantisation_step(voltage) or 0.0) / math.sqrt(12.0) / rms(voltage)
-
-
-def _known_voltage(record: Record) -> NDArray[np.float64]:
-    assert record.voltage is not None  # noqa: S101 - find_alternative is given records with a voltage
-    return record.voltage
 
 
 def explanation(record: Record) -> tuple[str, ...]:
@@ -223,10 +215,8 @@ def _tried(record: Record, case: _Case, rows: Rows) -> _Tried | None:
         other = other.slice(float(other.time[first]), float(other.time[-1])) if first else other
         fit, names = LawFit.of(other, rows, gains_known=False), explanation(record)
         left = fit.share_left(fit.fitted(names))
-        for free in CLAMPED if controller_of(other).anti_windup == "clamping" and left < BETTER else ():
-            loop = replace(fit.fitted(free), integral_before=fit.controller.integral_before)
-            found = LawFit.of(other.with_({"controller": loop}), rows)
-            fit = replace(found, controller=fit.controller)
+        for _ in range(CLAMPED if fit.controller.anti_windup == "clamping" and left < BETTER else 0):
+            fit = fit.clamped(other, fit.fitted(names))
             left = fit.share_left(fit.fitted(names))
         return _Tried(case, fit, left)
     except InputError:
@@ -332,7 +322,7 @@ def _filtered(record: Record, rows: Rows, settings: tuple[tuple[str, Any], ...])
 
 def _period(record: Record) -> float | None:
     """Return the period in which the voltage changes; None if at any sample [s]."""
-    changes = np.diff(np.flatnonzero(np.diff(_known_voltage(record))))
+    changes = np.diff(np.flatnonzero(np.diff(voltage_of(record))))
     count = int(np.gcd.reduce(changes)) if changes.size else 1
     return count * record.sample_time if count > 1 else None
 
