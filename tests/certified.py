@@ -8,6 +8,7 @@ is written once, as the physics of an effect, from which the residuals are compu
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass, make_dataclass
 from math import pi
 from pathlib import Path
@@ -154,8 +155,9 @@ def solved(problem: Certified, start: int) -> Solution:
     information = search.linearise(point).information
     scale, deviations = np.sqrt(np.diag(information)), np.full(point.values.size, np.inf)
     if (scale > 0.0).all():
-        inverse = np.linalg.inv(information / np.outer(scale, scale))
-        deviations = np.sqrt(search.variance(point) * np.diag(inverse)) / scale
+        with suppress(np.linalg.LinAlgError):  # of parameters that the data do not tell apart there
+            inverse = np.linalg.inv(information / np.outer(scale, scale))
+            deviations = np.sqrt(search.variance(point) * np.diag(inverse)) / scale
     return Solution(point.values, deviations, point.cost, converged)
 
 
