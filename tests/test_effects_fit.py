@@ -243,25 +243,27 @@ def test_axis_that_sticks_at_its_beginning_is_followed_though_its_velocity_is_fr
 
 @pytest.mark.slow
 def test_lower_minima_are_found_where_contacts_give_the_error_many():
-    """A small play that rattles: from starts 3 % off, minimisation alone ends far off the load's true share."""
+    """A small play that rattles: from starts 3 % off, minimisation alone ends in another place each time."""
     hidden = hidden_campaign(72, effects=["backlash"], visibility=2.0, records=1)
     truth, options = plant_of(hidden.truth), FitOptions()
     runs = Likelihood(hidden.records, truth, options).runs(NoiseModel.white(hidden.floor))
     share = list(truth.parameters).index("backlash.load_share")
-    off: dict[bool, list[float]] = {False: [], True: []}
+    from_truth = minimise_error(truth, runs, options, noise=1.0).misfit
+    ends: dict[bool, list[float]] = {False: [], True: []}
     said, lower = 0, []
     for seed in (1, 2, 3):
         shifts = 1.0 + 0.03 * np.random.default_rng(seed).standard_normal(4)
         start = truth.with_values((np.array(truth.values) * shifts).tolist())
-        for looked, errors in off.items():
+        for looked, shares in ends.items():
             found = minimise_error(start, runs, options, noise=1.0, coarse=True, local_minima=looked)
-            errors.append(abs(found.plant.values[share] / truth.values[share] - 1.0))
+            shares.append(found.plant.values[share])
             assert ("non_smooth_error" in [finding.code for finding in findings_of(found)]) != found.is_smooth
             said += not found.is_smooth
             lower.append(found.misfit)
     assert said
     assert all(looking <= alone for alone, looking in zip(lower[::2], lower[1::2], strict=True))
-    assert max(off[True]) < 0.5 * max(off[False])
+    assert max(lower[1::2]) <= from_truth
+    assert np.ptp(ends[True]) < 0.1 * np.ptp(ends[False])
 
 
 @pytest.mark.xfail(strict=True, reason="error bars of a rattling play are several times too small")
@@ -413,8 +415,8 @@ def test_prior_as_good_as_the_data_pulls_half_of_the_way():
     known = Prior(value=free.value + 4 * free.stderr, deviation=free.stderr)
     both = servolens.fit([CoulombFriction(level=0.5)], record, priors={"coulomb_friction.level": known})
     found = both.quantities["coulomb_friction.level"]
-    # error bars of the data are estimates, and a prior four of them away is part of what the second one is made of
-    assert found.value == pytest.approx(free.value + 2 * free.stderr, abs=0.6 * free.stderr)
+    # error bars of the data are estimates, good to some percent
+    assert found.value == pytest.approx(free.value + 2 * free.stderr, abs=0.4 * free.stderr)
     assert found.stderr == pytest.approx(free.stderr / np.sqrt(2), rel=0.2)
 
 

@@ -87,15 +87,22 @@ class _Trial(NamedTuple):
 
 @final
 class Problem:
-    """Residuals of all runs as functions of the free parameters and the initial states."""
+    """Residuals of all runs as functions of the free parameters and the initial states.
 
-    def __init__(
-        self,
-        plant: Plant,
-        runs: Sequence[Run],
-        options: FitOptions,
-        noise: float,
-    ) -> None:
+    Parameters
+    ----------
+    plant : Plant
+        Start and structure.
+    runs : sequence of Run
+        What is simulated and compared.
+    options : FitOptions
+        What is held, what each record has of its own, and priors.
+    noise : float or None
+        Least standard deviation of the residual, against which priors are weighed; None where a noise model that was
+        fitted whitens the residual: then priors are weighed as they stand.
+    """
+
+    def __init__(self, plant: Plant, runs: Sequence[Run], options: FitOptions, noise: float | None) -> None:
         held, local, priors = options.held, options.local, options.priors
         names, specs = list(plant.parameters), list(plant.parameters.values())
         self.plant, self.runs, self.names = plant, runs, names
@@ -118,7 +125,8 @@ class Problem:
         self.touched = np.array([plant.has_contacts and is_touched(plant, names[i]) for i in self.free], dtype=bool)
         self.scale = np.maximum(np.abs(np.array(plant.values)[self.free]), 1e-3)
         self.samples = sum(run.samples for run in runs)
-        self.noise = self.least_noise = max(noise, 1e-12)
+        self.is_whitened = noise is None
+        self.noise = self.least_noise = 1.0 if noise is None else max(noise, 1e-12)
         self.outlier, self.share = np.inf, FINE
         self.least_shift = np.zeros(self.free.size)
         self.substeps = [substeps_for(plant, run.sample_time) for run in runs]
@@ -190,12 +198,12 @@ class Problem:
         return sum(losses) + self.prior_cost(point.values)
 
     def weigh_priors(self, point: Point) -> bool:
-        """Weigh the priors against the residual at `point`; return whether there are any. Renews its cost.
+        """Weigh the priors against the residual at `point`; return whether they weigh otherwise. Renews its cost.
 
         What a model gets wrong is no white noise: it must not count as thousands of independent witnesses against
         a data sheet. A sample counts as one over its correlation time.
         """
-        if not self.priors or not np.isfinite(point.cost):
+        if not self.priors or self.is_whitened or not np.isfinite(point.cost):
             return False
         self.choose_substeps(point)
         residuals = [self.residual(point.values, i, start) for i, start in enumerate(point.starts)]

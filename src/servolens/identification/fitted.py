@@ -58,7 +58,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         plant,
         runs,
         likelihood.options(plant),
-        noise=1.0,
+        noise=1.0 if hypothesis.noise.is_model_error else None,
         local_minima=plant.has_contacts,
         allowance=allowance,
     )

@@ -132,7 +132,8 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
 def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
     """Return the fit driven by the voltage, corrected by an observer as the noise model has it."""
     runs, options = likelihood.runs(noise), likelihood.options(plant)
-    return minimise_error(plant, runs, options, noise=1.0, coarse=plant.has_contacts, local_minima=True)
+    weighed = 1.0 if noise is likelihood.white or noise.is_model_error else None
+    return minimise_error(plant, runs, options, noise=weighed, coarse=plant.has_contacts, local_minima=True)
 
 
 def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -> FinalFit:

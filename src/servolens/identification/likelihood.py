@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, final
 
@@ -239,25 +240,37 @@ class Likelihood:
         is_rough: bool = False,
     ) -> Hypothesis | None:
         noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
+        follow = partial(self.led, iterations=iterations, unpowered=unpowered, is_rough=is_rough)
+        best, left = self._agreed(follow, plant, noise, allowance, unpowered=unpowered)
+        if best is not None and best.noise.rate > 0.0:  # or nothing shakes it, and the plant is another
+            other, _ = self._agreed(follow, best.plant, self.white, left, unpowered=unpowered)
+            best = best if other is None or other.total >= best.total else other
+        return best if best is not None and self.is_admissible(best.plant) else None
+
+    def _agreed(
+        self,
+        follow: Callable[..., tuple[Problem, Point]],
+        plant: Plant,
+        noise: NoiseModel,
+        allowance: float,
+        *,
+        unpowered: bool,
+    ) -> tuple[Hypothesis | None, float]:
+        """Return where plant and noise, fitted in turn, agree, and what is left of the allowance; None if nowhere."""
         best: Hypothesis | None = None
-        waiting = [noise]
         for _ in range(MOST_ROUNDS):
-            if not waiting or allowance <= 0.0:
+            if allowance <= 0.0:
                 break
-            noise = waiting.pop()
             try:
-                problem, point = self.led(
-                    plant, noise, iterations, unpowered=unpowered, is_rough=is_rough, allowance=allowance
-                )
+                problem, point = follow(plant, noise, allowance=allowance)
             except (InputError, NumericalError):
-                continue
+                break
             allowance -= problem.simulated
             found = self._profiled(problem, point, noise, unpowered=unpowered)
             if found is None or (best is not None and found.total >= best.total - NO_BETTER):
-                continue
-            best, plant = found, found.plant
-            waiting = [found.noise] if found.noise.rate == 0.0 else [self.white, found.noise]
-        return best if best is not None and self.is_admissible(best.plant) else None
+                break
+            best, plant, noise = found, found.plant, found.noise
+        return best, allowance
 
     def tried(
         self,
@@ -300,7 +313,8 @@ class Likelihood:
         NumericalError
             If `plant` cannot be simulated, or only with very small steps.
         """
-        problem = Problem(plant, self.runs(noise, unpowered=unpowered), self.options(plant, is_rough=is_rough), 1.0)
+        runs, options = self.runs(noise, unpowered=unpowered), self.options(plant, is_rough=is_rough)
+        problem = Problem(plant, runs, options, 1.0 if noise.is_model_error else None)
         problem.allowance = allowance
         problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
         start = problem.start()

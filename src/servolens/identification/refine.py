@@ -183,7 +183,7 @@ def minimise_error(
     runs: Sequence[Run],
     options: FitOptions,
     *,
-    noise: float,
+    noise: float | None,
     coarse: bool = False,
     local_minima: bool = False,
     like: Weights | None = None,
@@ -200,8 +200,9 @@ def minimise_error(
     options : FitOptions
         What is held, what each record has of its own, priors, and the loss: with ``"huber"`` residuals beyond 2.5
         robust standard deviations count linearly (Huber 1964, doi:10.1214/aoms/1177703732).
-    noise : float
-        Standard deviation of the residual's noise, against which the priors are weighed; 1 of whitened ones.
+    noise : float or None
+        Least standard deviation of the residual, against which priors are weighed; 1 of whitened ones. None where a
+        noise model that was fitted whitens them: then priors are weighed as they stand.
     coarse : bool
         Where that does not reach the noise, or there are contacts, begin once more with sensitivities over a twentieth
         of each parameter: for errors that are not smooth on a small scale.
