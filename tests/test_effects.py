@@ -430,7 +430,7 @@ def test_starts_are_admissible(cls, seen):
         ("speed_servo", "proportional", 3.0, 200.0, 5),
         ("load_friction", "share", 0.03, 0.3, 3),
         ("friction_map", "high", 0.3, 0.4, 2),
-        ("end_stop", "high", 0.4 - 0.02 * 0.4 - 4e-5, 0.8, 3),
+        ("end_stop", "high", 0.4 - 0.02 * 0.4 - 4e-5, 101 * 0.4, 3),
     ],
 )
 def test_starts_span_what_the_record_can_show(name, parameter, low, high, count):

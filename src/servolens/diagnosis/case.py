@@ -130,7 +130,7 @@ class Case:
         An observer follows it, so that its innovations show less: asked is what a simulation misses.
         """
         if hypothesis.noise.rate > 0.0:
-            hypothesis = likelihood.tried(hypothesis.plant, likelihood.white, SOME) or hypothesis
+            hypothesis = likelihood.tried(hypothesis.plant, likelihood.white, SOME, like=hypothesis) or hypothesis
         test = ScoreTest(likelihood, replace(hypothesis, noise=hypothesis.noise.bleached(likelihood.white)))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_ripple(test.runs, np.split(test.left, ends))
@@ -269,13 +269,20 @@ class Case:
         return known[1]
 
     def _without(self, hypothesis: Hypothesis, i: int, cut: int) -> Plant:
-        others = self._others(i)
+        kept = [k for k in range(len(self.records)) if k != i]
+        others = [self.records[k] for k in kept]
         if cut:
             record = self.records[i]
-            others = (*others, record.slice(float(record.time[0]), float(record.time[cut - 1])))
+            others.append(record.slice(float(record.time[0]), float(record.time[cut - 1])))
+            kept.append(i)
         try:
             found = self.likelihood.on(others).tried(
-                hypothesis.plant, hypothesis.noise, SOME, unpowered=hypothesis.unpowered, allowance=REFITTED
+                hypothesis.plant,
+                hypothesis.noise,
+                SOME,
+                like=hypothesis.of(kept),
+                unpowered=hypothesis.unpowered,
+                allowance=REFITTED,
             )
         except (InputError, NumericalError):
             found = None

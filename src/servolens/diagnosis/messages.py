@@ -134,9 +134,10 @@ def _contradiction(case: Case, chosen: Hypothesis) -> Finding | None:
     if len(case.records) < 2:
         return None
     plants = []
-    for record in case.records:
+    for i, record in enumerate(case.records):
+        likelihood, like = case.likelihood.on([record]), chosen.of([i])
         try:
-            found = case.likelihood.on([record]).tried(chosen.plant, chosen.noise, SOME, unpowered=chosen.unpowered)
+            found = likelihood.tried(chosen.plant, chosen.noise, SOME, like=like, unpowered=chosen.unpowered)
         except (InputError, NumericalError):
             return None
         if found is None or found.noise.spread > 0.5 * chosen.noise.spread:

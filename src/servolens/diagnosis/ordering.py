@@ -14,6 +14,7 @@ from servolens.identification.phases import own_phases
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from servolens.effects.base import Seen
     from servolens.identification.likelihood import Hypothesis
     from servolens.plant import Plant
 
@@ -55,6 +56,13 @@ def specialised(plant: Plant) -> Iterator[Plant]:
                 yield others.with_effect(special(**{**values, **common, **level}))
             except InputError:
                 continue
+
+
+def simplified(plant: Plant, seen: Seen) -> Iterator[Plant]:
+    """Yield `plant` with one effect in a form that does without something."""
+    for effect in plant.effects:
+        for simple in effect.simplified(seen):
+            yield replace(plant, effects=tuple(simple if e is effect else e for e in plant.effects))
 
 
 def united(plant: Plant) -> Iterator[Plant]:

@@ -18,6 +18,7 @@ from servolens.diagnosis.ordering import (
     chosen_for_extension,
     distinct,
     families,
+    simplified,
     specialised,
     united,
 )
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.trials import Start, Trials
     from servolens.identification.likelihood import Hypothesis
-    from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
@@ -263,6 +263,7 @@ class _Explorer:
             hypothesis.plant,
             likelihood.white,
             SOME,
+            like=hypothesis,
             unpowered=hypothesis.unpowered,
             allowance=self._allowance(1),
         )
@@ -313,9 +314,8 @@ class _Explorer:
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
             return found
 
-        noise, unpowered = hypothesis.noise, hypothesis.unpowered
         share_of_work = self._allowance(len(chosen))
-        begun = in_parallel(lambda s: told(self._begun(s, noise, share_of_work, unpowered=unpowered)), chosen)
+        begun = in_parallel(lambda s: told(self._begun(s, hypothesis, share_of_work)), chosen)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
@@ -325,14 +325,19 @@ class _Explorer:
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
 
-    def _begun(
-        self, starts: Sequence[Start], noise: NoiseModel, allowance: float, *, unpowered: bool
-    ) -> Hypothesis | None:
-        """Return where the best starts of one effect lead in a few iterations."""
+    def _begun(self, starts: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
+        """Return where the best starts of one effect beside `hypothesis` lead in a few iterations."""
         several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
         tried = [s for place, s in enumerate(starts) if place < several or s.is_guess]
         led = [
-            self.likelihood.tried(s.plant, noise, FEW, unpowered=unpowered, allowance=allowance / len(tried))
+            self.likelihood.tried(
+                s.plant,
+                hypothesis.noise,
+                FEW,
+                like=hypothesis,
+                unpowered=hypothesis.unpowered,
+                allowance=allowance / len(tried),
+            )
             for s in tried
         ]
         return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
@@ -344,6 +349,7 @@ class _Explorer:
             hypothesis.plant,
             self.likelihood.white,
             iterations,
+            like=hypothesis,
             unpowered=hypothesis.unpowered,
             allowance=allowance,
         )
@@ -418,7 +424,9 @@ class _Explorer:
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=by_total)
         simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
-        return next((h for h in simpler if self.is_chance(h, best)), best)
+        best = next((h for h in simpler if self.is_chance(h, best)), best)
+        plain = self._judged([(plant, best) for plant in simplified(best.plant, self.trials.seen)])
+        return next((h for h in plain if h.total <= best.total + INDISTINCT), best)
 
     def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
@@ -229,7 +230,8 @@ class Trials:
         found = []
         for share in (1.0, 0.5):
             level = share * abs(plant.gain) * self.standing
-            found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
+            with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
+                found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
 
 

@@ -244,6 +244,10 @@ class Effect(ABC):
         middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
         yield cls(**middle)
 
+    def simplified(self, seen: Seen) -> Iterator[Effect]:
+        """Yield forms of it that do without something which the records may not show."""
+        yield from ()
+
     def is_whole(self, seen: Seen) -> bool:
         """Tell whether records show enough of it: of a part, as of a wave's, something simpler would do as well."""
         return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, nextafter
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
@@ -26,6 +26,8 @@ NEAR_STOP = 0.02
 """Share of the travel within which of a stop the axis may be in contact."""
 NOISE_DEVIATIONS = 4.0
 """How many standard deviations of the noise the largest of a few thousand samples may be off."""
+NOT_REACHED = 100.0
+"""Travels beyond the positions seen, where a stop is put that the axis does not reach: other records do not, either."""
 
 
 @final
@@ -87,11 +89,18 @@ class EndStop(Force):
             room = min(inside * seen.travel + NOISE_DEVIATIONS * seen.noise, 0.25 * seen.travel)
             for first, last in (
                 (low + room, high - room),
-                (low - seen.travel, high - room),
-                (low + room, high + seen.travel),
+                (low - NOT_REACHED * seen.travel, high - room),
+                (low + room, high + NOT_REACHED * seen.travel),
             ):
                 if first < last:
                     yield within(cls, low=first, high=last)
+
+    def simplified(self, seen: Seen) -> Iterator[EndStop]:
+        """See :meth:`servolens.effects.base.Effect.simplified`: with one of two stops that may never be reached."""
+        away = NOT_REACHED * seen.travel
+        if self.low > seen.low - away and self.high < seen.high + away:
+            yield replace(self, low=seen.low - away)
+            yield replace(self, high=seen.high + away)
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""

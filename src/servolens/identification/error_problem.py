@@ -15,7 +15,7 @@ from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -140,23 +140,51 @@ class Problem:
         """Whether as many samples and substeps were simulated as are allowed."""
         return self.simulated >= self.allowance
 
-    def start(self) -> Point:
-        """Return where the search begins."""
+    def at(self, starts: Sequence[NDArray[np.float64]], local: Mapping[str, NDArray[np.float64]]) -> Point:
+        """Return the plant with these initial states of the runs and parameters of the records' own, not evaluated."""
         values = np.clip(np.array(self.plant.values)[self.free], self.low, self.high)
-        point = Point(values, [run.start.copy() for run in self.runs])
-        point.starts = [self._still_or_moving(point, i) for i in range(len(self.runs))]
         for k, (index, group) in enumerate(self.slots):
-            if self.names[index] in self.local and self.names[index] in own_phases(self.plant):
+            if self.names[index] in local:
+                values[k] = local[self.names[index]][group]
+        return Point(values, [start.copy() for start in starts])
+
+    def start(
+        self,
+        known: Sequence[NDArray[np.float64]] = (),
+        local: Mapping[str, NDArray[np.float64]] | None = None,
+    ) -> Point:
+        """Return where the search begins: each run as it is missed least.
+
+        Parameters
+        ----------
+        known : sequence of ndarray, optional
+            Initial states that may suit the runs, from another fit.
+        local : mapping of str to ndarray, optional
+            Parameters of each record's own, from the same.
+        """
+        local = local or {}
+        point = self.at([run.start for run in self.runs], local)
+        others = known if len(known) == len(self.runs) else point.starts
+        point.starts = [self._least_missed(point, i, other) for i, other in enumerate(others)]
+        unknown = (set(self.local) & set(own_phases(self.plant))) - set(local)
+        for k, (index, group) in enumerate(self.slots):
+            if self.names[index] in unknown:
                 point.values[k] = self._phase(point, k, group)
         point.cost = self.cost(point)
         return point
 
-    def _still_or_moving(self, point: Point, i: int) -> NDArray[np.float64]:
-        """Return the initial state of run `i`, at rest if that misses less: dry friction parts the two by a ridge."""
-        moving = point.starts[i]
-        if moving.size < 2 or moving[1] == 0.0:
-            return moving
-        starts = [moving, np.array([moving[0], 0.0])]
+    def _least_missed(self, point: Point, i: int, known: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the initial state of run `i` by which it is missed least: its guess, at rest there, or a known one.
+
+        Dry friction and cogging part them by ridges.
+        """
+        guess = point.starts[i]
+        if guess.size < 2:
+            return guess
+        others = (np.array([guess[0], 0.0]), known)
+        starts = [guess, *(s for s in others if s.size == guess.size and not np.array_equal(s, guess))]
+        if len(starts) == 1:
+            return guess
         found = self._evaluate([(i, _Trial(point.values, start)) for start in starts])
         missed = [np.inf if residual is None else self._loss(residual) for residual in found]
         return starts[int(np.argmin(missed))]

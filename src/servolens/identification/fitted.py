@@ -60,6 +60,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         likelihood.options(plant),
         noise=1.0 if hypothesis.noise.is_model_error else None,
         local_minima=plant.has_contacts,
+        known=hypothesis.starts,
         allowance=allowance,
     )
     held = likelihood.options(plant).held

@@ -116,7 +116,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
     noise = best.noise
     if options.driven == "voltage" and noise.spread > AT_NOISE * sensor_noise(records, options):
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
-    observed = FinalFit(_observed(likelihood, best.plant, noise), noise, records, "voltage")
+    observed = FinalFit(_observed(likelihood, best.plant, noise, best.starts), noise, records, "voltage")
     if options.driven == "voltage" or best.noise.rate == 0.0 or not all(_can_close(record) for record in records):
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
@@ -129,11 +129,18 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return observed
 
 
-def _observed(likelihood: Likelihood, plant: Plant, noise: NoiseModel) -> Refinement:
-    """Return the fit driven by the voltage, corrected by an observer as the noise model has it."""
+def _observed(
+    likelihood: Likelihood, plant: Plant, noise: NoiseModel, known: Sequence[NDArray[np.float64]] = ()
+) -> Refinement:
+    """Return the fit driven by the voltage, corrected by an observer as the noise model has it.
+
+    The records begin as `known`, if that misses less.
+    """
     runs, options = likelihood.runs(noise), likelihood.options(plant)
     weighed = 1.0 if noise is likelihood.white or noise.is_model_error else None
-    return minimise_error(plant, runs, options, noise=weighed, coarse=plant.has_contacts, local_minima=True)
+    return minimise_error(
+        plant, runs, options, noise=weighed, coarse=plant.has_contacts, local_minima=True, known=known
+    )
 
 
 def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -> FinalFit:

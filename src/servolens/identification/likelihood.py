@@ -89,6 +89,11 @@ class Hypothesis:
             return self.plant
         return self.plant.with_named({name: float(found[group]) for name, found in self.local.items()})
 
+    def of(self, groups: Sequence[int]) -> Hypothesis:
+        """Return it with the initial states, and the parameters of their own, of some records only."""
+        local = {name: found[list(groups)] for name, found in self.local.items()}
+        return replace(self, starts=tuple(self.starts[group] for group in groups), local=local)
+
 
 @final
 class Likelihood:
@@ -241,9 +246,9 @@ class Likelihood:
     ) -> Hypothesis | None:
         noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
         follow = partial(self.led, iterations=iterations, unpowered=unpowered, is_rough=is_rough)
-        best, left = self._agreed(follow, plant, noise, allowance, unpowered=unpowered)
+        best, left = self._agreed(follow, plant, noise, like, allowance, unpowered=unpowered)
         if best is not None and best.noise.rate > 0.0:  # or nothing shakes it, and the plant is another
-            other, _ = self._agreed(follow, best.plant, self.white, left, unpowered=unpowered)
+            other, _ = self._agreed(follow, best.plant, self.white, best, left, unpowered=unpowered)
             best = best if other is None or other.total >= best.total else other
         return best if best is not None and self.is_admissible(best.plant) else None
 
@@ -252,6 +257,7 @@ class Likelihood:
         follow: Callable[..., tuple[Problem, Point]],
         plant: Plant,
         noise: NoiseModel,
+        like: Hypothesis | None,
         allowance: float,
         *,
         unpowered: bool,
@@ -262,7 +268,7 @@ class Likelihood:
             if allowance <= 0.0:
                 break
             try:
-                problem, point = follow(plant, noise, allowance=allowance)
+                problem, point = follow(plant, noise, like=best or like, allowance=allowance)
             except (InputError, NumericalError):
                 break
             allowance -= problem.simulated
@@ -278,18 +284,26 @@ class Likelihood:
         noise: NoiseModel | None,
         iterations: int,
         *,
+        like: Hypothesis | None = None,
         unpowered: bool = False,
         allowance: float = np.inf,
     ) -> Hypothesis | None:
         """Return where a few iterations beside `noise` lead, judged by its own noise; None where that fails.
 
-        Without a `noise` beside the likeliest for this start.
+        Without a `noise` beside the likeliest for this start. The records begin as in `like`, if that misses less.
         """
         if noise is None:
             noise = self._first_noise(plant, unpowered=unpowered)
         try:
             problem, point = self.led(
-                plant, noise, iterations, unpowered=unpowered, is_coarse=True, is_rough=True, allowance=allowance
+                plant,
+                noise,
+                iterations,
+                like=like,
+                unpowered=unpowered,
+                is_coarse=True,
+                is_rough=True,
+                allowance=allowance,
             )
         except (InputError, NumericalError):
             return None
@@ -301,12 +315,13 @@ class Likelihood:
         noise: NoiseModel,
         iterations: int,
         *,
+        like: Hypothesis | None = None,
         unpowered: bool = False,
         is_coarse: bool = False,
         is_rough: bool = False,
         allowance: float = np.inf,
     ) -> tuple[Problem, Point]:
-        """Return where a descent from `plant` beside this noise leads.
+        """Return where a descent from `plant` beside this noise leads; records begin as in `like`, if that is better.
 
         Raises
         ------
@@ -317,7 +332,7 @@ class Likelihood:
         problem = Problem(plant, runs, options, 1.0 if noise.is_model_error else None)
         problem.allowance = allowance
         problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
-        start = problem.start()
+        start = problem.start() if like is None else problem.start(like.starts, like.local)
         if problem.too_stiff(start) or not np.isfinite(start.cost):
             raise NumericalError("the plant to start from cannot be simulated on these records")
         problem.weigh_priors(start)

@@ -186,7 +186,7 @@ def minimise_error(
     noise: float | None,
     coarse: bool = False,
     local_minima: bool = False,
-    like: Weights | None = None,
+    known: Sequence[NDArray[np.float64]] = (),
     allowance: float = np.inf,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
@@ -209,8 +209,8 @@ def minimise_error(
     local_minima : bool
         Where there are contacts, look along the least-determined direction for lower minima of the error, and for
         others as low, for which the error bars have to allow.
-    like : Weights, optional
-        Of another fit, with which the misfit of this one is to be compared.
+    known : sequence of ndarray, optional
+        Initial states that may suit the runs, from another fit.
     allowance : float
         Samples times substeps after which no further minimum is looked for.
 
@@ -221,15 +221,10 @@ def minimise_error(
     """
     problem = Problem(plant, runs, options, noise)
     problem.allowance = allowance
-    if like is not None:
-        problem.noise, problem.outlier = like.noise, like.outlier
-    point = problem.start()
+    point = problem.start(known)
     if problem.too_stiff(point):  # what begins so is followed as it is; nothing else becomes so
         problem.most_substeps = np.inf
     searched = local_minima and plant.has_contacts
-    if like is not None:
-        point, converged = _lowest(problem, point, coarse=coarse, searched=searched)
-        return _finished(problem, point, [], converged=converged)
     problem.weigh_priors(point)
     point, converged = _lowest(problem, point, coarse=coarse, searched=searched)
     if problem.weigh_priors(point):
@@ -242,6 +237,23 @@ def minimise_error(
     if searched:
         point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
     return _finished(problem, point, others, converged=converged and not problem.too_stiff(point, NEARLY))
+
+
+def minimise_likewise(plant: Plant, runs: Sequence[Run], options: FitOptions, weights: Weights) -> Refinement:
+    """Minimise the residual of whitened `runs`, weighed as that of another fit, with whose misfit this is compared.
+
+    Raises
+    ------
+    NumericalError
+        If `plant` cannot be simulated on the runs.
+    """
+    problem = Problem(plant, runs, options, 1.0)
+    problem.noise, problem.outlier = weights.noise, weights.outlier
+    point = problem.start()
+    if problem.too_stiff(point):
+        problem.most_substeps = np.inf
+    point, converged = descend(problem, point, MOST_ITERATIONS)
+    return _finished(problem, point, [], converged=converged)
 
 
 def followed(

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError, described
 from servolens.identification.fitting import runs_of
-from servolens.identification.refine import minimise_error
+from servolens.identification.refine import minimise_error, minimise_likewise
 from servolens.identification.runs import Resampled
 from servolens.simulation.rates import substeps_for
 
@@ -225,12 +225,8 @@ def _with_value(fit: Fit, runs: Sequence[Run], plant: Plant, name: str, value: f
     priors = dict(fit.options.priors)
     known = priors.pop(name, None)
     try:
-        found = minimise_error(
-            plant.with_named({name: value}),
-            runs,
-            replace(options, priors=priors),
-            noise=1.0,
-            like=fit.refinement.weights,
+        found = minimise_likewise(
+            plant.with_named({name: value}), runs, replace(options, priors=priors), fit.refinement.weights
         )
     except (InputError, NumericalError):
         return None

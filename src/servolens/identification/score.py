@@ -50,15 +50,7 @@ class ScoreTest:
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
         problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
-        point = problem.start()
-        point.values = np.array(
-            [
-                hypothesis.local[problem.names[i]][group] if problem.names[i] in hypothesis.local else value
-                for (i, group), value in zip(problem.slots, point.values, strict=True)
-            ]
-        )
-        point.starts = [start.copy() for start in hypothesis.starts]
-        blocks = problem.differences(point)
+        blocks = problem.differences(problem.at(hypothesis.starts, hypothesis.local))
         likelihood.count(problem.simulated)
         self.residual = np.concatenate([r[: run.samples] for run, (r, _, _) in zip(self.runs, blocks, strict=True)])
         width = sum(initial.shape[1] for _, _, initial in blocks)
