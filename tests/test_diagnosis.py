@@ -28,6 +28,7 @@ from servolens.effects import (
     catalogue,
 )
 from servolens.errors import InputError
+from servolens.identification.score import ScoreTest
 from servolens.model import Quantity
 from servolens.record import Controller, Record
 from servolens.results import to_text
@@ -609,3 +610,37 @@ def test_time_counts_from_where_the_reference_sets_out():
     assert found[99] == pytest.approx(0.099)
     assert found[299] == pytest.approx(0.198, abs=2e-3)
     assert found[360] == pytest.approx(0.060, abs=2e-3)
+
+
+def test_fit_goes_on_from_where_it_ended():
+    """A cogging axis that begins a little beside its initial state falls into another well."""
+    campaign = lab.hidden_campaign(700477, effects=["cogging"], world="coloured")
+    likelihood = trials_of(*campaign.records).likelihood
+    values = campaign.truth.effects["cogging"]
+    start = Plant(gain=campaign.truth.gain, damping=campaign.truth.damping, effects=(Cogging(**values),))
+    found = likelihood.judged(start)
+    again = likelihood.judged(found.plant, found)
+    assert again.total <= found.total + 0.5
+    assert again.plant.values == pytest.approx(found.plant.values, rel=1e-3)
+
+
+def test_stop_that_is_reached_on_one_side_is_no_stop_on_the_other():
+    stop = lab.Truth(gain=2.0, damping=8.0, effects={"end_stop": {"low": -1.0, "high": 0.07}})
+    trained = [
+        lab.step_record(stop, kp=60, noise=1e-5, seed=s, reference=r) for s, r in ((1, (0.1, 0.0)), (2, (0.05,)))
+    ]
+    further = lab.step_record(stop, kp=60, noise=1e-5, seed=3, reference=(-0.4, 0.1))
+    diagnosis = diagnose(trained, heldout=[further])
+    (cause,) = diagnosis.causes
+    assert (diagnosis.verdict, cause.effect) == ("explained", "end_stop")
+    assert cause.quantities["high"].value == pytest.approx(0.07, abs=1e-5)
+    assert (cause.quantities["low"].value < -0.5, cause.quantities["low"].stderr) == (True, None)
+
+
+def test_friction_that_grows_with_speed_is_among_the_starts():
+    friction = {"level": 0.7, "static_excess": -0.43, "stribeck_speed": 0.11}
+    axis = lab.Truth(gain=10.0, damping=18.0, effects={"stribeck_friction": friction})
+    trials = trials_of(*(lab.step_record(axis, kp=kp, noise=1e-6, seed=kp) for kp in (20, 80)))
+    base = trials.likelihood.judged(trials.bare.with_effect(CoulombFriction(level=0.4)))
+    starts = trials.starts(ScoreTest(trials.likelihood, base), "stribeck_friction")
+    assert any(start.plant.effects[-1].static_excess < 0.0 for start in starts)
