@@ -133,3 +133,26 @@ def test_clamped_integral_is_named_with_its_size(world, stated, said):
     assert told(logged(world, limit=3.0, stated=CLAMPED, **CLAMPED)) == {}
     found = told(logged(world, limit=3.0, stated=stated, **CLAMPED))
     assert found["settings_contradict_log"].startswith(f"the log fits {said}")
+
+
+@pytest.mark.parametrize("levels", [(0.1,), (0.0, 0.1), (0.1, 0.02, 0.07)], ids=["one", "rest", "three"])
+@pytest.mark.parametrize(
+    ("columns", "code", "said"),
+    [
+        ({}, None, ""),
+        ({"reference": -1.0}, "wrong_sign", "the axis moves -1"),
+        ({"position": -1.0}, "wrong_sign", "the axis moves -1"),
+        ({"reference": 180.0 / np.pi}, "units_contradict", "the axis moves 0.017"),
+        ({"position": 180.0 / np.pi}, "units_contradict", "the axis moves 57."),
+    ],
+    ids=["as it is", "reference", "position", "reference in degrees", "position in degrees"],
+)
+def test_axis_that_swings_about_another_place_than_its_reference_is_told_without_a_voltage(columns, code, said, levels):
+    axis = lab.Truth(gain=1.9, damping=3.0, effects={"coulomb_friction": {"level": 0.1}})
+    record = lab.step_record(axis, kp=60, noise=1e-5, seed=1, reference=levels, duration=0.8)
+    assert np.ptp(record.position[-200:]) > 0.2 * abs(record.reference[-1] - record.reference[0] or 0.1)  # swings yet
+    changed = {name: factor * getattr(record, name) for name, factor in columns.items()}
+    found = told(record.with_({"voltage": None, **changed}))
+    assert {"wrong_sign", "units_contradict"} & set(found) == ({code} if code else set())
+    if code:
+        assert found[code].startswith(said)

@@ -64,18 +64,18 @@ def sense_findings(record: Record, seen: Sampling, *, law_holds: bool) -> Iterat
             " no loop of an axis is that slow; state the unit of time, as ms or us."
         )
         yield Finding(code="units_contradict", severity="error", message=message)
-    strange = () if law_holds else tuple(_at_rest(record))
+    strange = () if law_holds else tuple(_off_reference(record, seen))
     yield from strange
     known = (law_holds or record.voltage is None) and follows(record)
     if not strange and not known and seen.travel > 0.0:
         yield from _against(record, seen)
 
 
-def _at_rest(record: Record) -> Iterator[Finding]:
+def _off_reference(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield an axis that goes against its reference, or as many times as far as one unit is of another.
 
     A step inside the record tells how far the axis goes, whatever weight hangs on it. A step at the first sample does
-    not tell a sign: a weight may have drawn the axis there.
+    not tell a sign: a weight may have drawn the axis there. Where it swings, or still moves, the centre tells.
     """
     steps = _steps(record)
     if steps is None:
@@ -84,8 +84,12 @@ def _at_rest(record: Record) -> Iterator[Finding]:
     if not asked.any() or not gone.any():
         return
     ratio = float(asked @ gone) / float(asked @ asked)
+    rests = rests and (ratio > 0.0 or rms(gone - ratio * asked) < CLOSE * rms(gone))
+    centre = _centre(record, seen, sure=sure)
+    if centre is not None:
+        ratio, rests = centre, True
     where = f"the axis moves {ratio:.4g} times as far as its reference"
-    if rests and math.isclose(ratio, -1.0, rel_tol=CLOSE) and rms(gone - ratio * asked) < CLOSE * rms(gone):
+    if rests and math.isclose(ratio, -1.0, rel_tol=CLOSE):
         message = f"{where}; change the sign of one of the two{'' if sure else ', unless a weight has drawn it there'}."
         yield Finding(code="wrong_sign", severity="error" if sure else "warning", message=message)
     elif ratio > 0.0:
@@ -121,6 +125,29 @@ def _steps(record: Record) -> tuple[NDArray[np.float64], NDArray[np.float64], bo
     return asked, gone, inside, rests
 
 
+def _centre(record: Record, seen: Sampling, *, sure: bool) -> float | None:
+    """Return how many times as far as its reference the centre goes about which the axis swings; None if unclear.
+
+    The law ``ÿ = a·r − b·y − c·v + d`` of a proportional loop is fitted to second differences; the centre goes a/b as
+    far. Of a reference that never changes, the constant is taken for a·r.
+    """
+    w, y, reference = _window(record, seen), record.position, record.reference
+    if w is None or reference is None:
+        return None
+    ones = np.ones(y.size)
+    driven = reference if sure else ones
+    others = [_bend(_integrated(ones), w), y[2 * w :] - y[: -2 * w]]
+    columns = [_bend(_integrated(driven), w), _bend(_integrated(y), w), *(others if sure else others[1:])]
+    rows = np.stack([column / (np.abs(column).max() or 1.0) for column in columns], axis=1)
+    scales = np.array([np.abs(column).max() or 1.0 for column in columns])
+    bend = _bend(y, w)
+    found = np.linalg.lstsq(rows, bend, rcond=None)[0]
+    push, back = found[:2] / scales[:2]
+    if not back < 0.0 or rms(bend - rows @ found) > CLOSE * rms(bend):
+        return None
+    return float(push / -back) / (1.0 if sure else float(reference[0]))
+
+
 def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield an axis that accelerates against its voltage.
 
@@ -132,11 +159,8 @@ def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
     voltage = _applied(record)
     if voltage is None or not np.ptp(voltage) > 0:
         return
-    y = record.position
-    w = next(
-        (w for w in (4 * 3**k for k in range(20)) if 8 * w >= y.size or np.std(_bend(y, w)) > 20 * seen.level), y.size
-    )
-    if 8 * w >= y.size:
+    y, w = record.position, _window(record, seen)
+    if w is None:
         return
     bend, push = _bend(y, w), _bend(_twice_integrated(voltage), w)
     rows = slice(None, None, max(w // 2, bend.size // 100_000, 1))
@@ -154,13 +178,25 @@ def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
         yield Finding(code="wrong_sign", severity="error" if sure else "warning", message=message)
 
 
+def _window(record: Record, seen: Sampling) -> int | None:
+    """Return over how many samples second differences of the position stand out of the sensor's error."""
+    y = record.position
+    sizes = (w for w in (4 * 3**k for k in range(20)) if 8 * w >= y.size or np.std(_bend(y, w)) > 20 * seen.level)
+    w = next(sizes, y.size)
+    return None if 8 * w >= y.size else w
+
+
 def _bend(signal: NDArray[np.float64], w: int) -> NDArray[np.float64]:
     """Return the second differences over `w` samples."""
     return signal[2 * w :] - 2 * signal[w:-w] + signal[: -2 * w]
 
 
 def _twice_integrated(signal: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.cumsum(np.cumsum(signal - signal.mean()))
+    return _integrated(signal - signal.mean())
+
+
+def _integrated(signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.cumsum(np.cumsum(signal))
 
 
 def _applied(record: Record) -> NDArray[np.float64] | None:
