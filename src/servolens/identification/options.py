@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 
-from servolens.errors import InputError, described
+from servolens.errors import InputError, described, names_like
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -132,7 +132,7 @@ class FitOptions:
         known = list(parameters)
         for name in self.names:
             if name not in known:
-                raise InputError(f"{name[:40]!r} is no parameter of this model; those are {', '.join(known)}")
+                raise InputError(f"{name[:40]!r} is no parameter of this model; {names_like(name, known, 'those are')}")
 
     def of(self, parameters: Iterable[str]) -> FitOptions:
         """Return the options without what is asked of other parameters than these."""
