@@ -15,7 +15,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import SOME, Hypothesis
+from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import loop_error
 from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_ripple
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.findings import Finding
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.options import Prior
     from servolens.plant import Plant

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.search import Effort
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
 
 __all__ = ["Decision", "decided"]
 

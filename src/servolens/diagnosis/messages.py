@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.decision import Decision
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.model_evidence import Remainder
     from servolens.record import Record
 

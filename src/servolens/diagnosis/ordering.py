@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from servolens.effects.base import Seen
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
 __all__ = ["by_total", "by_worst", "chosen_for_extension", "distinct", "families", "specialised", "united"]

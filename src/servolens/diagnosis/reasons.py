@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.identification.fitted import Fitted
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.model import Quantity
 
 __all__ = ["causes_of", "distinctness", "rival_plants", "twins_of"]

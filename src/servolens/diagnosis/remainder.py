@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.case import Case
     from servolens.diagnosis.errors import Gains
     from servolens.findings import Finding
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
     from servolens.record import Record
 

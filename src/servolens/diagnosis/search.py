@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from servolens.diagnosis.trials import Start, Trials
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
 __all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from servolens.effects import Drive, DryFriction, effect_class
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import Hypothesis, Likelihood
+from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
 from servolens.identification.score import FALSE_ALARM
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from servolens.effects import Effect
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.options import Prior
     from servolens.identification.ranking import Proposals
     from servolens.identification.score import ScoreTest

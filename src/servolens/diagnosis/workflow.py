@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
     from servolens.findings import Finding
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.options import Priors
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record

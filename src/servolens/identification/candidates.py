@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servolens.effects import Effect
-    from servolens.identification.likelihood import Hypothesis, Likelihood
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
     from servolens.identification.options import FitOptions
     from servolens.identification.starting import Screen
     from servolens.plant import Plant

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.conditioning import is_touched, well_conditioned
+from servolens.identification.conditioning import is_touched
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
@@ -23,14 +23,11 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Point", "Problem"]
+__all__ = ["COARSE", "FINE", "Block", "Linearised", "Point", "Problem"]
 
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
 on a small scale."""
-NON_SMOOTH, WIDER = 1.5, 1e-2
-"""Ratio of standard errors by wide and by narrow differences that betrays an error that is not smooth on a small scale;
-the share of a parameter that is wide."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 MOST_PLANTS = 256
 """Plants that are remembered."""
@@ -382,56 +379,16 @@ class Problem:
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
         return trial
 
-    def linearised_widely(self, point: Point) -> tuple[Linearised, bool]:
-        """Linearise over a standard error of each parameter; and tell whether contacts leave the error smooth.
-
-        Then standard errors depend on how far one looks, and small local minima would count as information. What
-        contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such
-        an error has many small widths that confirm themselves.
-        """
-        found = self.linearise(point)
-        fine = self._widths(point, found.information)
-        if fine is None:
-            return found, True
-        narrow = np.minimum(fine, 0.1 * np.abs(point.values))
-        found = self._over(point, narrow)
-        if self.touched.any():
-            wide = self._over(point, np.where(self.touched, self._share_of(point, WIDER), narrow))
-            if not any(self._is_wider(point, seen, fine) for seen in (found, wide)):
-                return found, True
-            return self._over(point, np.where(self.touched, self._share_of(point, COARSE), narrow)), False
-        if not self._is_wider(point, found, fine):
-            return found, True
-        widths = self._share_of(point, COARSE)
-        for _ in range(4):
-            found = self._over(point, widths)
-            errors = self._widths(point, found.information)
-            if errors is None or (errors > 0.5 * widths).all():
-                break
-            widths = np.minimum(widths, errors)
-        return found, True
-
-    def _is_wider(self, point: Point, found: Linearised, fine: NDArray[np.float64]) -> bool:
-        """Tell whether standard errors are wider than the fine ones: of what contacts touch, if there are any."""
-        wide = self._widths(point, found.information)
-        judged = self.touched if self.touched.any() else np.full_like(self.touched, True)
-        return wide is not None and not (wide < NON_SMOOTH * fine)[judged].all()
-
-    def _share_of(self, point: Point, share: float) -> NDArray[np.float64]:
+    def share_of(self, point: Point, share: float) -> NDArray[np.float64]:
+        """Return this `share` of each free parameter, of its scale where it is small."""
         return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))
 
-    def _over(self, point: Point, widths: NDArray[np.float64]) -> Linearised:
+    def linearise_over(self, point: Point, widths: NDArray[np.float64]) -> Linearised:
+        """Return what `linearise` does, with differences at least this wide."""
         self.least_shift = widths
         found = self.linearise(point)
         self.least_shift = np.zeros(self.free.size)
         return found
-
-    def _widths(self, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the standard errors if the noise were white; None where the data do not determine all parameters."""
-        if not ((np.diag(information) > 0).all() and well_conditioned(information)):
-            return None
-        variance = self.variance(point) * np.diag(np.linalg.inv(information))
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def variance(self, point: Point) -> float:
         """Return the variance of the residuals at `point`, the more the fewer samples there are for the unknowns."""

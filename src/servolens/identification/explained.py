@@ -20,7 +20,7 @@ from servolens.simulation.rates import substeps_for
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.identification.likelihood import Hypothesis
+    from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
     from servolens.identification.segments import Segment

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.findings import Finding
-    from servolens.identification.likelihood import Hypothesis, Likelihood
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
     from servolens.record import Record
 

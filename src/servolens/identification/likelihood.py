@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from threading import Lock
 from typing import TYPE_CHECKING, final
@@ -12,6 +12,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Problem
+from servolens.identification.hypothesis import Hypothesis
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.noise import NoiseModel
 from servolens.identification.noise_search import NoiseTrials
@@ -21,7 +22,7 @@ from servolens.identification.segments import begins_with_its_step, loop_rate, n
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "NO_BETTER", "SOME", "Hypothesis", "Likelihood", "found_last"]
+__all__ = ["FEW", "FULL", "NO_BETTER", "SOME", "Likelihood", "found_last"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
@@ -45,54 +46,6 @@ MOST_SAMPLES = 16_000
 """Of all records together; of longer ones every few samples are compared."""
 MOST_ROUNDS, NO_BETTER = 6, 0.5
 """Times that plant and noise are fitted in turn; fall of −2 log-likelihood below which they agree."""
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
-    """A plant fitted to the training records beside its own noise model.
-
-    Attributes
-    ----------
-    plant : Plant
-        The best of its structure.
-    noise : NoiseModel
-        That makes what the plant leaves likeliest.
-    starts : tuple of ndarray
-        Initial state of each record.
-    misfit : float
-        −2 log-likelihood, priors included.
-    total : float
-        The same plus the price of its effects; the least is the best.
-    unpowered : bool
-        Whether nothing was applied before records that begin with their step.
-    local : mapping of str to ndarray
-        Parameters that each record has of its own.
-    """
-
-    plant: Plant
-    noise: NoiseModel
-    starts: tuple[NDArray[np.float64], ...]
-    misfit: float
-    total: float
-    unpowered: bool
-    local: Mapping[str, NDArray[np.float64]]
-
-    @property
-    def causes(self) -> tuple[str, ...]:
-        """Names of the effects, in the order in which they were found."""
-        return tuple(effect.name for effect in self.plant.effects)
-
-    def plant_of(self, group: int) -> Plant:
-        """Return the plant of one record, with the parameters of its own."""
-        if not self.local:
-            return self.plant
-        return self.plant.with_named({name: float(found[group]) for name, found in self.local.items()})
-
-    def of(self, groups: Sequence[int]) -> Hypothesis:
-        """Return it with the initial states, and the parameters of their own, of some records only."""
-        local = {name: found[list(groups)] for name, found in self.local.items()}
-        return replace(self, starts=tuple(self.starts[group] for group in groups), local=local)
 
 
 @final

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.errors import NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Point
+from servolens.identification.widths import linearised_widely
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,7 +64,7 @@ def lowest_minimum(problem: Problem, point: Point, iterations: int, *, converged
     """
     way = ((COARSE, SHORT), (0.2 * COARSE, SHORT), (FINE, iterations))
     for _ in range(LOOKS):
-        found, _ = problem.linearised_widely(point)
+        found, _ = linearised_widely(problem, point)
         direction = _least_determined(problem, point, found.information)
         if not direction.any():
             break
@@ -88,7 +89,7 @@ def beside(
     """
     seen: list[Point] = []
     for _ in range(0 if problem.is_spent else LOOKS):
-        found, is_smooth = problem.linearised_widely(point)
+        found, is_smooth = linearised_widely(problem, point)
         direction = _least_determined(problem, point, found.information)
         if is_smooth or not direction.any():
             break

@@ -15,6 +15,7 @@ from servolens.identification.rounding import DRAWS, dominates, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
+from servolens.identification.widths import linearised_widely
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -289,7 +290,7 @@ def _lowest(problem: Problem, begun: Point, *, coarse: bool, searched: bool) -> 
 
 def _finished(problem: Problem, point: Point, others: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
     """Return the result of a search that ended at `point`; at the values of `others` as much is explained."""
-    (blocks, _, information), is_smooth = problem.linearised_widely(point)
+    (blocks, _, information), is_smooth = linearised_widely(problem, point)
     within = (point.values > problem.low) & (point.values < problem.high)
     undetermined = within & open_directions(information)
     count = len(problem.names)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.likelihood import Hypothesis, Likelihood
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
 
 __all__ = ["FALSE_ALARM", "ScoreTest"]

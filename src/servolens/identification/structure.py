@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.likelihood import Hypothesis, Likelihood
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
 
 __all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
