@@ -18,7 +18,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import loop_error
 from servolens.identification.observed import clock_error
-from servolens.identification.ripple import Ripple, mains_ripple
+from servolens.identification.ripple import Ripple, mains_lines, ripple_in
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
@@ -76,13 +76,12 @@ class Case:
         self.trials = Trials(records, priors, candidates)
         self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
-        self.ripple = Ripple((), 0.0, tuple(np.zeros(s.time.size) for s in self.likelihood.signals))
         for _ in range(RIPPLES):
-            found = self._ripple(self.base, self.likelihood)
-            if not found:
+            new = self._new_lines(self.base)
+            if not new:
                 break
-            self.ripple = self.ripple.with_more(found)
-            _take_out(found, self.likelihood)
+            white = self.likelihood.white
+            self.likelihood.white = replace(white, lines=(*white.lines, *new))
             self.base = self.trials.base()
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
@@ -118,23 +117,34 @@ class Case:
         return [h for h in fits if h is not None]
 
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
-        """Return the ripple of the mains: what was taken out, and what shows only beside `hypothesis`."""
-        if self.likelihood.simulates:
-            return self.ripple
-        found = self._ripple(hypothesis, self.likelihood)
-        return self.ripple.with_more(found) if found else self.ripple
+        """Return the ripple of the mains as `hypothesis` leaves it, with lines that show only beside it.
 
-    @staticmethod
-    def _ripple(hypothesis: Hypothesis, likelihood: Likelihood) -> Ripple:
+        An observer follows it: asked is what a simulation misses.
+        """
+        likelihood = self.likelihood
+        lines = likelihood.white.lines + (() if likelihood.simulates else self._new_lines(hypothesis))
+        runs = likelihood.runs(likelihood.white, unpowered=hypothesis.unpowered)
+        missed = [np.zeros(run.samples) for run in runs]
+        with suppress(InputError, NumericalError):
+            if lines:
+                plants = [hypothesis.plant_of(i) for i in range(len(runs))]
+                missed = [
+                    run.missed(plant, start, substeps_for(plant, run.sample_time))
+                    for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
+                ]
+        return ripple_in([run.instants for run in runs], missed, lines)
+
+    def _new_lines(self, hypothesis: Hypothesis) -> tuple[float, ...]:
         """Look for a ripple beside white noise: as coloured noise the whitening would hide it.
 
         An observer follows it, so that its innovations show less: asked is what a simulation misses.
         """
+        likelihood = self.likelihood
         if hypothesis.noise.rate > 0.0:
             hypothesis = likelihood.tried(hypothesis.plant, likelihood.white, SOME, like=hypothesis) or hypothesis
         test = ScoreTest(likelihood, replace(hypothesis, noise=hypothesis.noise.bleached(likelihood.white)))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
-        return mains_ripple(test.runs, np.split(test.left, ends))
+        return mains_lines(test.runs, np.split(test.left, ends))
 
     def is_enough(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""
@@ -163,8 +173,10 @@ class Case:
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
         ripples = [
-            np.interp(record.time, signals.time, wave)
-            for record, signals, wave in zip(self.records, self.likelihood.signals, self.ripple.waves, strict=True)
+            np.interp(record.time, signals.instants, wave)
+            for record, signals, wave in zip(
+                self.records, self.likelihood.signals, self.ripple_beside(hypothesis).waves, strict=True
+            )
         ]
         found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
         return found.depends or (noise.rate > 0.0 and not found.is_seen)
@@ -218,18 +230,10 @@ class Case:
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
 
     def _on_heldout(self) -> Likelihood:
-        """Return the likelihood of the records held out, from which a ripple of the mains was taken too; made once."""
-        if self._held is not None:
-            return self._held
-        held = self.likelihood.on(self.heldout)
-        for _ in range(RIPPLES if self.ripple else 0):
-            begun = held.tried(self.base.plant, self.base.noise, SOME, unpowered=self.base.unpowered)
-            found = self._ripple(begun, held) if begun is not None else None
-            if not found:
-                break
-            _take_out(found, held)
-        self._held = held
-        return held
+        """Return the likelihood of the records held out; made once."""
+        if self._held is None:
+            self._held = self.likelihood.on(self.heldout)
+        return self._held
 
     def difference(self, one: Hypothesis, other: Hypothesis) -> float:
         """Return how far apart two hypotheses are on the records, or ends of records, to which they were not fitted.
@@ -298,15 +302,8 @@ class Case:
         Of a model that leaves nothing else, what it leaves; what shakes the axis is not the sensor's. Else what a
         settled axis shows at the end of its steps, but no less than third differences do.
         """
+        ripple = self.ripple_beside(chosen).rms
         if self.is_enough(chosen):
-            clock = np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals])
-            return max(float(np.sqrt(chosen.noise.spread**2 + clock + self.ripple.rms**2)), 1e-300)
-        return max(self.likelihood.floor, self.ripple.rms, resting_noise(self.records))
-
-
-def _take_out(ripple: Ripple, likelihood: Likelihood) -> None:
-    """Take a ripple out of the positions that are compared."""
-    likelihood.signals = tuple(
-        replace(signals, position=signals.position - wave)
-        for signals, wave in zip(likelihood.signals, ripple.waves, strict=True)
-    )
+            clock = float(np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals]))
+            return max(float(np.sqrt(chosen.noise.spread**2 + clock + ripple**2)), 1e-300)
+        return max(self.likelihood.floor, ripple, resting_noise(self.records))

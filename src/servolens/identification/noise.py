@@ -74,6 +74,8 @@ class NoiseModel:
         doi:10.1080/01621459.2018.1469995).
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
+    lines : tuple of float
+        Frequencies of the mains that the sensor shows, in each record with an amplitude and a phase of its own [Hz].
     is_model_error : bool
         Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
     """
@@ -91,6 +93,7 @@ class NoiseModel:
     damping: float = 0.0
     discount: float = 1.0
     parameters: int = 0
+    lines: tuple[float, ...] = ()
     is_model_error: bool = False
 
     @classmethod
@@ -173,10 +176,11 @@ class NoiseModel:
         For a decision its order is that of the Bayesian criterion; for error bars that of Akaike's, which leaves less
         of the slow noise out.
         """
-        jitter, floor = instants(residuals, [whitener.speed for whitener in whiteners])
+        steady = [whitener.steady(r) for whitener, r in zip(whiteners, residuals, strict=True)]
+        jitter, floor = instants(steady, [whitener.speed for whitener in whiteners])
         timed = replace(self, jitter=jitter, floor=min(floor, self.floor) if jitter > 0.0 else self.floor)
         if jitter > 0.0:
-            whiteners = [Whitener(w.position, w.speed, timed) for w in whiteners]
+            whiteners = [Whitener(w.position, w.speed, timed, time=w.time) for w in whiteners]
         return timed.coloured(residuals, whiteners, for_errors=for_errors)
 
     def scaled(self, residuals: Sequence[NDArray[np.float64]]) -> NoiseModel:
@@ -194,7 +198,7 @@ class NoiseModel:
         most_order: int = MOST_ORDER,
     ) -> NoiseModel:
         """Return the model whose autoregressive part suits `residuals` beside the observer that left them."""
-        weighed = [whitener.weighed(r) for whitener, r in zip(whiteners, residuals, strict=True)]
+        weighed = [w.weighed(w.steady(r)) for w, r in zip(whiteners, residuals, strict=True)]
         samples = sum(r.size for r in residuals)
         price = 2.0 if for_errors else float(np.log(samples))
         filters, scales = burg(weighed, most_order, price)
@@ -208,7 +212,9 @@ class NoiseModel:
 
 @final
 class Whitener:
-    """Filters the residual of one record to white noise of variance 1.
+    """Filters the residual of one record to white noise of variance 1, at right angles to waves of the mains.
+
+    So amplitude and phase of each wave count as fitted, whatever the model is.
 
     Parameters
     ----------
@@ -220,6 +226,8 @@ class Whitener:
         What to whiten.
     weight : ndarray, shape (n,), optional
         Of each sample, where an observer tells how much it misses.
+    time : ndarray, shape (n,), optional
+        Of each sample [s]; needed where the noise has lines of the mains.
     """
 
     def __init__(
@@ -228,8 +236,10 @@ class Whitener:
         speed: NDArray[np.float64],
         noise: NoiseModel,
         weight: NDArray[np.float64] | None = None,
+        *,
+        time: NDArray[np.float64] | None = None,
     ) -> None:
-        self.position, self.speed = position, speed
+        self.position, self.speed, self.time = position, speed, time
         self._weight = weight
         if noise.jitter > 0.0 and weight is None:
             self._weight = 1.0 / np.sqrt(1.0 + (noise.jitter * speed / max(noise.floor, 1e-300)) ** 2)
@@ -239,10 +249,20 @@ class Whitener:
         for k in range(begun):  # the first samples have no past as long as the filter
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
+        self._waves = waves_at(time, noise.lines) if time is not None and noise.lines else None
+        self._basis = None if self._waves is None else np.linalg.qr(self._filtered(self._waves))[0]
 
     def beside(self, noise: NoiseModel) -> Whitener:
         """Return the whitener of the same record beside `noise` with other filters, but no other observer or jitter."""
-        return Whitener(self.position, self.speed, noise, self._weight)
+        return Whitener(self.position, self.speed, noise, self._weight, time=self.time)
+
+    def of(self, position: NDArray[np.float64]) -> Whitener:
+        """Return the whitener of the same motion, measured as another `position`."""
+        return Whitener(position, self.speed, self.noise, time=self.time)
+
+    def steady(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return a `residual`, shape (n,), without waves of the mains."""
+        return residual if self._waves is None else residual - self._waves @ waves_in(residual, self._waves)
 
     def weighed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), each by its weight."""
@@ -250,6 +270,10 @@ class Whitener:
 
     def __call__(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `rows`, shape (n,) or (n, k), whitened."""
+        white = self._filtered(rows)
+        return white if self._basis is None else white - self._basis @ (self._basis.T @ white)
+
+    def _filtered(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         weighed = self.weighed(rows)
         if rows.size == 0:
             return weighed
@@ -283,6 +307,20 @@ class Whitener:
         if self._weight is not None:
             found -= float(np.sum(np.log(self._weight)))
         return 2.0 * found / noise.discount
+
+
+def waves_at(time: NDArray[np.float64], lines: Sequence[float]) -> NDArray[np.float64]:
+    """Return cosine and sine of each of the `lines` [Hz] at `time` [s], shape (n, 2k)."""
+    return np.column_stack([wave(2.0 * np.pi * line * time) for line in lines for wave in (np.cos, np.sin)])
+
+
+def waves_in(residual: NDArray[np.float64], waves: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the amplitude of each wave in a `residual`, shape (2k,).
+
+    Weighed by a Hann window, so that what a model misses slowly does not leak into them.
+    """
+    weight = np.sqrt(np.hanning(residual.size + 2)[1:-1])
+    return np.asarray(np.linalg.lstsq(weight[:, None] * waves, weight * residual, rcond=None)[0])
 
 
 def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> tuple[float, float]:

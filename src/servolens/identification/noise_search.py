@@ -123,14 +123,15 @@ class NoiseTrials:
         likelihood.count(
             sum(run.samples * substeps_for(p, run.sample_time) for run, p in zip(runs, self.plants, strict=True))
         )
-        if not first.is_observed:
-            self._left = missed
         whiteners = [run.whiten for run in runs]
+        steady = [whiten.steady(error) for whiten, error in zip(whiteners, missed, strict=True)]
+        if not first.is_observed:
+            self._left = steady
         noise = (
-            first.scaled(missed) if likelihood.simulates else first.coloured(missed, whiteners, most_order=most_order)
+            first.scaled(steady) if likelihood.simulates else first.coloured(missed, whiteners, most_order=most_order)
         )
         if noise.spread > NEGLIGIBLE * likelihood.travel and noise.rate == 0.0 and (noise.wanders or noise.swings):
-            noise = replace(first.scaled(missed), is_model_error=True)
+            noise = replace(first.scaled(steady), is_model_error=True)
         elif noise.swings:
             noise = first.coloured(missed, whiteners, most_order=0)
         if not np.isfinite(noise.innovation) or noise.innovation <= 0.0:

@@ -115,6 +115,11 @@ class Signals:
         return self.speed_on_grid if self.index is None else self.speed_on_grid[self.index]
 
     @property
+    def instants(self) -> NDArray[np.float64]:
+        """Of the samples that are compared [s]."""
+        return self.time if self.index is None else self.time[self.index]
+
+    @property
     def measured(self) -> NDArray[np.float64]:
         """Positions that were measured."""
         return self.position if self.index is None else self.position[self.index]
@@ -185,8 +190,8 @@ class ObservedRun:
         weight = None if self._observer is None else self._observer.weight
         if weight is not None and signals.index is not None:
             weight = weight[signals.index]
-        self.whiten = Whitener(signals.measured, signals.speed, noise, weight)
-        self.samples = signals.measured.size
+        self.whiten = Whitener(signals.measured, signals.speed, noise, weight, time=signals.instants)
+        self.samples, self.instants = signals.measured.size, signals.instants
         self.sample_time = float(np.max(np.diff(signals.time)))
         self.start = signals.initial.mean
         travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
@@ -247,8 +252,8 @@ class SimulatedRun:
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
         self.group, self.signals, self.noise = group, signals, noise
         record = signals.record
-        self.whiten = Whitener(record.position, np.zeros(len(record)), noise)
-        self.samples = len(record)
+        self.whiten = Whitener(record.position, np.zeros(len(record)), noise, time=record.time)
+        self.samples, self.instants = len(record), record.time
         self._loop = ClosedLoop(record, 0.0 if unpowered and applied_before(record) is None else None)
         self.sample_time = self._loop.sample_time
         self.start: NDArray[np.float64] = np.empty(0)

@@ -1,4 +1,4 @@
-"""A ripple of the sensor at the mains frequency or a multiple of it: noise, with a finding, and taken out."""
+"""A ripple of the sensor at the mains frequency or a multiple of it: noise, with a finding."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.effects.periodic_disturbance import MAINS
+from servolens.identification.noise import waves_at, waves_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.observed import ObservedRun, Signals, SimulatedRun
+    from servolens.identification.observed import ObservedRun, SimulatedRun
 
-__all__ = ["Ripple", "mains_ripple"]
+__all__ = ["Ripple", "mains_lines", "ripple_in"]
 
 RIPPLE_LEVEL = 1e-6
 """Probability that noise shows a line as high by chance, all lines that are looked at together."""
@@ -34,20 +35,12 @@ class Ripple:
     amplitude : float
         Of the largest [m or rad].
     waves : tuple of ndarray
-        Their sum in each record, on the samples that are simulated [m or rad].
+        Their sum in each record, on the samples that are compared [m or rad].
     """
 
     frequencies: tuple[float, ...]
     amplitude: float
     waves: tuple[NDArray[np.float64], ...]
-
-    def with_more(self, other: Ripple) -> Ripple:
-        """Return both ripples together."""
-        return Ripple(
-            tuple(dict.fromkeys([*self.frequencies, *other.frequencies])),
-            max(self.amplitude, other.amplitude),
-            tuple(a + b for a, b in zip(self.waves, other.waves, strict=True)),
-        )
 
     def __bool__(self) -> bool:
         return bool(self.frequencies)
@@ -58,11 +51,10 @@ class Ripple:
         return float(np.sqrt(np.mean(np.concatenate(self.waves) ** 2)))
 
 
-def mains_ripple(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDArray[np.float64]]) -> Ripple:
-    """Return the ripple that the whitened residuals show beyond chance.
+def mains_lines(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDArray[np.float64]]) -> tuple[float, ...]:
+    """Return the frequencies of the mains, beside known ones, that the whitened residuals show beyond chance [Hz].
 
-    White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency). The waves
-    are then fitted to what is whitened, record by record: the mains do not know when a record begins.
+    White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency).
 
     Parameters
     ----------
@@ -74,17 +66,36 @@ def mains_ripple(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDA
     from scipy.stats import chi2
 
     fastest = 0.5 / max(float(np.median(np.diff(run.signals.time[:64]))) for run in runs)
-    lines = sorted({line for line in MAINS if line < 0.9 * fastest})
+    lines = sorted({line for line in MAINS if line < 0.9 * fastest} - set(runs[0].noise.lines))
     limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(runs)))
-    shown = [f for f in lines if sum(_power(run.signals, r, f) for run, r in zip(runs, white, strict=True)) > limit]
-    fits = [_fitted(run, residual, shown) for run, residual in zip(runs, white, strict=True)]
-    amplitude = max((a for amplitudes, _ in fits for a in amplitudes), default=0.0)
-    return Ripple(tuple(shown), amplitude, tuple(wave for _, wave in fits))
+    times = [run.instants for run in runs]
+    return tuple(f for f in lines if sum(_power(t, r, f) for t, r in zip(times, white, strict=True)) > limit)
 
 
-def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) -> float:
+def ripple_in(
+    times: Sequence[NDArray[np.float64]], missed: Sequence[NDArray[np.float64]], lines: Sequence[float]
+) -> Ripple:
+    """Return the waves of the mains in what simulations miss, record by record: the mains know no record's beginning.
+
+    Parameters
+    ----------
+    times : sequence of ndarray, shape (n,)
+        Of each record [s].
+    missed : sequence of ndarray, shape (n,)
+        Simulated minus measured position [m or rad].
+    lines : sequence of float
+        Frequencies [Hz].
+    """
+    if not lines:
+        return Ripple((), 0.0, tuple(np.zeros(time.size) for time in times))
+    waves = [waves_at(time, lines) for time in times]
+    sizes = [-waves_in(error, wave) for error, wave in zip(missed, waves, strict=True)]
+    largest = max(float(np.hypot(*pair)) for size in sizes for pair in size.reshape(-1, 2))
+    return Ripple(tuple(lines), largest, tuple(wave @ size for wave, size in zip(waves, sizes, strict=True)))
+
+
+def _power(time: NDArray[np.float64], residual: NDArray[np.float64], frequency: float) -> float:
     """Return the squared length of the residual along the wave, over that of its neighbours' mean."""
-    time = signals.time if signals.index is None else signals.time[signals.index]
     window = np.hanning(residual.size)
     window = window / np.sqrt(np.mean(window**2))
     width = 1.0 / max(float(time[-1] - time[0]), 1e-9)
@@ -94,16 +105,3 @@ def _power(signals: Signals, residual: NDArray[np.float64], frequency: float) ->
         for f in (frequency, *around)
     ]
     return float(sizes[0]) / max(float(np.mean(sizes[1:])) / 2.0, 1.0)
-
-
-def _fitted(
-    run: ObservedRun | SimulatedRun, residual: NDArray[np.float64], frequencies: Sequence[float]
-) -> tuple[list[float], NDArray[np.float64]]:
-    """Return amplitude of each frequency and the sum of the waves in the measured position."""
-    signals = run.signals
-    if not frequencies:
-        return [], np.zeros(signals.time.size)
-    waves = np.column_stack([w(2.0 * np.pi * f * signals.time) for f in frequencies for w in (np.cos, np.sin)])
-    seen = waves if signals.index is None else waves[signals.index]
-    sizes, *_ = np.linalg.lstsq(run.whiten(seen), -residual, rcond=None)
-    return [float(np.hypot(*pair)) for pair in sizes.reshape(-1, 2)], waves @ sizes

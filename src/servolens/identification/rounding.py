@@ -14,7 +14,6 @@ import numpy as np
 
 from servolens.control_law import controller_voltage
 from servolens.errors import NumericalError
-from servolens.identification.noise import Whitener
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.noise import NoiseModel
+    from servolens.identification.noise import NoiseModel, Whitener
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
     from servolens.record import Record
@@ -146,7 +145,7 @@ def _drawn(
         return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]
 
     for there, shown in in_parallel(one, range(DRAWS)):
-        yield Whitener(shown, run.whiten.speed, run.noise), there - shown
+        yield run.whiten.of(shown), there - shown
 
 
 def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:

@@ -1,0 +1,51 @@
+"""A ripple of the mains in the sensor is part of the noise, whatever the model beside it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.diagnosis.case import Case
+from servolens.identification.noise import NoiseModel, Whitener
+
+LINES = (50.0, 150.0)
+
+
+def waves(time, sizes):
+    angles = [2.0 * np.pi * line * time for line in LINES]
+    return sum(a * np.cos(x) + b * np.sin(x) for x, (a, b) in zip(angles, sizes, strict=True))
+
+
+@pytest.mark.parametrize("autoregression", [(), (0.9,)], ids=["white", "slow"])
+def test_whitened_residual_knows_nothing_of_the_waves(autoregression):
+    time = np.arange(2_000) * 1e-3
+    stream = np.random.default_rng(1)
+    filters = (np.ones(1), *(np.array([1.0, -pole]) for pole in autoregression))
+    noise = replace(NoiseModel.white(1.0), filters=filters, scales=np.ones(len(filters)), lines=LINES)
+    whiten = Whitener(np.zeros(time.size), np.zeros(time.size), noise, time=time)
+    residual = stream.standard_normal(time.size)
+    added = waves(time, [(30.0, -20.0), (5.0, 8.0)])
+    np.testing.assert_allclose(whiten(residual + added), whiten(residual), atol=1e-10)
+    np.testing.assert_allclose(whiten.steady(residual + added), whiten.steady(residual), atol=1e-10)
+    free = Whitener(np.zeros(time.size), np.zeros(time.size), replace(noise, lines=()))(residual)
+    assert np.sum(whiten(residual) ** 2) == pytest.approx(np.sum(free**2) - 2 * len(LINES), abs=15.0)  # χ² of 4
+
+
+@pytest.mark.parametrize("force", [0.0, 0.5], ids=["healthy", "beside an unknown force"])
+@pytest.mark.parametrize("seed", [31, 32])
+def test_amplitude_is_that_of_the_ripple_though_the_model_lacks_a_force(force, seed):
+    noise = lab.SensorNoise(deviation=4e-6, hum=5e-6, third_harmonic=2e-6, mains=50.0)
+    effects = {"constant_force": {"acceleration": force}} if force else {}
+    axis = lab.Truth(gain=5.2, damping=27.0, effects=effects)
+    rig = lab.Setup(surroundings=lab.Surroundings(noise=noise))
+    runs = tuple(
+        lab.step_record(axis, kp=kp, reference=0.1, duration=2.0, seed=seed + i, setup=rig)
+        for i, kp in enumerate((350, 200, 130))
+    )
+    case = Case(runs, (), {}, 24)
+    found = case.ripple_beside(case.base)
+    assert found.frequencies == LINES
+    assert found.amplitude == pytest.approx(5e-6, rel=0.15)
