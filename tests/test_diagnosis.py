@@ -21,6 +21,7 @@ from servolens.effects import (
     Cogging,
     CoulombFriction,
     DeadZone,
+    EndStop,
     PendulumGravity,
     Presliding,
     Saturation,
@@ -635,6 +636,13 @@ def test_stop_that_is_reached_on_one_side_is_no_stop_on_the_other():
     assert (diagnosis.verdict, cause.effect) == ("explained", "end_stop")
     assert cause.quantities["high"].value == pytest.approx(0.07, abs=1e-5)
     assert (cause.quantities["low"].value < -0.5, cause.quantities["low"].stderr) == (True, None)
+
+
+def test_stop_at_which_the_axis_comes_to_rest_is_reached():
+    campaign = lab.hidden_campaign(700984, effects=["end_stop"])
+    seen = trials_of(*campaign.records).seen
+    assert seen.low == min(run.position.min() for run in campaign.records)
+    assert EndStop(**campaign.truth.effects["end_stop"]).is_whole(seen)
 
 
 def test_friction_that_grows_with_speed_is_among_the_starts():

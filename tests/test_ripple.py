@@ -9,7 +9,9 @@ import pytest
 
 from servolens import lab
 from servolens.diagnosis.case import Case
+from servolens.effects import LoadFriction
 from servolens.identification.noise import NoiseModel, Whitener
+from servolens.plant import Plant
 
 LINES = (50.0, 150.0)
 
@@ -49,3 +51,15 @@ def test_amplitude_is_that_of_the_ripple_though_the_model_lacks_a_force(force, s
     found = case.ripple_beside(case.base)
     assert found.frequencies == LINES
     assert found.amplitude == pytest.approx(5e-6, rel=0.15)
+
+
+def test_line_that_a_cause_hides_is_learnt_beside_it():
+    campaign = lab.hidden_campaign(701584, effects=["load_friction"], world="hum")
+    case = Case(tuple(campaign.records), (), {}, 24)
+    assert 50.0 not in case.likelihood.white.lines
+    friction = LoadFriction(**campaign.truth.effects["load_friction"])
+    plant = Plant(gain=campaign.truth.gain, damping=campaign.truth.damping, effects=(friction,))
+    assert case.learn_ripple(case.likelihood.judged(plant))
+    assert case.likelihood.white.lines == LINES
+    assert not case.learn_ripple(case.likelihood.judged(plant))
+    assert case.ripple_beside(case.likelihood.judged(plant)).amplitude == pytest.approx(2.03e-5, rel=0.1)

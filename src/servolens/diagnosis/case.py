@@ -77,12 +77,8 @@ class Case:
         self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
         for _ in range(RIPPLES):
-            new = self._new_lines(self.base)
-            if not new:
+            if not self.learn_ripple(self.base):
                 break
-            white = self.likelihood.white
-            self.likelihood.white = replace(white, lines=(*white.lines, *new))
-            self.base = self.trials.base()
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
@@ -122,7 +118,8 @@ class Case:
         An observer follows it: asked is what a simulation misses.
         """
         likelihood = self.likelihood
-        lines = likelihood.white.lines + (() if likelihood.simulates else self._new_lines(hypothesis))
+        new = () if likelihood.simulates else self._new_lines(hypothesis)
+        lines = sorted((*likelihood.white.lines, *new))
         runs = likelihood.runs(likelihood.white, unpowered=hypothesis.unpowered)
         missed = [np.zeros(run.samples) for run in runs]
         with suppress(InputError, NumericalError):
@@ -133,6 +130,15 @@ class Case:
                     for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
                 ]
         return ripple_in([run.instants for run in runs], missed, lines)
+
+    def learn_ripple(self, hypothesis: Hypothesis) -> bool:
+        """Count lines of the mains that show beside `hypothesis` as noise, and tell whether there are new ones."""
+        new = self._new_lines(hypothesis)
+        if new:
+            white = self.likelihood.white
+            self.likelihood.white = replace(white, lines=tuple(sorted((*white.lines, *new))))
+            self.base = self.trials.base()
+        return bool(new)
 
     def _new_lines(self, hypothesis: Hypothesis) -> tuple[float, ...]:
         """Look for a ripple beside white noise: as coloured noise the whitening would hide it.

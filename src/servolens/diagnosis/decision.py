@@ -62,21 +62,25 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     Records of several axes are explained by none: asked where the causes of one axis are no simpler than a gain and
     damping for each record.
     """
-    found = search(
-        case.trials, case.base, effort, lambda what, share: tell(what, FIRST * share), is_enough=case.is_enough
-    )
+
+    def first(what: str, share: float) -> None:
+        tell(what, FIRST * share)
+
+    found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
+    if found.chosen.causes and case.learn_ripple(found.chosen):  # that the causes had hidden
+        found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
     if found.chosen.noise.rate > 0.0 and (len(found.chosen.causes) > 1 or not case.is_enough(found.chosen)):
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)
-    first = _explaining(case, found)
+    explaining = _explaining(case, found)
     several = len(case.base.plant.values) * len(case.records)
-    if first is None or len(first.path[-1].plant.values) > several:
+    if explaining is None or len(explaining.path[-1].plant.values) > several:
         contradiction = case.contradiction()
         if contradiction is not None:
             alone = Search((case.base,), (case.base,), (), ended_early=False)
             return Decision(case, alone, (case.base,), (), contradiction)
-    if first is not None:
-        return first
+    if explaining is not None:
+        return explaining
     return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
 
 

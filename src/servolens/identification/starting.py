@@ -36,15 +36,15 @@ MOST_STARTS, MOST_ACTED = 400, 200
 
 
 def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
-    """Return what the stretches of motion show, beside the model `plant`."""
+    """Return what the stretches of motion show, and their records: where these rest counts as reached."""
     sample_time = min(s.record.sample_time for s in segments)
     positions = np.concatenate([record.position for record in {id(s.record): s.record for s in segments}.values()])
-    low, high = (float(value) for value in np.quantile(positions, (0.05, 0.95)))
+    usual = np.quantile(positions, (0.05, 0.95))
     fastest = [float(np.abs(np.gradient(s.position, s.time)).max()) for s in segments if s.time.size > 2]
     return Seen(
-        low=min(float(s.position.min()) for s in segments),
-        high=max(float(s.position.max()) for s in segments),
-        usual=(low, high),
+        low=float(positions.min()),
+        high=float(positions.max()),
+        usual=(float(usual[0]), float(usual[1])),
         speed=max(*fastest, 1e-9),
         command=max(float(np.abs(s.voltage).max()) for s in segments),
         gain=plant.gain,
