@@ -86,14 +86,16 @@ class ScoreTest:
         """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it has no simulation.
 
         Or what `plant` gains as it is, where that is more: an effect as large as friction that holds the axis for
-        seconds is far from what a first order tells.
+        seconds is far from what a first order tells. Then each record begins as its own first samples show, if it is
+        missed less so: the initial states of the hypothesis make up for what it lacks.
         """
         try:
             columns = self._columns(plant)
+            reached = self.free_of_own(self._missed_least(plant))
         except (InputError, NumericalError):
             return 0.0
-        reached = self.free_of_own(self.residual + columns[:, 0]) if columns.shape[1] == 1 else self._left
-        return max(self.explained(columns), float(self._left @ self._left - reached @ reached))
+        least = float(reached @ reached)
+        return max(self.explained(columns), float(self._left @ self._left) - least)
 
     def gain_of_sizes(self, plant: Plant, sizes: Sequence[str]) -> float:
         """Return the score statistic of the last effect's `sizes`, each free, about where `plant` is; else 0.
@@ -171,12 +173,20 @@ class ScoreTest:
             columns[rows, 2 * i], columns[rows, 2 * i + 1] = found[0][rows], found[1][rows]
         return columns
 
+    def _missed_least(self, plant: Plant) -> NDArray[np.float64]:
+        """Return what `plant` misses of each run, from the initial state of the hypothesis or the run's own guess."""
+        begun = self.hypothesis.starts, [run.start for run in self.runs]
+        pairs = zip(*(self._parts(plant, starts) for starts in begun), strict=True)
+        return np.concatenate([min(pair, key=lambda part: float(part @ part)) for pair in pairs])
+
+    def _parts(self, plant: Plant, starts: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        return [
+            run.whiten(run.missed(self._of_record(plant, i), start, substeps_for(plant, run.sample_time)))
+            for i, (run, start) in enumerate(zip(self.runs, starts, strict=True))
+        ]
+
     def _missed(self, plant: Plant) -> NDArray[np.float64]:
-        parts = []
-        for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
-            missed = run.missed(self._of_record(plant, i), start, substeps_for(plant, run.sample_time))
-            parts.append(run.whiten(missed))
-        found = np.concatenate(parts)
+        found = np.concatenate(self._parts(plant, self.hypothesis.starts))
         if not np.isfinite(found).all():
             raise NumericalError("the simulation of the axis diverges")
         return found
