@@ -11,10 +11,12 @@ import pytest
 
 from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
+from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import since_step
+from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.diagnosis.reasons import distinctness, twins_of
-from servolens.diagnosis.search import EFFORT, search
+from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
@@ -652,3 +654,20 @@ def test_friction_that_grows_with_speed_is_among_the_starts():
     base = trials.likelihood.judged(trials.bare.with_effect(CoulombFriction(level=0.4)))
     starts = trials.starts(ScoreTest(trials.likelihood, base), "stribeck_friction")
     assert any(start.plant.effects[-1].static_excess < 0.0 for start in starts)
+
+
+def test_two_large_causes_are_found_though_neither_explains_much_alone():
+    """Beside gain and damping alone a wave in time comes first; the score of both together knows better."""
+    campaign = lab.hidden_campaign(711591, effects=["coulomb_friction", "quadratic_drag"], world="coloured")
+    case = Case(tuple(campaign.records), tuple(campaign.heldout), {}, len(catalogue()))
+    test = ScoreTest(case.likelihood, case.base)
+    scored = [starts for name in catalogue() if (starts := case.trials.starts(test, name))]
+    scored.sort(key=lambda starts: -starts[0].gain)
+    first, *others = likeliest_pairs(test, scored, 3)
+    assert {effect.name for effect in first.effects} == {"coulomb_friction", "quadratic_drag"}
+    assert len(others) == 2
+    found = diagnose(campaign.records, heldout=campaign.heldout)
+    assert found.verdict == "explained"
+    assert {cause.effect for cause in found.causes} == {"coulomb_friction", "quadratic_drag"}
+    alone, both = sorted(found.causes, key=lambda cause: -cause.train[1])
+    assert alone.train[0] > alone.train[1] > 10 * both.train[1]

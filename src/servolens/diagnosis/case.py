@@ -210,9 +210,14 @@ class Case:
                     return found.plant
         return None
 
-    def gains(self, path: Sequence[Hypothesis]) -> Gains:
-        """Return the errors of the hypotheses, as `predict` has them, on training and held-out records."""
+    def gains(self, path: Sequence[Hypothesis], ends: Sequence[Plant] = ()) -> Gains:
+        """Return the errors of the hypotheses, as `predict` has them, on training and held-out records.
+
+        Of the first and the last with the plants in `ends`, if any: what their fits ended with.
+        """
         plants = [h.plant for h in path]
+        if ends:
+            plants[0], plants[-1] = ends[0], ends[-1]
         trained = tuple(tuple(residual(plant, record) for record in self.records) for plant in plants)
         if self.heldout:
             held = tuple(tuple(residual(plant, record) for record in self.heldout) for plant in plants)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from servolens.diagnosis.case import Case
-    from servolens.diagnosis.search import Effort
+    from servolens.diagnosis.effort import Effort
     from servolens.identification.hypothesis import Hypothesis
 
 __all__ = ["Decision", "decided"]

@@ -22,6 +22,7 @@ from servolens.diagnosis.ordering import (
     specialised,
     united,
 )
+from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
@@ -34,11 +35,12 @@ from servolens.processors import in_parallel
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from servolens.diagnosis.effort import Effort
     from servolens.diagnosis.trials import Start, Trials
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["EFFORT", "INDISTINCT", "SHARE", "Effort", "Search", "search"]
+__all__ = ["INDISTINCT", "SHARE", "Search", "search"]
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5
@@ -46,6 +48,8 @@ PROMISING = 0.5
 causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
+PAIRS = 3
+"""Pairs of effects that are fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.75
@@ -55,40 +59,6 @@ SHARE, SPENT = 0.25, 0.25
 whole, with how little left no further effect is looked for."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Effort:
-    """How far a search goes.
-
-    Attributes
-    ----------
-    causes : int
-        Effects beside gain and damping, at most.
-    fitted : int
-        Effects that are fitted in one pass, those with the highest scores.
-    judged : int
-        Of these, those that are fitted to their optimum.
-    beam : int
-        Hypotheses that are extended.
-    work : float
-        Samples times substeps that fits may simulate.
-    """
-
-    causes: int
-    fitted: int
-    judged: int
-    beam: int
-    work: float
-
-
-EFFORT = {
-    "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=5e7),
-    "normal": Effort(causes=4, fitted=10, judged=3, beam=2, work=1.6e8),
-    "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
-}
-"""A hundred million samples and substeps take about eight seconds of one processor."""
 
 
 @final
@@ -182,6 +152,7 @@ class _Explorer:
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
         self.with_last_resorts = False
+        self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
 
     @property
@@ -200,12 +171,18 @@ class _Explorer:
             if self.left <= self.effort.work - (1.0 - SPENT) * work:
                 return path, True
             found = self.extended(beam, len(path[-1].causes))
+            if not path[-1].causes and found and not self.is_enough(found[0]):
+                found = sorted([*found, *self.paired(base)], key=by_total)
             path[-1] = self._beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
                 break
             best = self.improved(better[0])
-            path = [*(h for h in path if len(h.causes) < len(best.causes)), best]
+            before = [h for h in path if len(h.causes) < len(best.causes)]
+            steps = [
+                h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)
+            ]
+            path = [*before, *sorted(steps, key=by_total)[:1], best]
             beam = chosen_for_extension(families([best, *better[1:]]), self.effort.beam)
         return path, False
 
@@ -245,6 +222,18 @@ class _Explorer:
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=by_total)
+
+    def paired(self, base: Hypothesis) -> list[Hypothesis]:
+        """Return the pairs of effects that explain most together, fitted, the best first; nothing but once."""
+        (test, scored), self._scored = self._scored or (None, []), None
+        if test is None:
+            return []
+        plants = likeliest_pairs(test, scored, PAIRS)
+        share = self._allowance(len(plants))
+        begun = in_parallel(
+            lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, SOME, like=base, allowance=share), plants
+        )
+        return self._judged([(h.plant, h) for h in begun if h])
 
     def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
@@ -301,6 +290,8 @@ class _Explorer:
         scored.sort(key=lambda starts: -starts[0].gain)
         share = 1.0 if is_enough else PROMISING
         scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
+        if not hypothesis.causes and not self.with_last_resorts:
+            self._scored = test, scored
         if scored:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]

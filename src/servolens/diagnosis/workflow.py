@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import decided
+from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
@@ -18,7 +19,6 @@ from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
 from servolens.diagnosis.remainder import evidence_of, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
-from servolens.diagnosis.search import EFFORT
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.identification.fitted import fitted
@@ -118,12 +118,12 @@ def _diagnosed(
     decision = decided(case, EFFORT[effort], tell)
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("Comparing errors with and without the causes", 90, 100)
-    gains = case.gains(path)
+    fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
+    gains = case.gains(path, [fit.plant for fit in fits])
     verdict = "unexplained" if decision.contradiction is not None else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
-        path = path[:1]
-        gains = case.gains(path)
-    fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
+        path, fits = path[:1], fits[:1]
+        gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
     told = (*findings, *decision.findings, *fits[-1].findings)
     told = (*told, *said(case, decision, path[-1], gains, verdict, remainder))

@@ -59,7 +59,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         plant,
         runs,
         likelihood.options(plant),
-        noise=1.0 if hypothesis.noise.is_model_error else None,
+        noise=likelihood.weighed_by(hypothesis.noise),
         local_minima=plant.has_contacts,
         known=hypothesis.starts,
         allowance=allowance,

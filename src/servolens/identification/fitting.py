@@ -137,7 +137,7 @@ def _observed(
     The records begin as `known`, if that misses less.
     """
     runs, options = likelihood.runs(noise), likelihood.options(plant)
-    weighed = 1.0 if noise is likelihood.white or noise.is_model_error else None
+    weighed = 1.0 if noise is likelihood.white else likelihood.weighed_by(noise)
     return minimise_error(
         plant, runs, options, noise=weighed, coarse=plant.has_contacts, local_minima=True, known=known
     )

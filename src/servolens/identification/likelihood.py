@@ -145,6 +145,13 @@ class Likelihood:
         """How many samples count by themselves, at least 2."""
         return max(self.samples / self.white.discount, 2.0)
 
+    def weighed_by(self, noise: NoiseModel) -> float | None:
+        """Return the least deviation of the residual by which priors are weighed; None where `noise` whitens it.
+
+        What a model that is not the axis gets wrong is whitened by none.
+        """
+        return 1.0 if noise.is_model_error or self.simulates else None
+
     def options(self, plant: Plant, *, is_rough: bool = False) -> FitOptions:
         """Return how `plant` is fitted: options on its own parameters, and phases of each record's own.
 
@@ -282,7 +289,7 @@ class Likelihood:
             If `plant` cannot be simulated, or only with very small steps.
         """
         runs, options = self.runs(noise, unpowered=unpowered), self.options(plant, is_rough=is_rough)
-        problem = Problem(plant, runs, options, 1.0 if noise.is_model_error else None)
+        problem = Problem(plant, runs, options, self.weighed_by(noise))
         problem.allowance = allowance
         problem.most_substeps, problem.one_sided = self.most_substeps, not plant.has_contacts
         start = problem.start() if like is None else problem.start(like.starts, like.local)
@@ -294,6 +301,8 @@ class Likelihood:
             point, _ = by_way_of(problem, start, way, NEGLIGIBLE_ON_THE_WAY)
         else:
             point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
+        if problem.weigh_priors(point):  # beside what was left at the start they weigh more
+            point, _ = descend(problem, point, iterations, NEGLIGIBLE_ON_THE_WAY)
         self.count(problem.simulated)
         return problem, point
 

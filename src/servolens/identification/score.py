@@ -97,6 +97,16 @@ class ScoreTest:
         least = float(reached @ reached)
         return max(self.explained(columns), float(self._left @ self._left) - least)
 
+    def free_columns(self, plant: Plant) -> NDArray[np.float64]:
+        """Return what the change to `plant` would do, without what the hypothesis explains itself, shape (n, k).
+
+        Nothing, shape (n, 0), where it has no simulation.
+        """
+        try:
+            return self.free_of_own(self._columns(plant))
+        except (InputError, NumericalError):
+            return np.empty((self.residual.size, 0))
+
     def gain_of_sizes(self, plant: Plant, sizes: Sequence[str]) -> float:
         """Return the score statistic of the last effect's `sizes`, each free, about where `plant` is; else 0.
 
