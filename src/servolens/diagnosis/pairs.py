@@ -11,7 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from servolens.diagnosis.trials import Start
     from servolens.effects.base import Effect
@@ -24,8 +24,10 @@ SHAPES = 3
 """Starts of each effect that are paired: those of other shapes come first."""
 
 
-def likeliest_pairs(test: ScoreTest, scored: Sequence[Sequence[Start]], most: int) -> list[Plant]:
-    """Return plants with two effects whose score is highest together, the highest first; one of each kind.
+def likeliest_pairs(
+    test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[type[Effect]], float]
+) -> list[Plant]:
+    """Return plants with two effects whose score, prices paid, is highest together; one of each kind, the best first.
 
     The score of both at once takes one linear regression for each pair (Rao's test with two directions): a greedy
     search would first add what resembles both.
@@ -38,10 +40,12 @@ def likeliest_pairs(test: ScoreTest, scored: Sequence[Sequence[Start]], most: in
         Starts of each effect, the likeliest first.
     most : int
         Pairs to return.
+    price : callable
+        Of a kind of effect: by how much −2 log-likelihood must fall for it.
     """
     parts = [(start.plant, test.free_columns(start.plant)) for starts in scored for start in starts[:SHAPES]]
     scores = [
-        (test.explained(np.column_stack([left, right])), one, other)
+        (test.explained(np.column_stack([left, right])) - _paid(price, one, other), one, other)
         for (one, left), (other, right) in combinations(parts, 2)
         if one.effects[-1].name != other.effects[-1].name
     ]
@@ -54,6 +58,10 @@ def likeliest_pairs(test: ScoreTest, scored: Sequence[Sequence[Start]], most: in
         if len(found) == most:
             break
     return list(found.values())
+
+
+def _paid(price: Callable[[type[Effect]], float], *plants: Plant) -> float:
+    return sum(price(type(plant.effects[-1])) for plant in plants)
 
 
 def _kind(effect: Effect) -> Iterator[str]:

@@ -228,7 +228,7 @@ class _Explorer:
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        plants = likeliest_pairs(test, scored, PAIRS)
+        plants = likeliest_pairs(test, scored, PAIRS, self.trials.price)
         share = self._allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, SOME, like=base, allowance=share), plants
