@@ -663,7 +663,7 @@ def test_two_large_causes_are_found_though_neither_explains_much_alone():
     test = ScoreTest(case.likelihood, case.base)
     scored = [starts for name in catalogue() if (starts := case.trials.starts(test, name))]
     scored.sort(key=lambda starts: -starts[0].gain)
-    first, *others = likeliest_pairs(test, scored, 3, case.trials.price)
+    first, *others = likeliest_pairs(test, scored, 3, case.likelihood.price)
     assert {effect.name for effect in first.effects} == {"coulomb_friction", "quadratic_drag"}
     assert len(others) == 2
     found = diagnose(campaign.records, heldout=campaign.heldout)

@@ -156,3 +156,12 @@ def test_axis_that_swings_about_another_place_than_its_reference_is_told_without
     assert {"wrong_sign", "units_contradict"} & set(found) == ({code} if code else set())
     if code:
         assert found[code].startswith(said)
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.6, 1.0])
+@pytest.mark.parametrize("reference", [(0.1,), (0.0, 0.1)])
+def test_axis_at_its_voltage_limit_is_in_no_other_unit(limit, reference):
+    axis = lab.Truth(gain=1.9, damping=3.0, effects={"saturation": {"limit": limit}})
+    for duration in (0.3, 0.5, 0.8):
+        record = lab.step_record(axis, kp=60, noise=1e-5, seed=1, reference=reference, duration=duration)
+        assert not {"wrong_sign", "units_contradict"} & set(told(record.with_({"voltage": None})))

@@ -63,3 +63,24 @@ def test_line_that_a_cause_hides_is_learnt_beside_it():
     assert case.likelihood.white.lines == LINES
     assert not case.learn_ripple(case.likelihood.judged(plant))
     assert case.ripple_beside(case.likelihood.judged(plant)).amplitude == pytest.approx(2.03e-5, rel=0.1)
+
+
+def test_lines_are_looked_for_only_below_half_the_rate_of_what_is_compared():
+    """A long record of which every fourth sample is compared: 250 Hz would look like a constant."""
+    noise = lab.SensorNoise(deviation=4e-6, hum=5e-6, mains=50.0)
+    rig = lab.Setup(surroundings=lab.Surroundings(noise=noise))
+    axis = lab.Truth(gain=5.2, damping=27.0)
+    runs = tuple(lab.step_record(axis, kp=kp, reference=0.1, duration=25.0, seed=kp, setup=rig) for kp in (350, 200))
+    case = Case(runs, (), {}, 24)
+    assert case.likelihood.every > 3
+    found = case.ripple_beside(case.base)
+    assert found.frequencies == (50.0,)
+    assert found.amplitude == pytest.approx(5e-6, rel=0.1)
+    assert np.sqrt(np.mean(found.at(0, runs[0].time) ** 2)) == pytest.approx(5e-6 / np.sqrt(2.0), rel=0.1)
+
+
+def test_a_line_above_half_the_rate_takes_nothing_out():
+    time = np.arange(300) * 1e-2  # at 100 Hz a line of 100 Hz is a constant
+    noise = replace(NoiseModel.white(1.0), lines=(100.0,))
+    whiten = Whitener(np.zeros(time.size), np.zeros(time.size), noise, time=time)
+    np.testing.assert_array_equal(whiten(np.ones(time.size)), 1.0)

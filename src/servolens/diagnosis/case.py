@@ -40,8 +40,6 @@ __all__ = ["Case"]
 
 REFITTED = 5e6
 """Samples times substeps that a refit without one record may simulate: it begins at the optimum of all."""
-RIPPLES = 3
-"""Times that a ripple of the mains is looked for: the strongest lines hide others."""
 
 
 @final
@@ -76,13 +74,12 @@ class Case:
         self.trials = Trials(records, priors, candidates)
         self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
-        for _ in range(RIPPLES):
-            if not self.learn_ripple(self.base):
-                break
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
+        self._ripples: dict[int, tuple[Hypothesis, Ripple]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._simulating: Case | None = None
+        self.learn_ripple(self.base)
 
     def simulating(self) -> Case:
         """Return the case by simulations in closed loop, for models that are known not to be the axis; made once.
@@ -98,7 +95,7 @@ class Case:
         other.trials = self.trials.simulating()
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
-        other._dependent, other._left_out, other._held = {}, {}, None
+        other._dependent, other._left_out, other._ripples, other._held = {}, {}, {}, None
         self._simulating = other
         return other
 
@@ -113,42 +110,51 @@ class Case:
         return [h for h in fits if h is not None]
 
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
-        """Return the ripple of the mains as `hypothesis` leaves it, with lines that show only beside it.
+        """Return the ripple of the mains that a simulation of `hypothesis` shows; none where that is impossible.
 
-        An observer follows it: asked is what a simulation misses.
+        An observer would follow the ripple, and so hide it.
         """
+        known = self._ripples.get(id(hypothesis))
+        if known is None:
+            known = hypothesis, self._ripple(hypothesis)
+            self._ripples[id(hypothesis)] = known
+        return known[1]
+
+    def _ripple(self, hypothesis: Hypothesis) -> Ripple:
         likelihood = self.likelihood
-        new = () if likelihood.simulates else self._new_lines(hypothesis)
-        lines = sorted((*likelihood.white.lines, *new))
         runs = likelihood.runs(likelihood.white, unpowered=hypothesis.unpowered)
-        missed = [np.zeros(run.samples) for run in runs]
+        times = [run.instants for run in runs]
         with suppress(InputError, NumericalError):
+            lines = likelihood.white.lines if likelihood.simulates else self._lines_beside(hypothesis)
             if lines:
                 plants = [hypothesis.plant_of(i) for i in range(len(runs))]
                 missed = [
                     run.missed(plant, start, substeps_for(plant, run.sample_time))
                     for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
                 ]
-        return ripple_in([run.instants for run in runs], missed, lines)
+                return ripple_in(times, missed, lines)
+        return ripple_in(times, [], ())
 
     def learn_ripple(self, hypothesis: Hypothesis) -> bool:
         """Count lines of the mains that show beside `hypothesis` as noise, and tell whether there are new ones."""
-        new = self._new_lines(hypothesis)
+        white = self.likelihood.white
+        new = set(self._lines_beside(hypothesis)) - set(white.lines)
         if new:
-            white = self.likelihood.white
-            self.likelihood.white = replace(white, lines=tuple(sorted((*white.lines, *new))))
+            self.likelihood.white = replace(white, lines=tuple(sorted({*white.lines, *new})))
             self.base = self.trials.base()
+            self._dependent, self._ripples = {}, {}
         return bool(new)
 
-    def _new_lines(self, hypothesis: Hypothesis) -> tuple[float, ...]:
-        """Look for a ripple beside white noise: as coloured noise the whitening would hide it.
+    def _lines_beside(self, hypothesis: Hypothesis) -> tuple[float, ...]:
+        """Return the lines of the mains that `hypothesis` leaves beside white noise.
 
-        An observer follows it, so that its innovations show less: asked is what a simulation misses.
+        Coloured noise would whiten them, and an observer follow them: looked at is a simulation.
         """
         likelihood = self.likelihood
         if hypothesis.noise.rate > 0.0:
             hypothesis = likelihood.tried(hypothesis.plant, likelihood.white, SOME, like=hypothesis) or hypothesis
-        test = ScoreTest(likelihood, replace(hypothesis, noise=hypothesis.noise.bleached(likelihood.white)))
+        noise = replace(hypothesis.noise.bleached(likelihood.white), lines=())
+        test = ScoreTest(likelihood, replace(hypothesis, noise=noise))
         ends = np.cumsum([run.samples for run in test.runs])[:-1]
         return mains_lines(test.runs, np.split(test.left, ends))
 
@@ -178,12 +184,8 @@ class Case:
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
-        ripples = [
-            np.interp(record.time, signals.instants, wave)
-            for record, signals, wave in zip(
-                self.records, self.likelihood.signals, self.ripple_beside(hypothesis).waves, strict=True
-            )
-        ]
+        ripple = self.ripple_beside(hypothesis)
+        ripples = [ripple.at(i, record.time) for i, record in enumerate(self.records)]
         found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
         return found.depends or (noise.rate > 0.0 and not found.is_seen)
 
@@ -213,7 +215,7 @@ class Case:
     def gains(self, path: Sequence[Hypothesis], ends: Sequence[Plant] = ()) -> Gains:
         """Return the errors of the hypotheses, as `predict` has them, on training and held-out records.
 
-        Of the first and the last with the plants in `ends`, if any: what their fits ended with.
+        If there are any `ends`, those are the plants with which the fits of the first and the last hypothesis ended.
         """
         plants = [h.plant for h in path]
         if ends:

@@ -66,9 +66,11 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     def first(what: str, share: float) -> None:
         tell(what, FIRST * share)
 
+    before = case.likelihood.work
     found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
     if found.chosen.causes and case.learn_ripple(found.chosen):  # that the causes had hidden
-        found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
+        left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
+        found = search(case.trials, case.base, replace(effort, work=left), first, is_enough=case.is_enough)
     if found.chosen.noise.rate > 0.0 and (len(found.chosen.causes) > 1 or not case.is_enough(found.chosen)):
         found = _unshaken(case, found, effort)
     found = _simplest(case, found)

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["by_total", "by_worst", "chosen_for_extension", "distinct", "families", "specialised", "united"]
+__all__ = [
+    "by_total",
+    "by_worst",
+    "chosen_for_extension",
+    "distinct",
+    "families",
+    "simplified",
+    "specialised",
+    "united",
+]
 
 
 def chosen_for_extension(ranked: Sequence[Hypothesis], places: int) -> list[Hypothesis]:

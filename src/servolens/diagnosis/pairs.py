@@ -11,10 +11,9 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from servolens.diagnosis.trials import Start
-    from servolens.effects.base import Effect
     from servolens.identification.score import ScoreTest
     from servolens.plant import Plant
 
@@ -25,7 +24,7 @@ SHAPES = 3
 
 
 def likeliest_pairs(
-    test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[type[Effect]], float]
+    test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[Plant], float]
 ) -> list[Plant]:
     """Return plants with two effects whose score, prices paid, is highest together; one of each kind, the best first.
 
@@ -41,28 +40,21 @@ def likeliest_pairs(
     most : int
         Pairs to return.
     price : callable
-        Of a kind of effect: by how much −2 log-likelihood must fall for it.
+        Of a plant: by how much −2 log-likelihood must fall for its effects.
     """
     parts = [(start.plant, test.free_columns(start.plant)) for starts in scored for start in starts[:SHAPES]]
-    scores = [
-        (test.explained(np.column_stack([left, right])) - _paid(price, one, other), one, other)
-        for (one, left), (other, right) in combinations(parts, 2)
-        if one.effects[-1].name != other.effects[-1].name
-    ]
+    pairs = []
+    for (one, left), (other, right) in combinations(parts, 2):
+        if _kind(one) & _kind(other):  # one generalises the other
+            continue
+        with suppress(InputError, NumericalError):  # two that do not go together
+            plant = one.with_effect(other.effects[-1])
+            pairs.append((test.explained(np.column_stack([left, right])) - price(plant), _kind(plant), plant))
     found: dict[frozenset[str], Plant] = {}
-    for _, one, other in sorted(scores, key=lambda pair: -pair[0]):
-        kind = frozenset([*_kind(one.effects[-1]), *_kind(other.effects[-1])])
-        if kind not in found:
-            with suppress(InputError, NumericalError):  # two that do not go together
-                found[kind] = one.with_effect(other.effects[-1])
-        if len(found) == most:
-            break
-    return list(found.values())
+    for _, kind, plant in sorted(pairs, key=lambda pair: -pair[0]):
+        found.setdefault(kind, plant)
+    return list(found.values())[:most]
 
 
-def _paid(price: Callable[[type[Effect]], float], *plants: Plant) -> float:
-    return sum(price(type(plant.effects[-1])) for plant in plants)
-
-
-def _kind(effect: Effect) -> Iterator[str]:
-    yield from effect.generalises or (effect.name,)
+def _kind(plant: Plant) -> frozenset[str]:
+    return frozenset(name for effect in plant.effects for name in (effect.generalises or (effect.name,)))

@@ -183,7 +183,8 @@ class _Explorer:
                 h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)
             ]
             path = [*before, *sorted(steps, key=by_total)[:1], best]
-            beam = chosen_for_extension(families([best, *better[1:]]), self.effort.beam)
+            further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
+            beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
@@ -224,11 +225,11 @@ class _Explorer:
         return sorted([*known, *fitted, *kept], key=by_total)
 
     def paired(self, base: Hypothesis) -> list[Hypothesis]:
-        """Return the pairs of effects that explain most together, fitted, the best first; nothing but once."""
+        """Return the pairs of effects that explain most together, fitted, the best first; only once in a search."""
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        plants = likeliest_pairs(test, scored, PAIRS, self.trials.price)
+        plants = likeliest_pairs(test, scored, PAIRS, self.likelihood.price)
         share = self._allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, SOME, like=base, allowance=share), plants

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Linearised", "Point", "Problem"]
+__all__ = ["COARSE", "FINE", "Block", "Known", "Linearised", "Point", "Problem"]
 
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
@@ -61,6 +61,13 @@ class Point:
     values: NDArray[np.float64]
     starts: list[NDArray[np.float64]]
     cost: float = np.inf
+
+
+class Known(NamedTuple):
+    """Of each run an initial state, and parameters of each record's own, that another fit ended with."""
+
+    starts: Sequence[NDArray[np.float64]] = ()
+    local: Mapping[str, NDArray[np.float64]] | None = None
 
 
 class Linearised(NamedTuple):
@@ -223,7 +230,7 @@ class Problem:
         return sum(losses) + self.prior_cost(point.values)
 
     def weigh_priors(self, point: Point) -> bool:
-        """Weigh the priors against the residual at `point`; return whether they weigh otherwise. Renews its cost.
+        """Weigh the priors against the residual at `point`; return whether that changes their weight. Renews its cost.
 
         What a model gets wrong is no white noise: it must not count as thousands of independent witnesses against
         a data sheet. A sample counts as one over its correlation time.
@@ -232,9 +239,9 @@ class Problem:
             return False
         self.choose_substeps(point)
         residuals = [self.residual(point.values, i, start) for i, start in enumerate(point.starts)]
-        self.noise = max(self.least_noise, apparent_noise(residuals))
+        before, self.noise = self.noise, max(self.least_noise, apparent_noise(residuals))
         point.cost = self.cost(point)
-        return True
+        return self.noise != before
 
     def too_stiff(self, point: Point, share: float = 1.0) -> bool:
         """Tell whether a run would need more than this `share` of the substeps that are granted, or is no plant's."""

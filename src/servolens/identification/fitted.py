@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.error_problem import Known
 from servolens.identification.fit_findings import findings_of
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import Model
@@ -61,7 +62,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         likelihood.options(plant),
         noise=likelihood.weighed_by(hypothesis.noise),
         local_minima=plant.has_contacts,
-        known=hypothesis.starts,
+        known=Known(hypothesis.starts, hypothesis.local),
         allowance=allowance,
     )
     held = likelihood.options(plant).held

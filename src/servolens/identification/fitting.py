@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.error_problem import Known
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
@@ -137,9 +138,14 @@ def _observed(
     The records begin as `known`, if that misses less.
     """
     runs, options = likelihood.runs(noise), likelihood.options(plant)
-    weighed = 1.0 if noise is likelihood.white else likelihood.weighed_by(noise)
     return minimise_error(
-        plant, runs, options, noise=weighed, coarse=plant.has_contacts, local_minima=True, known=known
+        plant,
+        runs,
+        options,
+        noise=likelihood.weighed_by(noise),
+        coarse=plant.has_contacts,
+        local_minima=True,
+        known=Known(known),
     )
 
 

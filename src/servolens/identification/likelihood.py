@@ -145,12 +145,17 @@ class Likelihood:
         """How many samples count by themselves, at least 2."""
         return max(self.samples / self.white.discount, 2.0)
 
+    def price(self, plant: Plant) -> float:
+        """Return what the effects of `plant` add to −2 log-likelihood, phases of each record's own included."""
+        phases = (len(self.signals) - 1) * len(own_phases(plant))
+        return self._price(plant) + phases * float(np.log(self.counted))
+
     def weighed_by(self, noise: NoiseModel) -> float | None:
         """Return the least deviation of the residual by which priors are weighed; None where `noise` whitens it.
 
-        What a model that is not the axis gets wrong is whitened by none.
+        Only a noise model that was estimated does, and none whitens the error of a model that is not the axis.
         """
-        return 1.0 if noise.is_model_error or self.simulates else None
+        return None if noise.is_fitted and not noise.is_model_error and not self.simulates else 1.0
 
     def options(self, plant: Plant, *, is_rough: bool = False) -> FitOptions:
         """Return how `plant` is fitted: options on its own parameters, and phases of each record's own.
@@ -325,14 +330,12 @@ class Likelihood:
             return None
         noise, misfit = found
         misfit += problem.prior_cost(point.values)
-        plant = plants[0]
-        extra = (len(self.signals) - 1) * len(own_phases(plant)) * float(np.log(self.counted))
         return Hypothesis(
-            plant,
+            plants[0],
             noise,
             tuple(point.starts),
             misfit,
-            misfit + self._price(plant) + extra,
+            misfit + self.price(plants[0]),
             unpowered,
             problem.local_values(point),
         )

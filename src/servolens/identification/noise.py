@@ -35,6 +35,9 @@ SWINGS, LINES = 0.5, 2048
 are taken out before, and the rest is the axis. Frequencies at which a spectrum is looked at."""
 NEGLIGIBLE = 2e-5
 """Share of the travel below which a residual is no matter: what ten thousand steps of an encoder tell apart at best."""
+BELOW_NYQUIST, DISTINCT = 0.9, 1e-3
+"""Share of half the sampling rate up to which a line of the mains can be told from its alias; ratio of singular values
+below which waves look the same."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -76,6 +79,8 @@ class NoiseModel:
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
     lines : tuple of float
         Frequencies of the mains that the sensor shows, in each record with an amplitude and a phase of its own [Hz].
+    is_fitted : bool
+        Whether it was estimated from what a model leaves: then it whitens that.
     is_model_error : bool
         Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
     """
@@ -94,6 +99,7 @@ class NoiseModel:
     discount: float = 1.0
     parameters: int = 0
     lines: tuple[float, ...] = ()
+    is_fitted: bool = False
     is_model_error: bool = False
 
     @classmethod
@@ -137,7 +143,9 @@ class NoiseModel:
 
     def bleached(self, white: NoiseModel) -> NoiseModel:
         """Return the same observer beside `white` noise."""
-        return replace(self, filters=white.filters, scales=white.scales, share=white.share, parameters=0)
+        return replace(
+            self, filters=white.filters, scales=white.scales, share=white.share, parameters=0, is_fitted=False
+        )
 
     @property
     def wanders(self) -> bool:
@@ -187,7 +195,7 @@ class NoiseModel:
         """Return white noise of the size of `residuals`."""
         samples = sum(r.size for r in residuals)
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
-        return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread)
+        return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread, is_fitted=False)
 
     def coloured(
         self,
@@ -207,7 +215,7 @@ class NoiseModel:
             others = [(parameters, filters, scales), *slow_filters(weighed, MOST_ORDER)]
             parameters, filters, scales = min(others, key=lambda o: 2.0 * samples * np.log(o[2][-1]) + price * o[0])
         spread = float(np.sqrt(sum(float(w @ w) for w in weighed) / samples))
-        return replace(self, filters=filters, scales=scales, parameters=parameters, spread=spread)
+        return replace(self, filters=filters, scales=scales, parameters=parameters, spread=spread, is_fitted=True)
 
 
 @final
@@ -249,8 +257,9 @@ class Whitener:
         for k in range(begun):  # the first samples have no past as long as the filter
             self._begin[k, : k + 1] = noise.filters[k][::-1] / noise.scales[k] / np.sqrt(noise.discount)
         self._filter = noise.filters[-1] / noise.innovation / np.sqrt(noise.discount)
-        self._waves = waves_at(time, noise.lines) if time is not None and noise.lines else None
-        self._basis = None if self._waves is None else np.linalg.qr(self._filtered(self._waves))[0]
+        lines = visible(time, noise.lines) if time is not None else ()
+        self._waves = waves_at(time, lines) if time is not None and lines else None
+        self._basis = None if self._waves is None else _spanned(self._filtered(self._waves))
 
     def beside(self, noise: NoiseModel) -> Whitener:
         """Return the whitener of the same record beside `noise` with other filters, but no other observer or jitter."""
@@ -309,6 +318,12 @@ class Whitener:
         return 2.0 * found / noise.discount
 
 
+def visible(time: NDArray[np.float64], lines: Sequence[float]) -> tuple[float, ...]:
+    """Return those of the `lines` [Hz] that samples at `time` [s] can show: clearly below half their rate."""
+    highest = BELOW_NYQUIST * 0.5 / float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    return tuple(line for line in lines if line < highest)
+
+
 def waves_at(time: NDArray[np.float64], lines: Sequence[float]) -> NDArray[np.float64]:
     """Return cosine and sine of each of the `lines` [Hz] at `time` [s], shape (n, 2k)."""
     return np.column_stack([wave(2.0 * np.pi * line * time) for line in lines for wave in (np.cos, np.sin)])
@@ -320,7 +335,13 @@ def waves_in(residual: NDArray[np.float64], waves: NDArray[np.float64]) -> NDArr
     Weighed by a Hann window, so that what a model misses slowly does not leak into them.
     """
     weight = np.sqrt(np.hanning(residual.size + 2)[1:-1])
-    return np.asarray(np.linalg.lstsq(weight[:, None] * waves, weight * residual, rcond=None)[0])
+    return np.asarray(np.linalg.lstsq(weight[:, None] * waves, weight * residual, rcond=DISTINCT)[0])
+
+
+def _spanned(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of what `columns` span: in less than a period two lines look the same."""
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, singular > DISTINCT * singular[0]])
 
 
 def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> tuple[float, float]:

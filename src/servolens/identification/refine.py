@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.conditioning import determined, open_directions
-from servolens.identification.error_problem import COARSE, FINE, Point, Problem
+from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
 from servolens.identification.rounding import DRAWS, dominates, rounded
@@ -187,7 +187,7 @@ def minimise_error(
     noise: float | None,
     coarse: bool = False,
     local_minima: bool = False,
-    known: Sequence[NDArray[np.float64]] = (),
+    known: Known | None = None,
     allowance: float = np.inf,
 ) -> Refinement:
     """Minimise the residual of `runs` by Levenberg and Marquardt's method within the parameters' bounds.
@@ -210,8 +210,8 @@ def minimise_error(
     local_minima : bool
         Where there are contacts, look along the least-determined direction for lower minima of the error, and for
         others as low, for which the error bars have to allow.
-    known : sequence of ndarray, optional
-        Initial states that may suit the runs, from another fit.
+    known : Known, optional
+        What another fit ended with: each run begins so, if that misses less.
     allowance : float
         Samples times substeps after which no further minimum is looked for.
 
@@ -222,7 +222,7 @@ def minimise_error(
     """
     problem = Problem(plant, runs, options, noise)
     problem.allowance = allowance
-    point = problem.start(known)
+    point = problem.start(*(known or ()))
     if problem.too_stiff(point):  # what begins so is followed as it is; nothing else becomes so
         problem.most_substeps = np.inf
     searched = local_minima and plant.has_contacts

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.effects.periodic_disturbance import MAINS
-from servolens.identification.noise import waves_at, waves_in
+from servolens.identification.noise import visible, waves_at, waves_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,27 +32,35 @@ class Ripple:
     ----------
     frequencies : tuple of float
         [Hz].
-    amplitude : float
-        Of the largest [m or rad].
-    waves : tuple of ndarray
-        Their sum in each record, on the samples that are compared [m or rad].
+    sizes : tuple of ndarray, shape (2k,)
+        Of each record the cosine and the sine of each frequency [m or rad].
     """
 
     frequencies: tuple[float, ...]
-    amplitude: float
-    waves: tuple[NDArray[np.float64], ...]
+    sizes: tuple[NDArray[np.float64], ...]
 
     def __bool__(self) -> bool:
         return bool(self.frequencies)
 
     @property
+    def amplitude(self) -> float:
+        """Of the largest wave [m or rad]."""
+        return max((float(np.hypot(*pair)) for size in self.sizes for pair in size.reshape(-1, 2)), default=0.0)
+
+    @property
     def rms(self) -> float:
         """Root mean square over all records [m or rad]."""
-        return float(np.sqrt(np.mean(np.concatenate(self.waves) ** 2)))
+        return float(np.sqrt(np.mean([0.5 * float(size @ size) for size in self.sizes])))
+
+    def at(self, group: int, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum of the waves of one record at `time` [s], shape (n,)."""
+        if not self.frequencies:
+            return np.zeros(time.size)
+        return np.asarray(waves_at(time, self.frequencies) @ self.sizes[group])
 
 
 def mains_lines(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDArray[np.float64]]) -> tuple[float, ...]:
-    """Return the frequencies of the mains, beside known ones, that the whitened residuals show beyond chance [Hz].
+    """Return the frequencies of the mains that the whitened residuals show beyond chance [Hz].
 
     White noise of variance 1 explains χ²₂ of each line in each record (Fisher's test of a known frequency).
 
@@ -65,17 +73,16 @@ def mains_lines(runs: Sequence[ObservedRun | SimulatedRun], white: Sequence[NDAr
     """
     from scipy.stats import chi2
 
-    fastest = 0.5 / max(float(np.median(np.diff(run.signals.time[:64]))) for run in runs)
-    lines = sorted({line for line in MAINS if line < 0.9 * fastest} - set(runs[0].noise.lines))
-    limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(runs)))
     times = [run.instants for run in runs]
+    lines = sorted(set(MAINS).intersection(*(visible(time, MAINS) for time in times)))
+    limit = float(chi2.isf(RIPPLE_LEVEL / max(len(lines), 1), 2 * len(runs)))
     return tuple(f for f in lines if sum(_power(t, r, f) for t, r in zip(times, white, strict=True)) > limit)
 
 
 def ripple_in(
     times: Sequence[NDArray[np.float64]], missed: Sequence[NDArray[np.float64]], lines: Sequence[float]
 ) -> Ripple:
-    """Return the waves of the mains in what simulations miss, record by record: the mains know no record's beginning.
+    """Return the waves of the mains in what simulations miss, with an amplitude and a phase of each record's own.
 
     Parameters
     ----------
@@ -87,11 +94,9 @@ def ripple_in(
         Frequencies [Hz].
     """
     if not lines:
-        return Ripple((), 0.0, tuple(np.zeros(time.size) for time in times))
-    waves = [waves_at(time, lines) for time in times]
-    sizes = [-waves_in(error, wave) for error, wave in zip(missed, waves, strict=True)]
-    largest = max(float(np.hypot(*pair)) for size in sizes for pair in size.reshape(-1, 2))
-    return Ripple(tuple(lines), largest, tuple(wave @ size for wave, size in zip(waves, sizes, strict=True)))
+        return Ripple((), tuple(np.zeros(0) for _ in times))
+    sizes = (-waves_in(error, waves_at(time, lines)) for time, error in zip(times, missed, strict=True))
+    return Ripple(tuple(lines), tuple(sizes))
 
 
 def _power(time: NDArray[np.float64], residual: NDArray[np.float64], frequency: float) -> float:

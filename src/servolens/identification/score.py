@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, final
 
@@ -94,8 +95,8 @@ class ScoreTest:
             reached = self.free_of_own(self._missed_least(plant))
         except (InputError, NumericalError):
             return 0.0
-        least = float(reached @ reached)
-        return max(self.explained(columns), float(self._left @ self._left) - least)
+        gained = float(self._left @ self._left) - float(reached @ reached)
+        return float(np.fmax(self.explained(columns), gained))
 
     def free_columns(self, plant: Plant) -> NDArray[np.float64]:
         """Return what the change to `plant` would do, without what the hypothesis explains itself, shape (n, k).
@@ -185,9 +186,11 @@ class ScoreTest:
 
     def _missed_least(self, plant: Plant) -> NDArray[np.float64]:
         """Return what `plant` misses of each run, from the initial state of the hypothesis or the run's own guess."""
-        begun = self.hypothesis.starts, [run.start for run in self.runs]
-        pairs = zip(*(self._parts(plant, starts) for starts in begun), strict=True)
-        return np.concatenate([min(pair, key=lambda part: float(part @ part)) for pair in pairs])
+        found = self._parts(plant, self.hypothesis.starts)
+        with suppress(InputError, NumericalError):
+            others = self._parts(plant, [run.start for run in self.runs])
+            found = [a if float(a @ a) <= float(b @ b) else b for a, b in zip(found, others, strict=True)]
+        return np.concatenate(found)
 
     def _parts(self, plant: Plant, starts: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         return [

@@ -88,6 +88,7 @@ def _off_reference(record: Record, seen: Sampling) -> Iterator[Finding]:
     centre = _centre(record, seen, sure=sure)
     if centre is not None:
         ratio, rests = centre, True
+    factor = CLOSE if centre is not None else -math.log(STUCK)
     where = f"the axis moves {ratio:.4g} times as far as its reference"
     if rests and math.isclose(ratio, -1.0, rel_tol=CLOSE):
         message = f"{where}; change the sign of one of the two{'' if sure else ', unless a weight has drawn it there'}."
@@ -95,7 +96,7 @@ def _off_reference(record: Record, seen: Sampling) -> Iterator[Finding]:
     elif ratio > 0.0:
         unit = min(UNITS, key=lambda one: abs(math.log(ratio / one)))
         off = abs(math.log(ratio / unit))
-        if off < -math.log(STUCK) if unit > 1.0 else rests and off < CLOSE:
+        if off < factor if unit > 1.0 else rests and off < CLOSE:
             message = f"{where}: the position is {UNITS[unit]}; state the unit of each column."
             yield Finding(code="units_contradict", severity="error", message=message)
 
@@ -129,7 +130,8 @@ def _centre(record: Record, seen: Sampling, *, sure: bool) -> float | None:
     """Return how many times as far as its reference the centre goes about which the axis swings; None if unclear.
 
     The law ``ÿ = a·r − b·y − c·v + d`` of a proportional loop is fitted to second differences; the centre goes a/b as
-    far. Of a reference that never changes, the constant is taken for a·r.
+    far. Of a reference that never changes, the constant is taken for a·r. Unclear is a ratio that the record hardly
+    determines, as of a loop whose voltage is at its limit, or beside which 1 fits as well.
     """
     w, y, reference = _window(record, seen), record.position, record.reference
     if w is None or reference is None:
@@ -137,15 +139,32 @@ def _centre(record: Record, seen: Sampling, *, sure: bool) -> float | None:
     ones = np.ones(y.size)
     driven = reference if sure else ones
     others = [_bend(_integrated(ones), w), y[2 * w :] - y[: -2 * w]]
-    columns = [_bend(_integrated(driven), w), _bend(_integrated(y), w), *(others if sure else others[1:])]
-    rows = np.stack([column / (np.abs(column).max() or 1.0) for column in columns], axis=1)
-    scales = np.array([np.abs(column).max() or 1.0 for column in columns])
-    bend = _bend(y, w)
-    found = np.linalg.lstsq(rows, bend, rcond=None)[0]
-    push, back = found[:2] / scales[:2]
-    if not back < 0.0 or rms(bend - rows @ found) > CLOSE * rms(bend):
+    others = others if sure else others[1:]
+    push, back, bend = _bend(_integrated(driven), w), _bend(_integrated(y), w), _bend(y, w)
+    sizes, error, left = _solved([push, back, *others], bend, 2 * w)
+    step = 1.0 if sure else float(reference[0])
+    *_, alike = _solved([step * push - back, *others], bend, 2 * w)
+    if not sizes[1] < 0.0 or left > CLOSE * rms(bend) or alike <= 2.0 * left:
         return None
-    return float(push / -back) / (1.0 if sure else float(reference[0]))
+    slope = np.array([1.0, sizes[0] / -sizes[1]])
+    ratio = float(slope[1]) / step
+    deviation = float(np.sqrt(slope @ error[:2, :2] @ slope)) / abs(float(sizes[1]) * step)
+    return ratio if deviation < CLOSE * abs(ratio) else None
+
+
+def _solved(
+    columns: list[NDArray[np.float64]], target: NDArray[np.float64], together: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return the least-squares sizes of `columns`, their covariance, and the r.m.s. of what they leave.
+
+    So many samples count `together` as one.
+    """
+    scales = np.array([np.abs(column).max() or 1.0 for column in columns])
+    rows = np.stack(columns, axis=1) / scales
+    sizes = np.linalg.lstsq(rows, target, rcond=None)[0]
+    left = rms(target - rows @ sizes)
+    covariance = left**2 * together * np.linalg.pinv(rows.T @ rows)
+    return sizes / scales, covariance / np.outer(scales, scales), left
 
 
 def _against(record: Record, seen: Sampling) -> Iterator[Finding]:
