@@ -172,7 +172,7 @@ class _Explorer:
                 return path, True
             found = self.extended(beam, len(path[-1].causes))
             if not path[-1].causes and found and not self.is_enough(found[0]):
-                found = sorted([*found, *self.paired(base)], key=by_total)
+                found = sorted([*found, *self.paired(base, found[0])], key=by_total)
             path[-1] = self._beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
@@ -224,17 +224,23 @@ class _Explorer:
         self.judged += kept
         return sorted([*known, *fitted, *kept], key=by_total)
 
-    def paired(self, base: Hypothesis) -> list[Hypothesis]:
-        """Return the pairs of effects that explain most together, fitted, the best first; only once in a search."""
+    def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
+        """Return the likeliest pair of effects, fitted, if it is likelier than `best` after a few iterations.
+
+        Beside an observer, which hides what they lack, these say little: there it is fitted in any case. Only once in a
+        search.
+        """
         (test, scored), self._scored = self._scored or (None, []), None
-        if test is None:
+        if test is None or self.likelihood.simulates:
             return []
         plants = likeliest_pairs(test, scored, PAIRS, self.likelihood.price)
         share = self._allowance(len(plants))
         begun = in_parallel(
-            lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, SOME, like=base, allowance=share), plants
+            lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
         )
-        return self._judged([(h.plant, h) for h in begun if h])
+        least = np.inf if base.noise.rate > 0.0 else best.total
+        found = sorted((h for h in begun if h and h.total < least), key=by_total)[:1]
+        return self._judged([(h.plant, h) for h in found])
 
     def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
