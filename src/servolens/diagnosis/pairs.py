@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["likeliest_pairs"]
 
-SHAPES = 3
-"""Starts of each effect that are paired: those of other shapes come first."""
-
 
 def likeliest_pairs(
     test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[Plant], float]
@@ -38,11 +35,11 @@ def likeliest_pairs(
     scored : sequence of sequence of Start
         Starts of each effect, the likeliest first.
     most : int
-        Pairs to return.
+        Pairs to return, and starts of each effect that are paired: those of other shapes come first.
     price : callable
         Of a plant: by how much −2 log-likelihood must fall for its effects.
     """
-    parts = [(start.plant, test.free_columns(start.plant)) for starts in scored for start in starts[:SHAPES]]
+    parts = [(start.plant, test.free_columns(start.plant)) for starts in scored for start in starts[:most]]
     pairs = []
     for (one, left), (other, right) in combinations(parts, 2):
         if _kind(one) & _kind(other):  # one generalises the other

@@ -48,8 +48,6 @@ PROMISING = 0.5
 causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
-PAIRS = 3
-"""Pairs of effects that are fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.75
@@ -233,7 +231,7 @@ class _Explorer:
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None or self.likelihood.simulates:
             return []
-        plants = likeliest_pairs(test, scored, PAIRS, self.likelihood.price)
+        plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
         share = self._allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants

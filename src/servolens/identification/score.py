@@ -91,8 +91,9 @@ class ScoreTest:
         missed less so: the initial states of the hypothesis make up for what it lacks.
         """
         try:
-            columns = self._columns(plant)
-            reached = self.free_of_own(self._missed_least(plant))
+            missed = self._missed(plant)
+            columns = self._columns(plant, missed)
+            reached = self.free_of_own(self._missed_least(plant, missed))
         except (InputError, NumericalError):
             return 0.0
         gained = float(self._left @ self._left) - float(reached @ reached)
@@ -104,7 +105,7 @@ class ScoreTest:
         Nothing, shape (n, 0), where it has no simulation.
         """
         try:
-            return self.free_of_own(self._columns(plant))
+            return self.free_of_own(self._columns(plant, self._missed(plant)))
         except (InputError, NumericalError):
             return np.empty((self.residual.size, 0))
 
@@ -168,25 +169,25 @@ class ScoreTest:
         along = q.T @ self._left
         return float(along @ along)
 
-    def _columns(self, plant: Plant) -> NDArray[np.float64]:
+    def _columns(self, plant: Plant, missed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the differences of what `plant` and the hypothesis miss; of a wave, for each record and two phases."""
         names = own_phases(plant)
         new = [name for name in names if name not in own_phases(self.hypothesis.plant)]
         if not new or len(self.runs) == 1:
-            return np.asarray((self._missed(plant) - self.residual)[:, None])
+            return np.asarray((missed - self.residual)[:, None])
         index = list(plant.parameters).index(new[0])
         turned = list(plant.values)
         turned[index] += 0.5 * np.pi if turned[index] < 0.0 else -0.5 * np.pi
-        found = [self._missed(one) - self.residual for one in (plant, plant.with_values(turned))]
+        found = [one - self.residual for one in (missed, self._missed(plant.with_values(turned)))]
         columns = np.zeros((self.residual.size, 2 * len(self.runs)))
         for i in range(len(self.runs)):
             rows = slice(self._ends[i], self._ends[i + 1])
             columns[rows, 2 * i], columns[rows, 2 * i + 1] = found[0][rows], found[1][rows]
         return columns
 
-    def _missed_least(self, plant: Plant) -> NDArray[np.float64]:
-        """Return what `plant` misses of each run, from the initial state of the hypothesis or the run's own guess."""
-        found = self._parts(plant, self.hypothesis.starts)
+    def _missed_least(self, plant: Plant, missed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what is `missed` of each run from the hypothesis' initial state, or less from the run's own guess."""
+        found = np.split(missed, self._ends[1:-1])
         with suppress(InputError, NumericalError):
             others = self._parts(plant, [run.start for run in self.runs])
             found = [a if float(a @ a) <= float(b @ b) else b for a, b in zip(found, others, strict=True)]
