@@ -168,16 +168,21 @@ def prefixed(values: Iterable[float], text: str) -> tuple[float, str]:
     return 1e9, f"n{text}"
 
 
-def readable(value: float, text: str) -> str:
-    """Return `value` of unit `text` with two digits, and with the prefix that suits its size.
+def readable(value: float, text: str, error: float | None = None) -> str:
+    """Return `value` of unit `text` with two digits, or with its standard `error`, in the prefix that suits its size.
 
     Examples
     --------
     >>> readable(8.04e-6, "m"), readable(0.00123, "m/s^2"), readable(0.101, "s")
     ('8 µm', '1.2 mm/s^2', '100 ms')
+    >>> readable(8.04e-6, "m", 1.2e-7)
+    '8.04 ± 0.12 µm'
     """
     factor, unit = prefixed([value], text)
-    return f"{float(f'{factor * value:.2g}'):g} {unit}"
+    if error is None or not 0.0 < error < value:
+        return f"{float(f'{factor * value:.2g}'):g} {unit}"
+    places = max(1 - math.floor(math.log10(factor * error)), 0)
+    return f"{factor * value:.{places}f} ± {factor * error:.{places}f} {unit}"
 
 
 @cache

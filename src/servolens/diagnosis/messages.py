@@ -72,7 +72,9 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     """Describe the noise model in a sentence."""
     noise, unit = chosen.noise, case.records[0].length_unit
     sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
-    told = f"noise {readable(gains.noise, unit)} (r.m.s.)"
+    is_random = noise.is_fitted and noise.spread > 0.0 and not dominates(noise)
+    share = noise.spread_error(case.likelihood.samples) / noise.spread if is_random else 0.0
+    told = f"noise {readable(gains.noise, unit, share * gains.noise)} (r.m.s.)"
     memory = noise.memory()
     if noise.rate == 0.0 and memory > 2.0:
         slow = float(np.sqrt(max(noise.spread**2 - noise.innovation**2, 0.0)))
@@ -87,9 +89,11 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
 
 
 def _shaken(case: Case, remainder: Remainder) -> Finding:
+    size, lasts = remainder.acceleration_rms, remainder.correlation_time
+    independent = sum(record.duration for record in case.records) / max(lasts, 1e-9)  # of e^(−t/τ) squared: T/τ
+    told = readable(size, f"{case.records[0].length_unit}/s^2", size * float(np.sqrt(0.5 / max(independent, 1.0))))
     message = (
-        "something shakes the axis irregularly, by about"
-        f" {readable(remainder.acceleration_rms, f'{case.records[0].length_unit}/s^2')} (r.m.s.),"
+        f"something shakes the axis irregularly, by about {told} (r.m.s.),"
         f" {100 * remainder.of_motor:.2g} % of what the motor gives at most. It does not depend on the reference: it is"
         " no cause of the catalogue, and no gain designed from a model removes it. Look for vibration, cables or a"
         " machine nearby."

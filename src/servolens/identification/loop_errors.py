@@ -17,6 +17,7 @@ from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
+from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -132,27 +133,19 @@ def drawn_loop_errors(
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]
-    pushes = [_shaking(noise, record, stream) / plant.gain for plant, record in zip(plants, records, strict=True)]
+    shakes = [shaking(noise, record, stream) for record in records]
 
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(ServolensError):
             return tuple(
-                simulate(plant, disturbed(record, error[:, k], push[:, k])).position + error[:, k] - position
-                for plant, record, error, push, position in zip(plants, records, drawn, pushes, still, strict=True)
+                simulate(plant, disturbed(record, error[:, k]), acceleration=shake[:, k]).position
+                + error[:, k]
+                - position
+                for plant, record, error, shake, position in zip(plants, records, drawn, shakes, still, strict=True)
             )
         return None
 
     return [draw for draw in in_parallel(one, range(DRAWS)) if draw is not None]
-
-
-def _shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
-    """Return draws of the acceleration that shakes the axis, shape (n, draws)."""
-    from scipy.signal import lfilter
-
-    kept, power = noise.shaking(record.sample_time)
-    white = stream.standard_normal((len(record), DRAWS))
-    white[1:] *= np.sqrt(1.0 - kept**2)
-    return np.asarray(noise.spread * np.sqrt(power) * lfilter([1.0], [1.0, -kept], white, axis=0))
 
 
 class _Shares:

@@ -169,6 +169,17 @@ class NoiseModel:
         total = float(np.sum(self.filters[-1]))
         return max((self.innovation / max(abs(total), 1e-12)) ** 2 / max(self.spread**2, 1e-300), 1.0)
 
+    def spread_error(self, samples: int) -> float:
+        """Return the standard error of `spread` from so many `samples` [m or rad].
+
+        The variance of a sample variance of correlated normal values is 2 σ⁴ Σρ²/n, with the autocorrelations ρ of all
+        lags, which sum to mean(S²)/mean(S)² of the spectrum S (Priestley, *Spectral Analysis and Time Series*, 1981,
+        section 5.3.3).
+        """
+        spectrum = 1.0 / np.maximum(np.abs(np.fft.rfft(self.filters[-1], LINES)), 1e-12) ** 2
+        correlated = float(np.mean(spectrum**2) / np.mean(spectrum) ** 2)
+        return self.spread * float(np.sqrt(0.5 * correlated / max(samples, 1)))
+
     def inflation(self, samples: int, unknowns: int) -> float:
         """Return by how much variances are larger than with a noise that is known: n/(n − p), n without its memory.
 
@@ -320,6 +331,8 @@ class Whitener:
 
 def visible(time: NDArray[np.float64], lines: Sequence[float]) -> tuple[float, ...]:
     """Return those of the `lines` [Hz] that samples at `time` [s] can show: clearly below half their rate."""
+    if not lines:
+        return ()
     highest = BELOW_NYQUIST * 0.5 / float(np.median(np.diff(time))) if time.size > 1 else 0.0
     return tuple(line for line in lines if line < highest)
 

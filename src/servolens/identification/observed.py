@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -108,6 +109,12 @@ class Signals:
         initial = InitialState.of(record, noise)
         speed = _observed_speed(plant, rate, time, voltage, position, initial)
         return cls(record, time, voltage, position, index, initial, speed)
+
+    def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
+        """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
+        time, held, index = without_gaps(self.record.time)
+        shown = position[held] if index is None else np.interp(time, self.record.time, position)
+        return replace(self, position=np.ascontiguousarray(shown), voltage=np.ascontiguousarray(voltage[held]))
 
     @property
     def speed(self) -> NDArray[np.float64]:
@@ -225,6 +232,12 @@ class ObservedRun:
         )
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]
+
+    def of(self, signals: Signals) -> ObservedRun:
+        """Return the same run with other `signals` of its record, observed alike."""
+        other = copy(self)
+        other.signals = signals
+        return other
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the whitened difference, and how far the initial state is from its prior, in standard deviations."""

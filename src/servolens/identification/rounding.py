@@ -156,17 +156,13 @@ def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:
     return np.clip(at, 0, len(signals.record) - 1)
 
 
-def disturbed(record: Record, error: NDArray[np.float64], push: NDArray[np.float64] | None = None) -> Record:
-    """Return `record` with what its controller makes of an `error` of the sensor [m or rad] as feedforward.
-
-    A voltage `push` is added to it, if any.
-    """
+def disturbed(record: Record, error: NDArray[np.float64]) -> Record:
+    """Return `record` with what its controller makes of an `error` of the sensor [m or rad] as feedforward."""
     assert record.controller is not None  # noqa: S101 - of records in closed loop
     loop = replace(record.controller, integral_before=0.0, anti_windup="none")  # the answer to the noise alone
     seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None, controller=loop)
     answer = controller_voltage(seen)
-    added = answer if push is None else answer + push
-    forward = added if record.feedforward is None else record.feedforward + added
+    forward = answer if record.feedforward is None else record.feedforward + answer
     return replace(record, feedforward=forward, encoder_resolution=None)
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
-from servolens.identification.rounding import rounded
+from servolens.identification.rounding import is_rounded, rounded
+from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class ScoreTest:
     """
 
     def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
-        self.hypothesis = hypothesis
+        self.hypothesis, self.rate = hypothesis, likelihood.rate
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
         problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
@@ -67,11 +68,17 @@ class ScoreTest:
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
         self._left = self.free_of_own(self.residual)
 
+    @property
+    def is_drawn(self) -> bool:
+        """Whether chance is not that of white noise, and is drawn: rounding or shaking are part of the noise."""
+        return is_rounded(self.hypothesis.noise) or self.hypothesis.noise.rate > 0.0
+
     @cached_property
-    def rounded(self) -> list[NDArray[np.float64]]:
-        """Draws of each run's whitened residual if the hypothesis is the axis, the encoder's rounding simulated."""
+    def drawn(self) -> NDArray[np.float64]:
+        """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
+        draw = rounded if is_rounded(self.hypothesis.noise) else shaken
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        return rounded(self.runs, plants, self.hypothesis.starts)
+        return self.free_of_own(np.concatenate(draw(self.runs, plants, self.hypothesis.starts)))
 
     @property
     def left(self) -> NDArray[np.float64]:
@@ -137,7 +144,7 @@ class ScoreTest:
             If `plant` has no simulation.
         """
         direction = self.free_of_own(self._missed(plant) - self.residual)
-        along = direction @ np.concatenate(self.rounded)
+        along = direction @ self.drawn
         return max(float(np.mean(along**2)) / max(float(direction @ direction), 1e-300), 1.0)
 
     def pushed(self, forces: Sequence[NDArray[np.float64]], size: float) -> NDArray[np.float64]:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import DryFriction, Presliding
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.loop_errors import loop_error, shifted
-from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of
+from servolens.identification.rounding import dominates, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -27,18 +27,20 @@ __all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
-TESTS = 3
-"""Among which the familywise error rate is shared: forces, changes of the reference, and rest against motion."""
-BLOCKS, FEWEST_BLOCKS = (8, 32), 20
-"""Samples of a block: a few, and as many as a loop of 5 Hz needs for its slowest motion; blocks of an F test."""
-SLOW = 1e-2
-"""Share of the top speed below which the axis rests."""
+TESTS = 4
+"""Among which the familywise error rate is shared: forces, changes of the reference, ringing, rest against motion."""
+BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
+"""Samples of a block: a few, as many as a fast loop remembers, and a slow one; blocks of a third that is compared."""
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
 SPEEDS = np.array([-1.0, -0.3, -0.1, -0.03, 0.0, 0.03, 0.1, 0.3, 1.0])
 """Knots of a force over velocity or voltage, in units of the largest: dense where friction and dead zones act."""
 PLACES = np.linspace(0.0, 1.0, 7)
 """Knots of a force over the travel and over time."""
+RINGING_DAMPING = 0.1
+RINGING = np.geomspace(0.25, 32.0, 24)
+"""Damping ratio and frequencies of modes that the inputs may set ringing, in units of the loops' rate: spaced by twice
+the damping ratio, so that none falls between two."""
 LAGS = 2
 """Ratio of one lag of an instrument to the one before."""
 
@@ -54,7 +56,7 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11).
     """
     tests = statistics(test)
-    return any(statistic > limit for statistic, limit in tests) or _is_smoother_in_motion(test)
+    return any(statistic > limit for statistic, limit in tests) or _differs_in_motion(test)
 
 
 def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
@@ -78,72 +80,87 @@ def statistics(test: ScoreTest) -> list[tuple[float, float]]:
     from scipy.stats import ncx2
 
     found = []
-    for columns in (forced(test), _instruments(test)):
+    for columns in (forced(test), _instruments(test), _ringing(test)):
         basis = _basis(test, columns)
         if basis.shape[1]:
             tolerated = TOLERATED**2 * test.left.size
             limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], tolerated))
-            if is_rounded(test.hypothesis.noise):
-                drawn = basis.T @ np.concatenate(test.rounded)
+            if test.is_drawn:
+                drawn = basis.T @ test.drawn
                 limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
             along = basis.T @ test.left
             found.append((float(along @ along), limit))
     return found
 
 
-def _is_smoother_in_motion(test: ScoreTest) -> bool:
-    """Tell whether the whitened residual goes on from sample to sample while the axis moves more than while it rests.
+def _differs_in_motion(test: ScoreTest) -> bool:
+    """Tell whether the whitened residual goes on from sample to sample otherwise in motion than at rest.
 
     Noise of a sensor, ripple and shaking are the same at rest; what a model lacks shows in motion. Compared are the
     mean squares of block means, in units of the squared differences within the blocks (which a jittering clock
-    enlarges in motion), by an F test. A shaken axis that dry friction or a play holds at rest is shaken in motion only,
-    and where rounding dominates an axis at rest shows no noise: there the test says nothing.
+    enlarges in motion), between the third of the blocks in which the axis is fastest and that in which it is slowest
+    (Goldfeld and Quandt 1965, doi:10.1080/01621459.1965.10480811). By an F test, whether they are larger in motion; of
+    a shaken axis by draws of its loop, whether they differ, for dry friction and plays hold it at rest. Where rounding
+    dominates an axis at rest shows no noise: there the test says nothing.
     """
-    from scipy.stats import f
+    from scipy.stats import f, t
 
-    hypothesis = test.hypothesis
-    plant = hypothesis.plant
-    sticks = plant.has_contacts or any(isinstance(effect, DryFriction | Presliding) for effect in plant.effects)
-    if dominates(hypothesis.noise) or (hypothesis.noise.rate > 0.0 and sticks):
+    noise = test.hypothesis.noise
+    if dominates(noise):
         return False
-    moves, left = _moving(test), np.split(test.left, np.cumsum([run.samples for run in test.runs])[:-1])
-    drawn = [[rows[:, k] for rows in test.rounded] for k in range(DRAWS)] if is_rounded(hypothesis.noise) else []
+    fast = [np.abs(_noise_free(test, i)[1]) for i in range(len(test.runs))]
+    fast = [v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, fast, strict=True)]
     level = FALSE_ALARM / TESTS / len(BLOCKS)
     for size in BLOCKS:
-        ratio, counts = _smoothness(left, moves, size)
-        if min(counts) < FEWEST_BLOCKS:
+        blocks = _Blocks(fast, [run.samples for run in test.runs], size)
+        if blocks.count < FEWEST_BLOCKS:
             continue
-        usual = float(np.mean([_smoothness(one, moves, size)[0] for one in drawn])) if drawn else 1.0
-        if f.sf(ratio / usual, counts[1], counts[0]) < level:
+        ratio = blocks.ratio(test.left)
+        if noise.rate == 0.0:
+            usual = float(np.mean([blocks.ratio(one) for one in test.drawn.T])) if test.is_drawn else 1.0
+            if f.sf(ratio / usual, blocks.count, blocks.count) < level:
+                return True
+            continue
+        drawn = np.log([blocks.ratio(one) for one in test.drawn.T])
+        away = (np.log(ratio) - np.mean(drawn)) / (np.std(drawn, ddof=1) * np.sqrt(1.0 + 1.0 / drawn.size))
+        if 2.0 * t.sf(abs(away), drawn.size - 1) < level:
             return True
     return False
 
 
-def _smoothness(
-    residuals: Sequence[NDArray[np.float64]], moves: Sequence[NDArray[np.bool_]], size: int
-) -> tuple[float, tuple[int, int]]:
-    """Return how much smoother the residuals are in motion than at rest, and the blocks of `size` samples of either."""
-    smooth: list[list[float]] = [[], []]
-    rough: list[list[float]] = [[], []]
-    for residual, moving in zip(residuals, moves, strict=True):
-        count = residual.size // size
-        blocks, inside = residual[: count * size].reshape(count, size), moving[: count * size].reshape(count, size)
-        for chosen, place in ((~inside.any(axis=1), 0), (inside.all(axis=1), 1)):
-            smooth[place] += (size * np.mean(blocks[chosen], axis=1) ** 2).tolist()
-            rough[place] += (0.5 * np.mean(np.diff(blocks[chosen], axis=1) ** 2, axis=1)).tolist()
-    counts = len(smooth[0]), len(smooth[1])
-    if min(counts) == 0:
-        return 1.0, counts
-    rest, motion = (float(np.mean(a)) / max(float(np.mean(b)), 1e-300) for a, b in zip(smooth, rough, strict=True))
-    return motion / max(rest, 1e-300), counts
+class _Blocks:
+    """Blocks of samples in which the axis is slowest and fastest: a third of all each.
 
+    Parameters
+    ----------
+    speeds : sequence of ndarray, shape (n,)
+        Of each record.
+    samples : sequence of int
+        That are compared of each.
+    size : int
+        Samples of a block.
+    """
 
-def _moving(test: ScoreTest) -> list[NDArray[np.bool_]]:
-    """Return for each record where its compared samples are of an axis that moves."""
-    found = [_noise_free(test, i)[1] for i in range(len(test.runs))]
-    fastest = max(float(np.abs(v).max()) for v in found)
-    speeds = (v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, found, strict=True))
-    return [np.abs(v[: run.samples]) > SLOW * fastest for run, v in zip(test.runs, speeds, strict=True)]
+    def __init__(self, speeds: Sequence[NDArray[np.float64]], samples: Sequence[int], size: int) -> None:
+        ends = np.cumsum([0, *samples])
+        firsts = [np.arange(begin, end - size + 1, size) for begin, end in pairwise(ends)]
+        energy = [
+            np.sum(v[: size * at.size].reshape(at.size, size) ** 2, axis=1)
+            for v, at in zip(speeds, firsts, strict=True)
+        ]
+        order = np.concatenate(firsts)[np.argsort(np.concatenate(energy), kind="stable")]
+        self.size, self.count = size, order.size // 3
+        self._slow, self._fast = order[: self.count], order[order.size - self.count :]
+
+    def ratio(self, residual: NDArray[np.float64]) -> float:
+        """Return how much smoother `residual`, shape (n,), is where the axis is fast than where it is slow."""
+        fast, slow = (self._smoothness(residual, firsts) for firsts in (self._fast, self._slow))
+        return max(fast, 1e-300) / max(slow, 1e-300)
+
+    def _smoothness(self, residual: NDArray[np.float64], firsts: NDArray[np.intp]) -> float:
+        rows = residual[firsts[:, None] + np.arange(self.size)]
+        smooth = self.size * float(np.mean(np.mean(rows, axis=1) ** 2))
+        return smooth / max(0.5 * float(np.mean(np.diff(rows, axis=1) ** 2)), 1e-300)
 
 
 def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: NDArray[np.float64]) -> bool:
@@ -196,9 +213,22 @@ def forces_along(
     for y, v, u in found:
         rows = [*_hats(v / max(fastest, 1e-300), SPEEDS), *_hats((y - low) / max(high - low, 1e-300), PLACES)]
         rows += [*_hats(u / max(most, 1e-300), SPEEDS), *_hats(np.linspace(0.0, 1.0, y.size), PLACES)]
-        rows += [np.diff(v, prepend=v[0]), np.diff(u, prepend=u[0]), v * (y - low), np.sign(v) * (y - low)]
+        rows += [np.diff(v, prepend=v[0]), np.diff(u, prepend=u[0]), *_products(y - low, v, u)]
         laws.append(np.array([row / max(float(np.abs(row).max()), 1e-300) for row in rows]))
     return laws
+
+
+def _products(y: NDArray[np.float64], v: NDArray[np.float64], u: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
+    """Yield forces of second order: of speed, its sign, and voltage, each changing over place, time and path.
+
+    Of these and of the products of two of them, what is about the mean of the first factor.
+    """
+    time, path = np.linspace(0.0, 1.0, y.size), np.cumsum(np.abs(v))
+    for along in (y, time, path):
+        for force in (v, np.sign(v), u):
+            yield force * (along - np.mean(along))
+    for force in (v * u, np.sign(v) * u, y * time, y * path):
+        yield force - np.mean(force)
 
 
 def _noise_free(test: ScoreTest, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -253,6 +283,20 @@ def _driving(run: ObservedRun | SimulatedRun) -> list[NDArray[np.float64]]:
         voltage = signals.voltage if signals.index is None else signals.voltage[signals.index]
         return [np.concatenate([voltage[:1], voltage[:-1]])]
     return [record.reference[at], *([] if record.feedforward is None else [record.feedforward[at]])]
+
+
+def _ringing(test: ScoreTest) -> NDArray[np.float64]:
+    """Return what lightly damped modes that the inputs set ringing would add to the residual, shape (n, k)."""
+    from scipy.signal import lfilter
+
+    parts = []
+    for run in test.runs:
+        step = float(np.median(np.diff(run.instants)))
+        kicks = [np.diff(signal, prepend=signal[0]) for signal in _driving(run)]
+        poles = np.exp(test.rate * RINGING * (1j - RINGING_DAMPING) * step)
+        rung = [lfilter([1.0], [1.0, -pole], np.asarray(kick, dtype=complex)) for kick in kicks for pole in poles]
+        parts.append(run.whiten(np.column_stack([part for one in rung for part in (one.real, one.imag)])))
+    return np.concatenate(parts)
 
 
 def _lagged(signal: NDArray[np.float64]) -> list[NDArray[np.float64]]:

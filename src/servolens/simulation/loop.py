@@ -42,6 +42,8 @@ PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 fast lag splits each sample; most pieces, where there is no such limit."""
 NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
+OBSERVED, SHAKEN = 1.0, 2.0
+"""What it is told where one does, or where an acceleration shakes the axis; see :mod:`.digital`."""
 
 
 @final
@@ -68,6 +70,7 @@ def simulate(
     *,
     initial_velocity: float = 0.0,
     voltage_driven: bool | None = None,
+    acceleration: NDArray[np.float64] | None = None,
     substeps: int | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Simulation:
@@ -86,6 +89,8 @@ def simulate(
         [m/s or rad/s].
     voltage_driven : bool, optional
         True: apply the logged voltage; False: close the loop; None: close it where the record allows.
+    acceleration : ndarray, shape (n,), optional
+        Of what shakes the axis, from each of the record's samples to the next [m/s² or rad/s²].
     substeps : int, optional
         Steps a sample; None chooses them from the plant's fastest rate.
     **settings
@@ -110,7 +115,13 @@ def simulate(
     if driven:
         before = record.voltage_before
         return simulate_voltage(
-            plant, record.time, _given(record.voltage), start=start, before=before, substeps=substeps
+            plant,
+            record.time,
+            _given(record.voltage),
+            start=start,
+            before=before,
+            acceleration=acceleration,
+            substeps=substeps,
         )
     controller = record.controller
     assert controller is not None  # noqa: S101 - can_close
@@ -125,6 +136,7 @@ def simulate(
         before=record.voltage_before,
         resolution=record.encoder_resolution or 0.0,
         limit=record.voltage_limit,
+        acceleration=None if acceleration is None else acceleration[held],
         substeps=substeps,
     )
     if index is None:
@@ -143,6 +155,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     before: float | None = None,
     resolution: float = 0.0,
     limit: float | None = None,
+    acceleration: ArrayLike | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative and integral.
@@ -162,6 +175,8 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     limit : float, optional
         Of the command, as the controller knows it against windup [V], perhaps infinite; None is that of the plant's
         saturation.
+    acceleration : array_like, shape (n,), optional
+        Of what shakes the axis, from each sample to the next [m/s² or rad/s²].
     substeps : int, optional
         Steps a sample.
 
@@ -177,9 +192,22 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
     period = _sample_time(grid)
     law = law_settings(plant, controller, period, limit)
-    settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *NO_OBSERVER, *law]
+    corrects, shaken = _shaking(acceleration, grid)
+    settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
     count = substeps or substeps_for(plant, period)
-    return _run(plant, grid, held, _floats(reference), settings, start, count)
+    return _run(plant, grid, held, _floats(reference), settings, start, count, corrections=shaken)
+
+
+def _shaking(
+    acceleration: ArrayLike | None, time: NDArray[np.float64]
+) -> tuple[tuple[float, float, float], NDArray[np.float64] | None]:
+    """Return the settings of an axis that is shaken, or not, and with what."""
+    if acceleration is None:
+        return NO_OBSERVER, None
+    shaken = _floats(acceleration)
+    if shaken.shape != time.shape:
+        raise InputError(f"time has {time.size} samples, the acceleration {shaken.size}")
+    return (SHAKEN, *NO_OBSERVER[1:]), shaken
 
 
 def simulate_trial(  # noqa: PLR0913 - as simulate_loop
@@ -226,27 +254,30 @@ def simulate_voltage(
     *,
     start: tuple[float, float] = (0.0, 0.0),
     before: float | None = None,
+    acceleration: ArrayLike | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the axis under a `voltage` [V] that is held from sample to sample.
 
     Parameters
     ----------
-    plant, time, voltage, start, before, substeps
+    plant, time, voltage, start, before, acceleration, substeps
         As of :func:`simulate_loop`.
     """
     plant = as_plant(plant)
     grid = _grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = _floats(voltage)
+    corrects, shaken = _shaking(acceleration, grid)
     return _run(
         plant,
         grid,
         held,
         held,
-        [*OPEN_LOOP, ANY_NUMBER, *known(before), *NO_OBSERVER, *NO_LAW],
+        [*OPEN_LOOP, ANY_NUMBER, *known(before), *corrects, *NO_LAW],
         start,
         substeps or substeps_for(plant, step),
+        corrections=shaken,
     )
 
 
@@ -290,7 +321,7 @@ def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by key
     granted = PATIENCE * time.size * max(substeps, ONE_OF)
     if gains is not None and gains.shape != (time.size, 3):
         raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
-    observer = (float(gains is not None), coarse, remembered)
+    observer = (0.0 if gains is None else OBSERVED, coarse, remembered)
     settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
     return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
 

@@ -28,8 +28,10 @@ from servolens.simulation.digital import (
     IS_PD,
     MOST_PIECES_GRANTED,
     MOVED,
+    OBSERVED,
     RATIO,
     RESOLUTION,
+    SHAKEN,
     SHAKING_LEFT,
     applied_before,
     asked,
@@ -166,9 +168,10 @@ def run(
     an observer, the speed that a step may be wrong by, then for each state whether an observer moves it with the
     position (1), the velocity (2) or not (0). An observer has the measured position as `reference`, gives its
     prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
-    shaking. Minus one is returned where more pieces than granted would be needed; zero grants any number. Without a
-    closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input reaches the
-    actuator `delay` seconds late; before the record the first one was applied, if it is not known.
+    shaking; of an axis that is shaken, `gains` holds the acceleration from each sample on. Minus one is returned where
+    more pieces than granted would be needed; zero grants any number. Without a closed loop the input is `held`; with
+    one, `held` is added to what the controller asks for. The input reaches the actuator `delay` seconds late; before
+    the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
@@ -192,8 +195,10 @@ def run(
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
-        if loop[CORRECTS] != 0.0:
+        if loop[CORRECTS] == OBSERVED:
             correct(x, loop, gains, k, ns, nz, reference[k] - seen)
+        elif loop[CORRECTS] == SHAKEN:
+            x[SHAKING] = gains[k]
         if k == 0 and loop[IS_KNOWN_BEFORE] == 0.0:
             before = results[2 * n]
             x[U] = before

@@ -1,0 +1,89 @@
+"""What shakes an axis, drawn: what its loop makes of that, and what an observer of it then misses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.errors import ServolensError
+from servolens.identification.observed import ObservedRun
+from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
+from servolens.identification.segments import applied_voltage
+from servolens.processors import in_parallel
+from servolens.simulation.loop import simulate
+from servolens.simulation.rates import substeps_for
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.noise import NoiseModel
+    from servolens.identification.observed import SimulatedRun
+    from servolens.plant import Plant
+    from servolens.record import Record
+
+__all__ = ["shaken", "shaking"]
+
+
+def shaken(
+    runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
+) -> list[NDArray[np.float64]]:
+    """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
+
+    The loop answers to the sensor's noise and to what shakes the axis, and the observer follows what it then measures.
+    Without a reference the voltage is the record's own. A draw in which the loop diverges is of white noise.
+
+    Parameters
+    ----------
+    runs : sequence of ObservedRun or SimulatedRun
+        Of an axis that is shaken.
+    plants, starts : sequence
+        The plant of each run and its initial state.
+    """
+    stream = np.random.default_rng(4)
+    return [_of_run(run, plant, start, stream) for run, plant, start in zip(runs, plants, starts, strict=True)]
+
+
+def _of_run(
+    run: ObservedRun | SimulatedRun, plant: Plant, start: NDArray[np.float64], stream: np.random.Generator
+) -> NDArray[np.float64]:
+    record, noise = run.signals.record, run.noise
+    errors = drawn_noise(spectrum_of(noise), len(record), stream)
+    shakes = shaking(noise, record, stream)
+    substeps = substeps_for(plant, run.sample_time)
+    white = stream.standard_normal((run.samples, DRAWS))
+
+    def one(k: int) -> NDArray[np.float64]:
+        try:
+            position, voltage = _measured(plant, record, errors[:, k], shakes[:, k])
+            there = run.of(run.signals.measured_as(position, voltage)) if isinstance(run, ObservedRun) else run
+            return there.whiten(there.missed(plant, start, substeps))
+        except ServolensError:
+            return white[:, k]
+
+    return np.column_stack(in_parallel(one, range(DRAWS)))
+
+
+def _measured(
+    plant: Plant, record: Record, error: NDArray[np.float64], shake: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position and applied voltage of a shaken axis as its log would hold them."""
+    if record.reference is not None and record.controller is not None:
+        moved = simulate(plant, disturbed(record, error), acceleration=shake)
+        return moved.position + error, applied_voltage(replace(record, voltage=moved.voltage))
+    voltage = applied_voltage(record)
+    driven = replace(record, voltage=voltage, encoder_resolution=None)
+    return simulate(plant, driven, voltage_driven=True, acceleration=shake).position + error, voltage
+
+
+def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
+    """Return draws of the acceleration that shakes the axis [m/s² or rad/s²], shape (n, draws)."""
+    from scipy.signal import lfilter
+
+    kept, power = noise.shaking(record.sample_time)
+    white = stream.standard_normal((len(record), DRAWS))
+    white[1:] *= np.sqrt(1.0 - kept**2)
+    return np.asarray(noise.spread * np.sqrt(power) * lfilter([1.0], [1.0, -kept], white, axis=0))

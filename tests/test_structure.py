@@ -1,0 +1,98 @@
+"""Whether what a model leaves depends on the inputs: laws that no effect has, shaking, and the size of either."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import servolens
+from servolens import lab
+from servolens.effects import CoulombFriction
+from servolens.identification.likelihood import Likelihood
+from servolens.identification.noise import NoiseModel
+from servolens.identification.options import FitOptions
+from servolens.identification.shaken import shaken
+
+GAIN, DAMPING, H = 2.0, 8.0, 1e-3
+CART = servolens.Plant(gain=GAIN, damping=DAMPING)
+
+
+def loop(plant, levels=(0.0, 0.1, 0.0, 0.08, 0.0), each=1.0):
+    """Return a record of the loop of `plant`, without noise."""
+    time = np.arange(int(len(levels) * each / H)) * H
+    reference = np.array(levels)[np.minimum((time / each).astype(int), len(levels) - 1)]
+    record = servolens.Record(
+        time=time, position=0.0 * time, reference=reference, controller=servolens.Controller(kp=60.0)
+    )
+    run = servolens.simulation.loop.simulate(plant, record)
+    return replace(record, position=run.position, voltage=run.voltage)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.9])
+def test_size_of_noise_is_as_uncertain_as_that_of_many_draws_is(pole):
+    samples, stream = 2000, np.random.default_rng(1)
+    draws = lfilter([1.0], [1.0, -pole], stream.standard_normal((800, samples + 200)), axis=1)[:, 200:]
+    spread = 1.0 / np.sqrt(1.0 - pole**2)
+    filters = (np.ones(1),) if pole == 0.0 else (np.ones(1), np.array([1.0, -pole]))
+    noise = replace(NoiseModel.white(1.0), filters=filters, scales=np.ones(len(filters)), spread=spread)
+    assert noise.spread_error(samples) == pytest.approx(np.std(np.sqrt(np.mean(draws**2, axis=1))), rel=0.1)
+
+
+@pytest.mark.parametrize("corner", [5.0, 60.0])
+@pytest.mark.parametrize("rate", [60.0, 250.0])
+def test_draws_of_a_shaken_loop_leave_an_observer_white_noise(corner, rate):
+    record = loop(CART)
+    likelihood = Likelihood([record], CART, FitOptions())
+    noise = replace(NoiseModel.white(1e-6), gain=GAIN, damping=DAMPING, rate=rate, corner=corner)
+    (drawn,) = shaken(likelihood.runs(noise), [CART], [np.array([record.position[0], 0.0])])
+    settled = drawn[500:]  # the observer's gains are those of an axis whose beginning is uncertain
+    assert np.mean(settled**2) == pytest.approx(1.0, abs=0.03)
+    for lag in (1, 2, 5, 20, 100):
+        assert abs(np.mean(settled[lag:] * settled[:-lag])) < 0.02
+
+
+def test_draws_of_a_shaken_axis_that_sticks_rest_with_it():
+    plant = CART.with_effect(CoulombFriction(level=2.0))
+    record = loop(plant)
+    likelihood = Likelihood([record], plant, FitOptions())
+    noise = replace(NoiseModel.white(1e-6), gain=GAIN, damping=DAMPING, rate=250.0, corner=60.0)
+    (drawn,) = shaken(likelihood.runs(noise), [plant], [np.array([record.position[0], 0.0])])
+    moves = np.abs(np.gradient(record.position, H)) > 1e-3
+    assert np.mean(drawn[~moves] ** 2) < 0.93 * np.mean(drawn[moves] ** 2)
+
+
+@pytest.mark.parametrize(
+    ("law", "seed"),
+    [("growing_friction", 740861), ("changing_damping", 740161), ("hanging_load", 740961)],
+)
+def test_a_law_of_no_effect_is_not_taken_for_shaking(law, seed):
+    campaign = lab.hidden_campaign(seed, foreign=law, world="white")
+    found = servolens.diagnose(campaign.records, heldout=campaign.heldout, effort="quick")
+    assert found.verdict in ("unexplained", "partly_explained")
+    assert found.remainder.depends_on_inputs
+    assert "shaken_axis" not in {finding.code for finding in found.findings}
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_an_axis_that_is_shaken_moves_as_its_acceleration_says(closed):
+    """Against the exact solution of the sampled linear axis; the actuator's dead zone does not see what shakes it."""
+    time = np.arange(400) * H
+    shake = np.random.default_rng(3).standard_normal(time.size)
+    plant = CART.with_effect(servolens.effects.DeadZone(width=5.0))
+    setup = {"reference": 0.0 * time, "controller": servolens.Controller(kp=1.0)} if closed else {"voltage": 0.0 * time}
+    run = servolens.simulate(plant, servolens.Record(time=time, position=0.0 * time, **setup), acceleration=shake)
+    left = np.exp(-DAMPING * H)
+    position, speed = np.zeros(time.size), np.zeros(time.size)
+    for k in range(time.size - 1):
+        steady = shake[k] / DAMPING
+        position[k + 1] = position[k] + steady * H + (speed[k] - steady) * (1.0 - left) / DAMPING
+        speed[k + 1] = steady + (speed[k] - steady) * left
+    np.testing.assert_allclose(run.position, position, atol=1e-6 * np.abs(position).max())
+
+
+def test_an_acceleration_of_another_length_is_refused():
+    time = np.arange(10) * H
+    record = servolens.Record(time=time, position=0.0 * time, voltage=0.0 * time)
+    with pytest.raises(servolens.InputError, match="time has 10 samples, the acceleration 9"):
+        servolens.simulate(CART, record, acceleration=np.zeros(9))
