@@ -49,7 +49,7 @@ class ScoreTest:
     """
 
     def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
-        self.hypothesis, self.rate = hypothesis, likelihood.rate
+        self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.count
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
         problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
@@ -78,7 +78,9 @@ class ScoreTest:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
         draw = rounded if is_rounded(self.hypothesis.noise) else shaken
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        return self.free_of_own(np.concatenate(draw(self.runs, plants, self.hypothesis.starts)))
+        found = self.free_of_own(np.concatenate(draw(self.runs, plants, self.hypothesis.starts)))
+        self._count(2 * found.size)  # a loop, and an observer of it
+        return found
 
     @property
     def left(self) -> NDArray[np.float64]:
