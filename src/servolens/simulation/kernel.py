@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import platformdirs
 
 from servolens import __version__
+from servolens.simulation.machine import without_unused
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -101,8 +102,5 @@ def _compiled() -> str:
             if not variable.is_declaration:
                 variable.linkage = "internal"
         whole.link_in(part)
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_global_dead_code_eliminate_pass()
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-    return str(whole)
+    seen = [f.name for f in whole.functions if f.name.startswith("servolens_")]
+    return without_unused(str(whole), seen)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import ctypes
-import os
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import version
 from threading import Lock
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.simulation.codegen import SYMBOLS, function_text, number_text
+from servolens.simulation.codegen import function_text, number_text
 from servolens.simulation.equations import Equations
 from servolens.simulation.kernel import GAINS_ENTRY, RUN_ENTRY, kept, rule
+from servolens.simulation.machine import loaded, object_code, platform_marks
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -95,55 +94,5 @@ def _merged(texts: list[str]) -> list[str]:
 
 def _engine(text: str) -> Any:
     """Load LLVM assembly, compiled together with the stepping rule; the engine returned owns the machine code."""
-    import llvmlite.binding as llvm
-
-    machine = _machine()()
-    depends_on = [version("llvmlite"), machine.triple, *_processor(), rule(), text]
-    code = kept("plant", depends_on, lambda: _compiled(text))
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-    engine.finalize_object()
-    return engine
-
-
-def _compiled(text: str) -> bytes:
-    """Return the object code of LLVM assembly together with the stepping rule."""
-    import llvmlite.binding as llvm
-
-    machine = _machine()()
-    module = llvm.parse_assembly(rule())
-    module.link_in(llvm.parse_assembly(text))
-    for function in module.functions:
-        if not function.is_declaration and function.name not in (RUN_ENTRY, GAINS_ENTRY, "servolens_slopes"):
-            function.linkage = "internal"
-    tuning = llvm.create_pipeline_tuning_options(speed_level=2)
-    builder = llvm.create_pass_builder(machine, tuning)
-    builder.getModulePassManager().run(module, builder)
-    return bytes(machine.emit_object(module))
-
-
-def _processor() -> tuple[str, str]:
-    """Return name and features of the processor."""
-    import llvmlite.binding as llvm
-
-    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-
-
-@lru_cache(maxsize=1)
-def _machine() -> Any:
-    """Return a maker of target machines, once this process can compile and call the C library."""
-    import llvmlite.binding as llvm
-
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    library = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
-    for name in SYMBOLS:
-        address = ctypes.cast(getattr(library, name), ctypes.c_void_p).value
-        llvm.add_symbol(name, address)
-    target = llvm.Target.from_default_triple()
-
-    def machine() -> Any:
-        cpu, features = _processor()
-        return target.create_target_machine(opt=2, cpu=cpu, features=features, jit=True)
-
-    return machine
+    seen = {RUN_ENTRY, GAINS_ENTRY, "servolens_slopes"}
+    return loaded(kept("plant", [*platform_marks(), rule(), text], lambda: object_code([rule(), text], seen)))
