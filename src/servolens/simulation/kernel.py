@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING
 import platformdirs
 
 from servolens import __version__
+from servolens.simulation.contraction import fused
 from servolens.simulation.machine import without_unused
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel")
+SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel", "contraction")
 __all__ = ["GAINS_ENTRY", "RUN_ENTRY", "cache_folder", "kept", "rule"]
 
 RUN_ENTRY, GAINS_ENTRY = "servolens_run", "servolens_gains"
@@ -103,4 +104,4 @@ def _compiled() -> str:
                 variable.linkage = "internal"
         whole.link_in(part)
     seen = [f.name for f in whole.functions if f.name.startswith("servolens_")]
-    return without_unused(str(whole), seen)
+    return fused(without_unused(str(whole), seen))

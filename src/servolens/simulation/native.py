@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.simulation.codegen import function_text, number_text
+from servolens.simulation.contraction import fused
 from servolens.simulation.equations import Equations
 from servolens.simulation.kernel import GAINS_ENTRY, RUN_ENTRY, kept, rule
 from servolens.simulation.machine import loaded, object_code, platform_marks
@@ -70,7 +71,7 @@ def _native(structure: tuple[type[Effect], ...], continuous: bool) -> Native:
     equations = Equations(structure, continuous)
     texts = [function_text(f"servolens_{name}", equations.inputs, e) for name, e in equations.functions().items()]
     texts += [number_text(f"servolens_{name}", number) for name, number in equations.numbers().items()]
-    engine = _engine("\n".join(_merged(texts)))
+    engine = _engine(fused("\n".join(_merged(texts))))
     number, real, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
     run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 9)
     gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 5)
