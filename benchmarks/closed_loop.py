@@ -33,7 +33,7 @@ from servolens.effects import CoulombFriction
 from servolens.plant import Plant
 from servolens.record import Controller
 from servolens.simulation import simulate_loop
-from servolens.simulation.native import native
+from servolens.simulation.native import WORK_THAT_PAYS, native
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
     mine, theirs = [np.empty((3, n)), np.empty(n)], [np.empty(n) for _ in range(4)]
     settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, PERIOD, *[0.0] * 4])
     start, held, numbers = np.zeros(2), np.zeros(n), np.array(CART.values)
-    compiled, done = native(CART.structure).run, ctypes.c_int64()
+    compiled, done = native(CART.structure, work=WORK_THAT_PAYS).run, ctypes.c_int64()
     given = (grid, held, levels, settings, start, numbers, *mine)
     own = (ctypes.byref(done), None, n, substeps, 0.0, *(array.ctypes.data for array in given))
     with tempfile.TemporaryDirectory() as folder:

@@ -18,15 +18,19 @@ from typing import TYPE_CHECKING
 import platformdirs
 
 from servolens import __version__
+from servolens.simulation.contraction import fused
+from servolens.simulation.machine import without_unused
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel")
-__all__ = ["GAINS_ENTRY", "RUN_ENTRY", "cache_folder", "kept", "rule"]
+SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel", "contraction")
+__all__ = ["GAINS_ENTRY", "RUN_ENTRY", "cache_folder", "elementary", "kept", "kept_before", "rule", "rule_mark"]
 
 RUN_ENTRY, GAINS_ENTRY = "servolens_run", "servolens_gains"
 """Names of the functions in :func:`rule` that run a simulation, and that give an observer its gains."""
+ELEMENTARY = ("servolens_exp", "servolens_sin", "servolens_cos")
+"""Its functions that a plant's functions call."""
 CALLED = "beyond_pd"
 """The function that is called where it is used, for it is rarely used."""
 
@@ -40,27 +44,52 @@ def rule() -> str:
     return kept("stepping", [*versions, *sources], lambda: _compiled().encode()).decode()
 
 
+@lru_cache(maxsize=1)
+def rule_mark() -> str:
+    """Return a short text that is another one for another rule."""
+    return hashlib.sha256(rule().encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def elementary() -> str:
+    """Return the part of :func:`rule` that a plant's functions call, which is small."""
+    return kept(
+        "elementary", [version("llvmlite"), rule_mark()], lambda: without_unused(rule(), ELEMENTARY).encode()
+    ).decode()
+
+
 def kept(kind: str, depends_on: Sequence[str], make: Callable[[], bytes]) -> bytes:
     """Return what `make` returned for a `kind` that depends on these texts, from the cache folder if it is there.
 
     Where that cannot be written, it is made anew each time; a damaged file is replaced.
     """
-    key = hashlib.sha256("\0".join(depends_on).encode()).hexdigest()[:24]
-    path = cache_folder() / f"{kind}-{key}"
+    body = kept_before(kind, depends_on)
+    if body is None:
+        body = make()
+        with suppress(OSError):  # a folder that cannot be written only costs time
+            _write(_path(kind, depends_on), _mark(body) + b"\n" + body)
+    return body
+
+
+def kept_before(kind: str, depends_on: Sequence[str]) -> bytes | None:
+    """Return what :func:`kept` would, if it is in the cache folder; else None."""
     with suppress(OSError):
-        mark, _, body = path.read_bytes().partition(b"\n")
+        mark, _, body = _path(kind, depends_on).read_bytes().partition(b"\n")
         if mark == _mark(body):
             return body
-    body = make()
-    with suppress(OSError):  # a folder that cannot be written only costs time
-        _write(path, _mark(body) + b"\n" + body)
-    return body
+    return None
 
 
 def cache_folder() -> Path:
     """Return the folder of what is compiled: ``SERVOLENS_CACHE``, or the user's cache folder."""
     chosen = os.environ.get("SERVOLENS_CACHE")
     return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("servolens", appauthor=False)) / "kernels"
+
+
+def _path(kind: str, depends_on: Sequence[str]) -> Path:
+    """Return the file of a `kind` that depends on these texts."""
+    key = hashlib.sha256("\0".join(depends_on).encode()).hexdigest()[:24]
+    return cache_folder() / f"{kind}-{key}"
 
 
 def _mark(body: bytes) -> bytes:
@@ -101,8 +130,13 @@ def _compiled() -> str:
             if not variable.is_declaration:
                 variable.linkage = "internal"
         whole.link_in(part)
-    passes = llvm.create_new_module_pass_manager()
-    passes.add_global_dead_code_eliminate_pass()
-    machine = llvm.Target.from_default_triple().create_target_machine()
-    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-    return str(whole)
+    seen = [f.name for f in whole.functions if f.name.startswith("servolens_")]
+    return fused(_promised(without_unused(str(whole), seen)))
+
+
+def _promised(text: str) -> str:
+    """Return assembly that says what a plant's functions leave alone, so that LLVM need not compile for the worst."""
+    always = "nounwind willreturn memory"
+    arrays = rf"\1(ptr readonly, ptr readonly, ptr writeonly) {always}(argmem: readwrite)"
+    text = re.sub(r"(?m)^(declare i64 @servolens_\w+)\(ptr, ptr, ptr\).*$", arrays, text)
+    return re.sub(r"(?m)^(declare i64 @servolens_\w+)\(\).*$", rf"\1() {always}(none)", text)

@@ -400,7 +400,7 @@ def _run(  # noqa: PLR0913 - as it is compiled
 
     if not (held.size == reference.size == time.size):
         raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
-    code = native(plant.structure, continuous=bool(gains))
+    code = native(plant.structure, continuous=bool(gains), work=time.size * substeps)
     results = np.empty((4, time.size))
     corrected = NONE_CORRECTED if corrections is None else corrections.ravel()
     inputs = (time, held, reference, settings, start, (*plant.values, *gains), corrected)
