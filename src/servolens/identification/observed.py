@@ -16,7 +16,8 @@ from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.loop import simulate_observed, without_gaps
+from servolens.simulation.grids import without_gaps
+from servolens.simulation.loop import simulate_observed
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:

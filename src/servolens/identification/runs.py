@@ -12,7 +12,8 @@ from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.segments import applied_before, applied_voltage, noise_level
 from servolens.identification.smoothing import smooth
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.loop import simulate_trial, simulate_voltage, without_gaps
+from servolens.simulation.grids import without_gaps
+from servolens.simulation.loop import simulate_trial, simulate_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -17,7 +17,8 @@ from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.plant import Plant
-from servolens.simulation.loop import simulate_voltage, without_gaps
+from servolens.simulation.grids import without_gaps
+from servolens.simulation.loop import simulate_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

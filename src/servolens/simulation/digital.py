@@ -19,8 +19,8 @@ MOST_PIECES_GRANTED, IS_KNOWN_BEFORE, BEFORE, CORRECTS, COARSE, SHAKING_LEFT = r
 KI, INTEGRAL_RATE, WEIGHT, FORWARD, LIMIT, CLAMPS, PULL, INTEGRAL_BEFORE = range(16, 24)
 IS_PD, MOVED = 24, 25
 """Whether the law is nothing but kp and kd; where it begins to stand which states an observer moves."""
-OBSERVED, SHAKEN = 1.0, 2.0
-"""What corrects the motion: an observer with given gains, or a given acceleration that shakes the axis."""
+SHAKEN = 2.0
+"""Of what corrects the motion: no observer, but an acceleration that shakes the axis."""
 _NUMBERS = types.CPointer(float64)
 BEYOND_PD = float64(int64, float64, float64, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
 beyond_pd = types.ExternalFunction("servolens_beyond_pd", BEYOND_PD)

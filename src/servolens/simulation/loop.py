@@ -15,6 +15,7 @@ from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
+from servolens.simulation.grids import as_floats, as_grid, sample_time_of, without_gaps
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.settings import NO_LAW, OPEN_LOOP, known, law_settings, loop_settings
 
@@ -34,7 +35,6 @@ __all__ = [
     "simulate_observed",
     "simulate_trial",
     "simulate_voltage",
-    "without_gaps",
 ]
 
 PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
@@ -188,14 +188,14 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         If the loop is unstable.
     """
     plant = as_plant(plant)
-    grid = _grid(time)
-    held = np.zeros(grid.size) if feedforward is None else _floats(feedforward)
-    period = _sample_time(grid)
+    grid = as_grid(time)
+    held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward)
+    period = sample_time_of(grid)
     law = law_settings(plant, controller, period, limit)
     corrects, shaken = _shaking(acceleration, grid)
     settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
     count = substeps or substeps_for(plant, period)
-    return _run(plant, grid, held, _floats(reference), settings, start, count, corrections=shaken)
+    return _run(plant, grid, held, as_floats(reference), settings, start, count, corrections=shaken)
 
 
 def _shaking(
@@ -204,7 +204,7 @@ def _shaking(
     """Return the settings of an axis that is shaken, or not, and with what."""
     if acceleration is None:
         return NO_OBSERVER, None
-    shaken = _floats(acceleration)
+    shaken = as_floats(acceleration)
     if shaken.shape != time.shape:
         raise InputError(f"time has {time.size} samples, the acceleration {shaken.size}")
     return (SHAKEN, *NO_OBSERVER[1:]), shaken
@@ -241,7 +241,7 @@ def simulate_trial(  # noqa: PLR0913 - as simulate_loop
     """
     held = np.zeros(time.size) if feedforward is None else feedforward
     granted = patience * time.size * max(substeps, ONE_OF)
-    period = _sample_time(time)
+    period = sample_time_of(time)
     law = law_settings(plant, controller, period, limit)
     settings = [1.0, *loop_settings(controller, period), 0.0, granted, *known(before), *NO_OBSERVER, *law]
     return _run(plant, time, held, reference, settings, start, substeps)
@@ -265,9 +265,9 @@ def simulate_voltage(
         As of :func:`simulate_loop`.
     """
     plant = as_plant(plant)
-    grid = _grid(time)
+    grid = as_grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
-    held = _floats(voltage)
+    held = as_floats(voltage)
     corrects, shaken = _shaking(acceleration, grid)
     return _run(
         plant,
@@ -362,9 +362,9 @@ def simulate_continuous(
         If the plant has a delay.
     """
     plant = as_plant(plant)
-    grid = _grid(time)
+    grid = as_grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
-    held = _floats(reference)
+    held = as_floats(reference)
     if plant.delay > 0.0:
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
@@ -421,41 +421,6 @@ def _run(  # noqa: PLR0913 - as it is compiled
         )
     position, velocity, voltage, measured = results
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
-
-
-def without_gaps(
-    time: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp] | None]:
-    """Return a grid on which the loop ran, lost samples put back.
-
-    With the record's sample that is held at each of its instants, and where the record's samples stand in it; None if
-    none are lost.
-    """
-    steps = np.diff(time)
-    nominal = float(np.median(steps))
-    if steps.max() < 1.5 * nominal:
-        return time, np.arange(time.size), None
-    counts = np.maximum(np.rint(steps / nominal).astype(np.intp), 1)
-    index = np.concatenate([[0], np.cumsum(counts)])
-    grid = np.interp(np.arange(index[-1] + 1), index, time)
-    return grid, np.searchsorted(time, grid + 0.5 * nominal, side="right") - 1, index
-
-
-def _sample_time(grid: NDArray[np.float64]) -> float:
-    """Median of the first intervals; a few suffice, and this runs for every simulated step."""
-    steps = np.sort(grid[1:64] - grid[:63][: grid[1:64].size])
-    return float(steps[steps.size // 2]) if steps.size else 1.0
-
-
-def _grid(time: ArrayLike) -> NDArray[np.float64]:
-    grid = _floats(time)
-    if grid.size == 0 or (not (grid[1:] > grid[:-1]).all()):
-        raise InputError("time must hold at least one sample and increase")
-    return grid
-
-
-def _floats(values: ArrayLike) -> NDArray[np.float64]:
-    return np.ascontiguousarray(values, dtype=np.float64)
 
 
 def _given(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:

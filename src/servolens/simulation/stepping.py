@@ -28,7 +28,6 @@ from servolens.simulation.digital import (
     IS_PD,
     MOST_PIECES_GRANTED,
     MOVED,
-    OBSERVED,
     RATIO,
     RESOLUTION,
     SHAKEN,
@@ -87,14 +86,17 @@ def rounded(position: float, resolution: float) -> float:
 
 @njit(**OPTIONS)
 def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation: float) -> None:
-    """Move an observer's axis towards what was measured; one at rest keeps its velocity, for friction would."""
-    x[Y] += gains[3 * k] * innovation
-    if x[V] != 0.0:
-        x[V] += gains[3 * k + 1] * innovation
-    x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
-    for i in range(ns + nz):
-        if loop[MOVED + i] > 0.0:
-            x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
+    """Shake the axis, or move an observer's towards what was measured; one at rest keeps its velocity."""
+    if loop[CORRECTS] == SHAKEN:
+        x[SHAKING] = gains[k]
+    else:
+        x[Y] += gains[3 * k] * innovation
+        if x[V] != 0.0:
+            x[V] += gains[3 * k + 1] * innovation
+        x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
+        for i in range(ns + nz):
+            if loop[MOVED + i] > 0.0:
+                x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
 
 
 @njit(**OPTIONS)
@@ -195,10 +197,8 @@ def run(
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]
-        if loop[CORRECTS] == OBSERVED:
+        if loop[CORRECTS] != 0.0:
             correct(x, loop, gains, k, ns, nz, reference[k] - seen)
-        elif loop[CORRECTS] == SHAKEN:
-            x[SHAKING] = gains[k]
         if k == 0 and loop[IS_KNOWN_BEFORE] == 0.0:
             before = results[2 * n]
             x[U] = before
