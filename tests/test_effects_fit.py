@@ -289,7 +289,7 @@ def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     truth = plant_of(hidden.truth)
     fit = servolens.fit(truth.effects, hidden.records)
     assert fit.driven == "voltage"
-    assert fit.model.plant.values == pytest.approx(truth.values, rel=0.02)  # half the standard error of the load's share
+    assert fit.model.plant.values == pytest.approx(truth.values, rel=0.02)  # half a standard error of the share
     assert misses(fit, hidden.truth) == {}
 
 
