@@ -157,7 +157,8 @@ def solved(problem: Certified, start: int) -> Solution:
     if (scale > 0.0).all():
         with suppress(np.linalg.LinAlgError):  # of parameters that the data do not tell apart there
             inverse = np.linalg.inv(information / np.outer(scale, scale))
-            deviations = np.sqrt(search.variance(point) * np.diag(inverse)) / scale
+            variances = np.diag(inverse)  # rounding may leave a negative one
+            deviations = np.sqrt(search.variance(point) * np.where(variances > 0.0, variances, np.inf)) / scale
     return Solution(point.values, deviations, point.cost, converged)
 
 

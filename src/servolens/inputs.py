@@ -44,6 +44,7 @@ Effects = Any
 """Effect, its class or its name, or a sequence of these."""
 
 ARGUMENTS = (
+    "acceleration",
     "begin",
     "bounds",
     "certify",

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 __all__ = ["shaken", "shaking"]
 
+RUNS_AWAY = 1e6
+"""Standard deviations of an innovation beyond which loop or observer of a draw is unstable, and no draw."""
+
 
 def shaken(
     runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
@@ -34,7 +37,7 @@ def shaken(
     """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
 
     The loop answers to the sensor's noise and to what shakes the axis, and the observer follows what it then measures.
-    Without a reference the voltage is the record's own. A draw in which the loop diverges is of white noise.
+    Without a reference the voltage is the record's own. A draw in which either diverges is of white noise.
 
     Parameters
     ----------
@@ -60,9 +63,10 @@ def _of_run(
         try:
             position, voltage = _measured(plant, record, errors[:, k], shakes[:, k])
             there = run.of(run.signals.measured_as(position, voltage)) if isinstance(run, ObservedRun) else run
-            return there.whiten(there.missed(plant, start, substeps))
+            missed = there.whiten(there.missed(plant, start, substeps))
         except ServolensError:
             return white[:, k]
+        return missed if np.abs(missed).max() < RUNS_AWAY else white[:, k]
 
     return np.column_stack(in_parallel(one, range(DRAWS)))
 

@@ -199,11 +199,16 @@ def forced(test: ScoreTest) -> NDArray[np.float64]:
 
 def _laws(test: ScoreTest) -> list[NDArray[np.float64]]:
     """Return, for each record, forces of all kinds along the simulation that knows no noise, shape (k, n)."""
-    return forces_along([_noise_free(test, i) for i in range(len(test.runs))])
+    records = [run.signals.record for run in test.runs]
+    closed = all(record.reference is not None and record.controller is not None for record in records)
+    # without a reference the motion is a measured one, and so are its products with the noise
+    return forces_along([_noise_free(test, i) for i in range(len(test.runs))], with_products=closed)
 
 
 def forces_along(
     found: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
+    *,
+    with_products: bool = False,
 ) -> list[NDArray[np.float64]]:
     """Return forces of all kinds along position, velocity and voltage of each record, shape (k, n)."""
     fastest = max(float(np.abs(v).max()) for _, v, _ in found)
@@ -213,7 +218,8 @@ def forces_along(
     for y, v, u in found:
         rows = [*_hats(v / max(fastest, 1e-300), SPEEDS), *_hats((y - low) / max(high - low, 1e-300), PLACES)]
         rows += [*_hats(u / max(most, 1e-300), SPEEDS), *_hats(np.linspace(0.0, 1.0, y.size), PLACES)]
-        rows += [np.diff(v, prepend=v[0]), np.diff(u, prepend=u[0]), *_products(y - low, v, u)]
+        rows += [np.diff(v, prepend=v[0]), np.diff(u, prepend=u[0]), v * (y - low), np.sign(v) * (y - low)]
+        rows += _products(y - low, v, u) if with_products else ()
         laws.append(np.array([row / max(float(np.abs(row).max()), 1e-300) for row in rows]))
     return laws
 
@@ -224,10 +230,10 @@ def _products(y: NDArray[np.float64], v: NDArray[np.float64], u: NDArray[np.floa
     Of these and of the products of two of them, what is about the mean of the first factor.
     """
     time, path = np.linspace(0.0, 1.0, y.size), np.cumsum(np.abs(v))
-    for along in (y, time, path):
+    for along in (time, path):
         for force in (v, np.sign(v), u):
             yield force * (along - np.mean(along))
-    for force in (v * u, np.sign(v) * u, y * time, y * path):
+    for force in (y * u, v * u, np.sign(v) * u, y * time, y * path):
         yield force - np.mean(force)
 
 
