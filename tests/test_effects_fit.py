@@ -289,7 +289,11 @@ def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     truth = plant_of(hidden.truth)
     fit = servolens.fit(truth.effects, hidden.records)
     assert fit.driven == "voltage"
-    assert fit.model.plant.values == pytest.approx(truth.values, rel=0.02)  # half a standard error of the share
+    gain, damping, *play = zip(fit.model.quantities.values(), truth.values, strict=True)
+    for found, true in (gain, damping):
+        assert found.value == pytest.approx(true, rel=2e-3)
+    for found, true in play:  # by a twentieth of a standard error local minima differ between processors
+        assert abs(found.value - true) < found.stderr < 0.05 * true
     assert misses(fit, hidden.truth) == {}
 
 

@@ -10,9 +10,12 @@ import servolens
 from servolens import lab
 from servolens.effects import CoulombFriction
 from servolens.identification.likelihood import Likelihood
+from servolens.identification.loop_errors import drawn_loop_errors
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
-from servolens.identification.shaken import shaken
+from servolens.identification.score import ScoreTest
+from servolens.identification.shaken import shaken, shaking
+from servolens.identification.structure import depends_on_inputs, statistics
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
 CART = servolens.Plant(gain=GAIN, damping=DAMPING)
@@ -60,6 +63,47 @@ def test_draws_of_a_shaken_axis_that_sticks_rest_with_it():
     (drawn,) = shaken(likelihood.runs(noise), [plant], [np.array([record.position[0], 0.0])])
     moves = np.abs(np.gradient(record.position, H)) > 1e-3
     assert np.mean(drawn[~moves] ** 2) < 0.93 * np.mean(drawn[moves] ** 2)
+
+
+def test_draws_of_a_simulated_loop_are_as_large_as_its_errors():
+    record = loop(CART)
+    noise = replace(NoiseModel.white(1e-6), gain=GAIN, damping=DAMPING, rate=60.0, corner=5.0)
+    runs = Likelihood([record], CART, FitOptions()).simulating().runs(noise)
+    (drawn,) = shaken(runs, [CART], [np.empty(0)])
+    missed = np.concatenate([draw[0] for draw in drawn_loop_errors([CART], [record], noise)])
+    assert np.mean(drawn**2) * noise.innovation**2 == pytest.approx(np.mean(missed**2), rel=0.2)
+
+
+def hidden_force(kind, run, time):
+    """Return an acceleration along a loop that is shaken: none, of a law that two quantities make, or of a mode."""
+    if kind == "friction that grows":
+        return 2.0 * np.sign(run.velocity) * (np.cumsum(np.abs(run.velocity)) * H - 0.2)
+    if kind == "damping that changes":
+        return 6.0 * run.velocity * (time / time[-1] - 0.5)
+    if kind == "a mode that rings":
+        pole = np.exp((-0.3 + 40.0j) * H)
+        kicked = np.diff(run.voltage, prepend=run.voltage[0])
+        return 0.2 * lfilter([1.0], [1.0, -pole], kicked.astype(complex)).imag
+    return 0.0 * time
+
+
+@pytest.mark.parametrize(
+    ("kind", "asked"),
+    [("nothing", None), ("friction that grows", 0), ("damping that changes", 0), ("a mode that rings", 2)],
+)
+def test_a_shaken_loop_shows_a_force_to_the_instrument_that_is_made_for_it(kind, asked):
+    clean, stream = loop(CART, (0.0, 0.1, 0.0, 0.08, -0.05, 0.0)), np.random.default_rng(8)
+    noise = replace(NoiseModel.white(2e-6), gain=GAIN, damping=DAMPING, rate=60.0, corner=60.0)
+    shake = shaking(noise, clean, stream)[:, 0]
+    without = servolens.simulate(CART, clean)
+    force = hidden_force(kind, without, clean.time)
+    run = servolens.simulate(CART, clean, acceleration=shake + force)
+    record = replace(clean, position=run.position + 2e-6 * stream.standard_normal(len(clean)), voltage=run.voltage)
+    likelihood = Likelihood([record], CART, FitOptions())
+    test = ScoreTest(likelihood, likelihood.judged(CART))
+    exceeded = [place for place, (explained, limit) in enumerate(statistics(test)) if explained > limit]
+    assert exceeded == [] if asked is None else asked in exceeded
+    assert depends_on_inputs(test) == (asked is not None)
 
 
 @pytest.mark.parametrize(

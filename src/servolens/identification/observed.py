@@ -100,22 +100,17 @@ class Signals:
     @classmethod
     def of(cls, record: Record, noise: float, plant: Plant, rate: float, every: int = 1) -> Signals:
         """Prepare `record`, every so many samples of it; its axis is about like `plant`, its loop as fast as `rate`."""
-        time, held, index = without_gaps(record.time)
-        voltage, position = applied_voltage(record)[held], record.position[held]
-        if index is not None:
-            position = np.interp(time, record.time, record.position)
+        time, voltage, position, index = _on_grid(record.time, applied_voltage(record), record.position)
         if every > 1:
             index = (np.arange(time.size) if index is None else index)[::every]
-        time, voltage, position = (np.ascontiguousarray(signal) for signal in (time, voltage, position))
         initial = InitialState.of(record, noise)
         speed = _observed_speed(plant, rate, time, voltage, position, initial)
         return cls(record, time, voltage, position, index, initial, speed)
 
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
-        time, held, index = without_gaps(self.record.time)
-        shown = position[held] if index is None else np.interp(time, self.record.time, position)
-        return replace(self, position=np.ascontiguousarray(shown), voltage=np.ascontiguousarray(voltage[held]))
+        _, applied, shown, _ = _on_grid(self.record.time, voltage, position)
+        return replace(self, position=shown, voltage=applied)
 
     @property
     def speed(self) -> NDArray[np.float64]:
@@ -131,6 +126,15 @@ class Signals:
     def measured(self) -> NDArray[np.float64]:
         """Positions that were measured."""
         return self.position if self.index is None else self.position[self.index]
+
+
+def _on_grid(
+    time: NDArray[np.float64], voltage: NDArray[np.float64], position: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.intp] | None]:
+    """Return time, voltage and position on a grid without gaps, and where the samples stand in it, if any lack."""
+    grid, held, index = without_gaps(time)
+    shown = position[held] if index is None else np.interp(grid, time, position)
+    return np.ascontiguousarray(grid), np.ascontiguousarray(voltage[held]), np.ascontiguousarray(shown), index
 
 
 def _observed_speed(
@@ -234,10 +238,10 @@ class ObservedRun:
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]
 
-    def of(self, signals: Signals) -> ObservedRun:
-        """Return the same run with other `signals` of its record, observed alike."""
+    def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> ObservedRun:
+        """Return the same run, observed alike, with another log of position and applied voltage, shape (n,) each."""
         other = copy(self)
-        other.signals = signals
+        other.signals = self.signals.measured_as(position, voltage)
         return other
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
@@ -288,6 +292,12 @@ class SimulatedRun:
         """
         run = self._loop.simulated(plant, self._begin, substeps, push)
         return np.asarray(self._loop.logged(run.measured) - self.signals.record.position)
+
+    def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> SimulatedRun:
+        """Return the same run with another log of its position, shape (n,); no voltage drives it."""
+        other = copy(self)
+        other.signals = replace(self.signals, record=replace(self.signals.record, position=position))
+        return other
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the difference in standard deviations."""

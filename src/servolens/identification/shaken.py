@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import ServolensError
-from servolens.identification.observed import ObservedRun
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
 from servolens.processors import in_parallel
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.noise import NoiseModel
-    from servolens.identification.observed import SimulatedRun
+    from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -62,8 +61,7 @@ def _of_run(
     def one(k: int) -> NDArray[np.float64]:
         try:
             position, voltage = _measured(plant, record, errors[:, k], shakes[:, k])
-            there = run.of(run.signals.measured_as(position, voltage)) if isinstance(run, ObservedRun) else run
-            missed = there.whiten(there.missed(plant, start, substeps))
+            missed = run.whiten(run.measured_as(position, voltage).missed(plant, start, substeps))
         except ServolensError:
             return white[:, k]
         return missed if np.abs(missed).max() < RUNS_AWAY else white[:, k]

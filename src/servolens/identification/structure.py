@@ -39,8 +39,8 @@ PLACES = np.linspace(0.0, 1.0, 7)
 """Knots of a force over the travel and over time."""
 RINGING_DAMPING = 0.1
 RINGING = np.geomspace(0.25, 32.0, 24)
-"""Damping ratio and frequencies of modes that the inputs may set ringing, in units of the loops' rate: spaced by twice
-the damping ratio, so that none falls between two."""
+"""Damping ratio and frequencies of modes that the inputs may set ringing, in units of the loops' rate: a quarter apart,
+about the width of such a mode, so that none falls between two."""
 LAGS = 2
 """Ratio of one lag of an instrument to the one before."""
 
@@ -49,11 +49,13 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     """Tell whether the residual of a hypothesis depends on the inputs.
 
     The whitened residual is regressed on instruments, at right angles to what the hypothesis itself explains: what
-    forces over velocity, position, voltage, and time would do to it, each along the simulation of the loop from the
-    reference, which knows nothing of the noise; and changes of the reference itself over lags from a few samples to
-    half a record. The explained sum of squares is χ², beyond what a structure of the tolerated size adds to it.
+    forces over velocity, position, voltage, and time, and products of two of these, would do to it, each along the
+    simulation of the loop from the reference, which knows nothing of the noise; changes of the reference itself over
+    lags from a few samples to half a record; and lightly damped modes that the reference sets ringing. The explained
+    sum of squares is χ², beyond what a structure of the tolerated size adds to it, or what draws of the noise explain,
+    if that is more. Then motion is compared with rest.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
-    16.6, and model error modelling; Söderström and Stoica 1989, chapter 11).
+    16.6, and model error modelling; Söderström and Stoica 1989, chapter 11): without a reference products are left out.
     """
     tests = statistics(test)
     return any(statistic > limit for statistic, limit in tests) or _differs_in_motion(test)
@@ -76,7 +78,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
 
 
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
-    """Return what forces and what the reference explain of the residual's squares, each with its limit."""
+    """Return what forces, the reference, and ringing explain of the residual's squares, each with its limit."""
     from scipy.stats import ncx2
 
     found = []
@@ -225,10 +227,7 @@ def forces_along(
 
 
 def _products(y: NDArray[np.float64], v: NDArray[np.float64], u: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    """Yield forces of second order: of speed, its sign, and voltage, each changing over place, time and path.
-
-    Of these and of the products of two of them, what is about the mean of the first factor.
-    """
+    """Yield forces of second order: place, speed, its sign and voltage, each changing over another, time or path."""
     time, path = np.linspace(0.0, 1.0, y.size), np.cumsum(np.abs(v))
     for along in (time, path):
         for force in (v, np.sign(v), u):
