@@ -283,6 +283,7 @@ def test_settling_curve_follows_the_slider_of_kp(shown, study):
     assert figure.locator(".live-designed").first.is_hidden()
     figure.get_by_role("button", name="As at first").click()
     assert one.page.evaluate("servolensPlaygrounds[0].gains.kp") == 100
+    one.page.wait_for_function("!servolensPlaygrounds[0].isRunning && !servolensPlaygrounds[0].isNew", timeout=60_000)
     assert figure.locator(".live-designed").first.evaluate("(e) => e.style.display") == ""
 
 
