@@ -25,7 +25,7 @@ __all__ = ["NoiseTrials"]
 CORNER, CORNERS = 4.0, (0.05, 64.0)
 """Corner of what shakes the axis with which rates are compared first, and its range, in units of the loops' rate."""
 MOST_MOVES, FINEST = 16, 0.25
-"""Steps from one model of what shakes the axis to a likelier one; share of the first step at which none is refined."""
+"""Steps from one model of what shakes the axis to a likelier one; share of the longest at which none is refined."""
 
 
 @final
@@ -85,12 +85,12 @@ class NoiseTrials:
         if self.like.rate > 0.0:
             found = [replace(noise, rate=self.like.rate, corner=self.like.corner)]
         best = self._likeliest(noise, found)
-        share = 1.0
+        share = FINEST if self.like.rate > 0.0 else 1.0  # where it was the likeliest beside another plant it is close
         for _ in range(MOST_MOVES if best.rate > 0.0 and rates else 0):
             moved = self._likeliest(best, [*_neighbours(best, likelihood.rate, share)])
             if moved is best and share <= FINEST:
                 break
-            share, best = (0.5 * share if moved is best else share), moved
+            share, best = (0.5 * share if moved is best else min(2.0 * share, 1.0)), moved
         if best.rate > 0.0:
             self.look(best, is_coloured=True)
 
