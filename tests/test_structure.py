@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 import servolens
 from servolens import lab
-from servolens.effects import CoulombFriction
+from servolens.effects import CoulombFriction, SensorLag
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors
 from servolens.identification.noise import NoiseModel
@@ -29,7 +29,7 @@ def loop(plant, levels=(0.0, 0.1, 0.0, 0.08, 0.0), each=1.0):
         time=time, position=0.0 * time, reference=reference, controller=servolens.Controller(kp=60.0)
     )
     run = servolens.simulation.loop.simulate(plant, record)
-    return replace(record, position=run.position, voltage=run.voltage)
+    return replace(record, position=run.measured, voltage=run.voltage)
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9])
@@ -53,6 +53,16 @@ def test_draws_of_a_shaken_loop_leave_an_observer_white_noise(corner, rate):
     assert np.mean(settled**2) == pytest.approx(1.0, abs=0.03)
     for lag in (1, 2, 5, 20, 100):
         assert abs(np.mean(settled[lag:] * settled[:-lag])) < 0.02
+
+
+def test_draws_of_a_loop_whose_sensor_lags_are_of_what_it_shows():
+    plant = CART.with_effect(SensorLag(time_constant=3e-3))
+    record = loop(plant)
+    noise = replace(NoiseModel.white(1e-6), gain=GAIN, damping=DAMPING, rate=60.0, corner=5.0)
+    (drawn,) = shaken(Likelihood([record], plant, FitOptions()).runs(noise), [plant], [np.array([0.0, 0.0])])
+    missed = np.array([draw[0] for draw in drawn_loop_errors([plant], [record], noise)])
+    for draws in (drawn[500:].T, missed[:, 500:]):  # none errs alike: the steps of the reference are no noise
+        assert np.mean(np.mean(draws, axis=0) ** 2) < 3.0 / len(draws) * np.mean(draws**2)
 
 
 def test_draws_of_a_shaken_axis_that_sticks_rest_with_it():

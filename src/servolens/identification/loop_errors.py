@@ -17,7 +17,7 @@ from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.shaken import shaking
+from servolens.identification.shaken import sensed, shaking
 from servolens.model_evidence import MATERIAL
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -128,7 +128,7 @@ def drawn_loop_errors(
         Of each draw the errors of all records [m or rad].
     """
     stream = np.random.default_rng(2)
-    still = [simulate(plant, record).position for plant, record in zip(plants, records, strict=True)]
+    still = [sensed(plant, record) for plant, record in zip(plants, records, strict=True)]
     spectrum = spectrum_of(noise)
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
@@ -138,9 +138,7 @@ def drawn_loop_errors(
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(ServolensError):
             return tuple(
-                simulate(plant, disturbed(record, error[:, k]), acceleration=shake[:, k]).position
-                + error[:, k]
-                - position
+                sensed(plant, disturbed(record, error[:, k]), shake[:, k]) + error[:, k] - position
                 for plant, record, error, shake, position in zip(plants, records, drawn, shakes, still, strict=True)
             )
         return None
@@ -153,7 +151,7 @@ class _Shares:
 
     def __init__(self, plants: Sequence[Plant], records: Sequence[Record], rate: float) -> None:
         runs = [simulate(plant, record) for plant, record in zip(plants, records, strict=True)]
-        self._own = _spanned(_sensitivities(plants, records, [run.position for run in runs]))
+        self._own = _spanned(_sensitivities(plants, records))
         columns, activity = [], []
         for run, record in zip(runs, records, strict=True):
             reference = np.asarray(record.reference)
@@ -184,9 +182,10 @@ class _Shares:
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
-def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], positions: Errors) -> NDArray[np.float64]:
+def _sensitivities(plants: Sequence[Plant], records: Sequence[Record]) -> NDArray[np.float64]:
     """Return how the loops answer to a change of each parameter, shape (n, k)."""
     values = plants[0].named
+    positions = [sensed(plant, record) for plant, record in zip(plants, records, strict=True)]
     columns = []
     for name, value in values.items():
         step = PARAMETER_STEP * value
@@ -194,7 +193,7 @@ def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], positions
             continue
         with suppress(ServolensError):
             moved = [
-                simulate(plant.with_named({name: plant.named[name] + step}), record).position - position
+                sensed(plant.with_named({name: plant.named[name] + step}), record) - position
                 for plant, record, position in zip(plants, records, positions, strict=True)
             ]
             columns.append(np.concatenate(moved))
