@@ -25,9 +25,8 @@ MOST = 0.9
 """Share of the squared error that causes must take of a remainder that is immaterial, to be named."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
-SECOND, FIRST = 0.5, 2.0 / 3.0
-"""Of the effort of the first search, what a second one, by simulations or without shaking, may take.
-The first one's share of both."""
+SECOND, FIRST = 0.3, 2.0 / 3.0
+"""Of the effort of the first search, what a second one, by simulations, may take. The first one's share of both."""
 
 
 @final
@@ -70,9 +69,8 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
     if found.chosen.causes and case.learn_ripple(found.chosen):  # that the causes had hidden
         left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
-        found = search(case.trials, case.base, replace(effort, work=left), first, is_enough=case.is_enough)
-    if found.chosen.noise.rate > 0.0 and (len(found.chosen.causes) > 1 or not case.is_enough(found.chosen)):
-        found = _unshaken(case, found, effort)
+        again = replace(effort, work=left)
+        found = search(case.trials, case.base, again, first, is_enough=case.is_enough, begun=found.path[1:])
     found = _simplest(case, found)
     explaining = _explaining(case, found)
     several = len(case.base.plant.values) * len(case.records)
@@ -93,24 +91,6 @@ def _explaining(case: Case, found: Search) -> Decision | None:
     first = _confirmed(case, found)
     is_final = case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1])
     return first if is_final else None
-
-
-def _unshaken(case: Case, found: Search, effort: Effort) -> Search:
-    """Return what a search finds that takes the axis for one that nothing shakes, where that is likelier.
-
-    An observer follows what two causes do before either is found, and so hides that both together leave nothing. What
-    leaves something is no better than what leaves nothing.
-    """
-    trials = case.trials.unshaken()
-    try:
-        other = search(trials, trials.base(), replace(effort, work=SECOND * effort.work), is_enough=case.is_enough)
-    except NumericalError:
-        return found
-    best = {frozenset(h.causes): h for h in sorted((*found.judged, *other.judged), key=lambda h: -h.total)}
-    judged = tuple(sorted(best.values(), key=lambda h: h.total))
-    is_likelier = other.chosen.total < found.chosen.total
-    is_better = is_likelier and (case.is_enough(other.chosen) or not case.is_enough(found.chosen))
-    return replace(other if is_better else found, judged=judged)
 
 
 def _simplest(case: Case, found: Search) -> Search:

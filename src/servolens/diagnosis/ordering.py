@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import catalogue, effect_class
+from servolens.effects import DryFriction, catalogue, effect_class
+from servolens.effects.base import Axis
 from servolens.errors import InputError
 from servolens.identification.phases import own_phases
+from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from servolens.effects.base import Seen
     from servolens.identification.hypothesis import Hypothesis
-    from servolens.plant import Plant
+    from servolens.identification.starting import Screen
 
 __all__ = [
     "by_total",
@@ -24,10 +28,14 @@ __all__ = [
     "chosen_for_extension",
     "distinct",
     "families",
+    "parted",
     "simplified",
     "specialised",
     "united",
 ]
+
+LOOKS = 200
+"""Samples, at most, over which the level of a friction is averaged."""
 
 
 def chosen_for_extension(ranked: Sequence[Hypothesis], places: int) -> list[Hypothesis]:
@@ -52,19 +60,19 @@ def families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(kept.values())
 
 
-def specialised(plant: Plant) -> Iterator[Plant]:
-    """Yield `plant` with one effect replaced by one that it generalises."""
+def specialised(plant: Plant, motion: Screen) -> Iterator[Plant]:
+    """Yield `plant` with one effect replaced by one that it generalises, as large as it is over the `motion`."""
     for effect in plant.effects:
         for name in effect.generalises:
             special = effect_class(name)
-            values = {spec.name: spec.low for spec in special.parameters()}
-            common = {key: getattr(effect, key) for key in values if hasattr(effect, key)}
-            level = {} if common else dict.fromkeys(values, float(np.mean(effect.values)))
+            names = [spec.name for spec in special.parameters()]
+            if isinstance(effect, DryFriction):
+                values = dict.fromkeys(names, _mean_level(effect, motion))
+            else:
+                values = {name: getattr(effect, name) for name in names}
             others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
-            try:
-                yield others.with_effect(special(**{**values, **common, **level}))
-            except InputError:
-                continue
+            with suppress(InputError):
+                yield others.with_effect(special(**values))
 
 
 def simplified(plant: Plant, seen: Seen) -> Iterator[Plant]:
@@ -83,6 +91,27 @@ def united(plant: Plant) -> Iterator[Plant]:
             if one is not None:
                 others = tuple(effect for effect in plant.effects if effect.name not in cls.unites)
                 yield replace(plant, effects=others).with_effect(one)
+
+
+def parted(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with one effect replaced by those that it unites, which may be more together than it can be."""
+    for effect in plant.effects:
+        parts = effect.parts()
+        if parts:
+            others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
+            with suppress(InputError):  # where one of them stands already
+                yield reduce(Plant.with_effect, parts, others)
+
+
+def _mean_level(friction: DryFriction, motion: Screen) -> float:
+    """Return the level of a dry `friction`, the mean over the `motion`."""
+    places, velocities = np.concatenate([s.position for s in motion.segments]), np.concatenate(motion.velocity)
+    every = -(-places.size // LOOKS)
+    levels = [
+        float(type(friction).physics(Axis(place, speed, abs(speed), np.sign(speed), 0.0), friction))
+        for place, speed in zip(places[::every].tolist(), velocities[::every].tolist(), strict=True)
+    ]
+    return float(np.mean(levels))
 
 
 def distinct(found: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 __all__ = ["likeliest_pairs"]
 
+PARALLEL = 1e-10
+"""Eigenvalue of the products of unit directions, as a share of the largest, below which they are one."""
+
 
 def likeliest_pairs(
     test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[Plant], float]
@@ -39,14 +42,21 @@ def likeliest_pairs(
     price : callable
         Of a plant: by how much −2 log-likelihood must fall for its effects.
     """
-    parts = [(start.plant, test.free_columns(start.plant)) for starts in scored for start in starts[:most]]
+    plants = [start.plant for starts in scored for start in starts[:most]]
+    parts = [test.free_columns(plant) for plant in plants]
+    ends = np.cumsum([0, *(part.shape[1] for part in parts)])
+    columns = np.column_stack([np.empty((test.left.size, 0)), *parts])
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    products, along = columns.T @ columns, columns.T @ test.left
     pairs = []
-    for (one, left), (other, right) in combinations(parts, 2):
-        if _kind(one) & _kind(other):  # one generalises the other
+    for i, j in combinations(range(len(plants)), 2):
+        if _kind(plants[i]) & _kind(plants[j]):  # one generalises the other
             continue
         with suppress(InputError, NumericalError):  # two that do not go together
-            plant = one.with_effect(other.effects[-1])
-            pairs.append((test.explained(np.column_stack([left, right])) - price(plant), _kind(plant), plant))
+            plant = plants[i].with_effect(plants[j].effects[-1])
+            own = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
+            sizes = np.linalg.lstsq(products[np.ix_(own, own)], along[own], rcond=PARALLEL)[0]
+            pairs.append((float(along[own] @ sizes) - price(plant), _kind(plant), plant))
     found: dict[frozenset[str], Plant] = {}
     for _, kind, plant in sorted(pairs, key=lambda pair: -pair[0]):
         found.setdefault(kind, plant)

@@ -18,13 +18,14 @@ from servolens.diagnosis.ordering import (
     chosen_for_extension,
     distinct,
     families,
+    parted,
     simplified,
     specialised,
     united,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.effects import Drive, catalogue, effect_class
-from servolens.errors import InputError
+from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
 from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
@@ -52,9 +53,11 @@ STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take."""
-SHARE, SPENT = 0.25, 0.25
+SHARE, SPENT, RESERVE = 0.25, 0.25, 0.1
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for."""
+whole, with how little left no further effect is looked for, and what rounds that simplify always have."""
+UNSHAKEN = 0.4
+"""Of the effort, what a search that takes the axis for one that nothing shakes may take."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -99,8 +102,13 @@ def search(
     tell: Callable[[str, float], None] = lambda _, __: None,
     known: Sequence[Hypothesis] = (),
     is_enough: Callable[[Hypothesis], bool] = lambda _: False,
+    begun: Sequence[Hypothesis] = (),
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
+
+    An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
+    before all are found, and so hides that together they leave nothing. What then leaves nothing, and is no likelier
+    beside an observer, is the answer.
 
     Parameters
     ----------
@@ -117,19 +125,68 @@ def search(
     is_enough : callable
         Tells whether a hypothesis leaves nothing that depends on the inputs; else effects that are a last resort are
         tried as well.
+    begun : sequence of Hypothesis
+        What an earlier search has found, if any: this one begins there.
+    """
+    if base.noise.rate == 0.0 or trials.likelihood.simulates or begun:
+        return _searched(trials, base, effort, tell, known, is_enough, begun)
+    unshaken = trials.unshaken()
+    try:
+        told = _part(tell, 0.0, UNSHAKEN)
+        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, share=UNSHAKEN)
+    except NumericalError:
+        return _searched(trials, base, effort, tell, known, is_enough)
+    likeliest = [h for h in first.judged if h.causes][: effort.judged]
+    begun = (*first.path[1:], *likeliest, *first.singles[: effort.judged])
+    if first.chosen.total < base.total and is_enough(first.chosen):
+        again = trials.likelihood.judged(first.chosen.plant, first.chosen)
+        if again is None or again.noise.rate == 0.0:
+            return first
+        begun = (again, *begun)
+    left = replace(effort, work=effort.work - unshaken.likelihood.work)
+    found = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
+    return replace(found, judged=_best_of_each((*found.judged, *first.judged)))
+
+
+def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
+    """Return what is told of a search that is the part from `low` to `high` of the whole."""
+    return lambda what, share: tell(what, low + (high - low) * share)
+
+
+def _searched(
+    trials: Trials,
+    base: Hypothesis,
+    effort: Effort,
+    tell: Callable[[str, float], None],
+    known: Sequence[Hypothesis],
+    is_enough: Callable[[Hypothesis], bool],
+    begun: Sequence[Hypothesis] = (),
+    *,
+    share: float = 1.0,
+) -> Search:
+    """Return what is found beside noise of one kind with a `share` of the effort.
+
+    What was found beside another, `begun`, is where it begins.
     """
     explorer = _Explorer(trials, effort, tell, known, is_enough)
-    path, early = explorer.walked(base, SIMPLE * effort.work)
+    reached = explorer.path_to_the_best(base, begun)
+    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * share * effort.work)
     if is_enough(path[-1]):
         early = False
     else:
         explorer.with_last_resorts = True
-        further, early = explorer.walked(base, effort.work)
-        path = min(path, further, key=lambda steps: steps[-1].total)
+        further, early = explorer.walked([base], share * effort.work)
+        path = min(path, further, reached, key=lambda steps: steps[-1].total)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
-    judged = sorted({frozenset(h.causes): h for h in sorted(explorer.judged, key=by_worst)}.values(), key=by_total)
-    return Search(tuple(path), tuple(judged), tuple(sorted(explorer.singles, key=by_total)), early)
+    return Search(
+        tuple(path), _best_of_each(explorer.judged), tuple(sorted(explorer.singles, key=by_total)), ended_early=early
+    )
+
+
+def _best_of_each(found: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Return the likeliest of each set of effects, the likeliest of all first."""
+    return tuple(sorted({frozenset(h.causes): h for h in sorted(found, key=by_worst)}.values(), key=by_total))
 
 
 @final
@@ -146,7 +203,7 @@ class _Explorer:
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self.likelihood = trials.likelihood
-        self.begun = self.likelihood.work
+        self.worked = self.likelihood.work
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
         self.with_last_resorts = False
@@ -156,52 +213,58 @@ class _Explorer:
     @property
     def left(self) -> float:
         """Samples times substeps that may still be simulated."""
-        return max(self.effort.work - (self.likelihood.work - self.begun), 0.0)
+        return max(self.effort.work - (self.likelihood.work - self.worked), 0.0)
 
     def _allowance(self, jobs: int) -> float:
         """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order."""
-        return SHARE * self.left / max(jobs, 1)
+        return SHARE * max(self.left, RESERVE * self.effort.work) / max(jobs, 1)
 
-    def walked(self, base: Hypothesis, work: float) -> tuple[list[Hypothesis], bool]:
-        """Return the best with no effect, one, two …, and whether `work` of the effort was spent before the end."""
-        path, beam = [base], [base]
+    def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the way from `base` to the best of those `begun`, if one is likelier."""
+        self.singles += distinct([h for h in begun if len(h.causes) == 1])
+        found = self._judged([(h.plant, h) for h in distinct(begun)])
+        if not found or found[0].total >= base.total:
+            return [base]
+        best = self.improved(found[0])
+        return self._steps([base], best) if best.causes else [base]
+
+    def walked(self, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], bool]:
+        """Return `path` and further steps of one effect each, and whether `work` was spent before the end."""
+        beam, steps = path[-1:], 0
         while len(path[-1].causes) < self.effort.causes:
-            if self.left <= self.effort.work - (1.0 - SPENT) * work:
+            if steps and self.left <= self.effort.work - (1.0 - SPENT) * work:
                 return path, True
+            steps += 1
             found = self.extended(beam, len(path[-1].causes))
             if not path[-1].causes and found and not self.is_enough(found[0]):
-                found = sorted([*found, *self.paired(base, found[0])], key=by_total)
+                several = self.paired(path[-1], found[0])
+                # what leaves something is compared with what single effects come to with a second one
+                if found[0].total >= path[-1].total or any(self.is_enough(h) for h in several):
+                    found = sorted([*found, *several], key=by_total)
             path[-1] = self._beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
             if not better or self.is_chance(path[-1], better[0]):
                 break
             best = self.improved(better[0])
-            before = [h for h in path if len(h.causes) < len(best.causes)]
-            steps = [
-                h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)
-            ]
-            path = [*before, *sorted(steps, key=by_total)[:1], best]
+            path = self._steps(path, best)
             further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
             beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False
 
-    def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return the best extensions of the hypotheses in `beam` by one effect, the best first.
+    def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+        """Return `path` as it leads to `best`, with what was found on the way where that adds several causes."""
+        before = [h for h in path if len(h.causes) < len(best.causes)]
+        steps = [h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)]
+        return [*before, *sorted(steps, key=by_total)[:1], best]
 
-        What seems to be shaken is first taken for an axis that nothing shakes, for an observer is slow and hides what
-        it follows; one effect that then leaves nothing is all that is looked for.
-        """
-        unshaken: list[Hypothesis] = []
+    def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
+        """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         noise = beam[0].noise
-        if self.likelihood.simulates or noise.is_model_error:
-            pass
-        elif noise.rate > 0.0:
-            unshaken = self._unobserved(beam[0])
-        else:
+        if noise.rate == 0.0 and not noise.is_model_error and not self.likelihood.simulates:
             # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
-        members = [*unshaken, *sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))]
+        members = sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
         for place, hypothesis in enumerate(members):
@@ -209,7 +272,7 @@ class _Explorer:
             first += sorted(extensions, key=by_total)[:1]
             found += extensions
             leaves_less = noise.is_model_error and any(not h.noise.is_model_error for h in first)
-            if (place < len(unshaken) or leaves_less) and self._leaves_nothing(first, beam[0]):
+            if leaves_less and self._leaves_nothing(first, beam[0]):
                 break
         found.sort(key=by_total)
         if number == 0:
@@ -225,8 +288,7 @@ class _Explorer:
     def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
         """Return the likeliest pair of effects, fitted, if it is likelier than `best` after a few iterations.
 
-        Beside an observer, which hides what they lack, these say little: there it is fitted in any case. Only once in a
-        search.
+        Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None or self.likelihood.simulates:
@@ -236,8 +298,7 @@ class _Explorer:
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
         )
-        least = np.inf if base.noise.rate > 0.0 else best.total
-        found = sorted((h for h in begun if h and h.total < least), key=by_total)[:1]
+        found = sorted((h for h in begun if h and h.total < best.total), key=by_total)[:1]
         return self._judged([(h.plant, h) for h in found])
 
     def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
@@ -249,19 +310,6 @@ class _Explorer:
         """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
         best = self._judged([(h.plant, h) for h in found])[:1]
         return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
-
-    def _unobserved(self, hypothesis: Hypothesis) -> list[Hypothesis]:
-        """Return `hypothesis` as a simulation, if it is one: an observer follows what it lacks, and so hides it."""
-        likelihood = self.likelihood
-        found = likelihood.tried(
-            hypothesis.plant,
-            likelihood.white,
-            SOME,
-            like=hypothesis,
-            unpowered=hypothesis.unpowered,
-            allowance=self._allowance(1),
-        )
-        return [found] if found is not None else []
 
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
         """Tell whether rounding alone may make the `richer` hypothesis as much likelier.
@@ -282,7 +330,7 @@ class _Explorer:
         test = ScoreTest(self.likelihood, hypothesis)
         self.tell(f"Looking for {cause}", done)
         is_observed = hypothesis.noise.rate > 0.0
-        is_enough = bool(hypothesis.causes) and not is_observed and self.is_enough(hypothesis)
+        is_enough = bool(hypothesis.causes) and self.is_enough(hypothesis)
         kin = set() if is_observed or is_enough else set(hypothesis.causes)
         tried = [
             name
@@ -293,10 +341,10 @@ class _Explorer:
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
-        share = 1.0 if is_enough else PROMISING
-        scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
         if not hypothesis.causes and not self.with_last_resorts:
             self._scored = test, scored
+        share = 1.0 if is_enough else PROMISING
+        scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
         if scored:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]
@@ -313,6 +361,8 @@ class _Explorer:
         share_of_work = self._allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, hypothesis, share_of_work)), chosen)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
+        if is_observed:
+            return found
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
         share_of_work = self._allowance(len(close))
@@ -339,7 +389,7 @@ class _Explorer:
         return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
-        """Return where `hypothesis` leads as a simulation, without an observer that hides what is slow."""
+        """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
         iterations = SOME * len(hypothesis.plant.effects[-1].parameters())
         return self.likelihood.tried(
             hypothesis.plant,
@@ -369,14 +419,14 @@ class _Explorer:
         return hypothesis
 
     def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` or the best with a cause replaced by one that did as well alone, or by one of its kin.
+        """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin or its parts.
 
         What cannot be told apart while another cause is missing often can beside it.
         """
-        if len(hypothesis.causes) < 2:
-            return hypothesis
         known = {frozenset(h.causes) for h in self.judged}
-        plants = [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
+        plants = [*parted(hypothesis.plant)]
+        if len(hypothesis.causes) > 1:
+            plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
         others = {
             causes: plant
             for plant in plants
@@ -403,7 +453,7 @@ class _Explorer:
 
     def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by another one that generalises the same."""
-        for special in specialised(hypothesis.plant):
+        for special in specialised(hypothesis.plant, self.trials.screen):
             name = special.effects[-1].name
             others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
             test = ScoreTest(self.likelihood, replace(hypothesis, plant=special))
@@ -415,7 +465,7 @@ class _Explorer:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
-        others = [*specialised(hypothesis.plant), *united(hypothesis.plant)]
+        others = [*specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)]
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=by_total)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
 from servolens.effects.base import parameter
+from servolens.effects.constant_force import ConstantForce
+from servolens.effects.coulomb_friction import CoulombFriction
 from servolens.effects.kinds import DryFriction
 
 if TYPE_CHECKING:
@@ -59,6 +61,11 @@ class AsymmetricFriction(DryFriction):
         """See :meth:`servolens.effects.base.Effect.united`: a constant force adds to one level what it takes away."""
         (level,), (force,) = (part.values for part in parts)
         return cls(level_positive=level + force, level_negative=level - force) if abs(force) <= level else None
+
+    def parts(self) -> tuple[CoulombFriction, ConstantForce]:
+        """See :meth:`servolens.effects.base.Effect.parts`."""
+        up, down = self.level_positive, self.level_negative
+        return CoulombFriction(level=0.5 * (up + down)), ConstantForce(acceleration=0.5 * (up - down))
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[AsymmetricFriction]:

@@ -188,7 +188,7 @@ class Effect(ABC):
     same_structure : tuple of str
         Names of effects, in or outside the catalogue, with which any axis gives the same records at suitable values.
     unites : tuple of str
-        Names of effects that together are this one; see `united`.
+        Names of effects that together are this one; see `united` and `parts`.
     found_last : tuple of str
         Names of parameters that a fit holds at the values it starts from until it has found the others.
     is_last_resort : bool
@@ -256,6 +256,10 @@ class Effect(ABC):
     def united(cls, *parts: Effect) -> Self | None:
         """Return what `parts`, effects of the names in ``unites``, are together; None where they are more than that."""
         return None
+
+    def parts(self) -> tuple[Effect, ...]:
+        """Return effects of the names in ``unites`` that together do what it does; none where there are no such."""
+        return ()
 
     @classmethod
     def generalised(cls, parts: Sequence[Effect], seen: Seen) -> Iterator[Self]:
