@@ -362,8 +362,9 @@ def test_constant_position_is_unfit_for_identification(here):
 
 
 USAGE = {
-    "unknown command": (["tuned"], "no such command 'tuned'"),
+    "unknown command": (["tuned"], "no such command 'tuned'; did you mean 'tune'? See servolens --help"),
     "unknown option": (["check", "r.csv", "--fast"], "no such option"),
+    "misspelt option": (["tune", "r.csv", "--settle", "1"], "; did you mean '--setting' or '--settling-time'? See "),
     "missing record": (["check"], "missing argument"),
     "missing file": (["check", "nowhere.csv"], "nowhere.csv: "),
     "missing model": (["predict", "nowhere.json", "r.csv"], "nowhere.json: "),
