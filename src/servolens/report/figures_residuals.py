@@ -109,8 +109,7 @@ def _abreast(missed: Sequence[_Missed], noise: float, ylabel: str) -> list[Axes]
 
 def _side_by_side(missed: Sequence[_Missed], noise: float, times: float, ylabel: str) -> list[Axes]:
     """Draw of each record both models, and beside that, enlarged, what is left with the causes."""
-    after = [*MODELS][1]
-    title = f"{after}, enlarged {float(f'{times:.1g}'):g} times"
+    after, title = [*MODELS][1], f"enlarged {float(f'{times:.1g}'):g} times"
     left, right = [], []
     for own in missed:
         first, second = (panel_figure(1.9, HALF_WIDTH)[1] for _ in range(2))

@@ -210,7 +210,8 @@ def _damping_figures(fit: Identification) -> list[Block]:
         fastest = 1.1 * float(fit.varying.speed.max())
         laws: list[Curve] = [law_curve("speed-dependent damping", fit.velocity.plant, fastest, "velocity")]
         if fit.law_from_pieces is not None:
-            laws.append(law_curve("curve through the pieces", fit.law_from_pieces, fastest, "pieces"))
+            slowest = float(fit.varying.speed.min())  # beyond them the curve says nothing
+            laws.append(law_curve("curve through the pieces", fit.law_from_pieces, fastest, "pieces", slowest))
         if fit.constant is not None:
             laws.append(law_curve("constant damping", fit.constant.plant, fastest, "constant"))
         points = [curve("pieces", fit.varying.speed, fit.varying.damping, "varying")]
