@@ -278,6 +278,7 @@ def test_infeasible_design_exits_with_1_and_writes_its_json(bench, here):
     body = finite((here / "design.json").read_text(encoding="utf-8"))
     assert (body["feasible"], body["kd"], body["intervals"]) == (False, None, [])
     assert body["reason"]
+    assert " ".join(done.stdout.split()).count("No kd in") == 1
 
 
 def test_design_options_reach_the_specification(bench):

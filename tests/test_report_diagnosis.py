@@ -32,7 +32,12 @@ from servolens.report.plots_diagnosis import (
 from servolens.report.svg import svg
 from servolens.report.wording import symbol_text
 from servolens.summaries import diagnosis_summary
-from servolens.summaries.diagnosis import findings_of_logs
+from servolens.summaries.diagnosis import (
+    findings_of_logs,
+    remaining_sentences,
+    rival_sentences,
+    verdict_sentence,
+)
 from servolens.summaries.diagnosis_tables import data_kinds
 from servolens.summaries.evidence import instrument_sentence, where_phrase
 
@@ -390,3 +395,21 @@ def test_all_causes_stand_in_bold_among_the_effects_that_were_tried(rubbing, mon
     caption = candidates_figure("tried", pair).caption
     assert len(bold) == 2
     assert "Bold: the causes, each by itself here; together they leave less." in caption
+
+
+def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help(rubbing):
+    worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=1.0))
+    assert "the held-out error rises from" in verdict_sentence(worse)
+    assert "the held-out error falls from" in verdict_sentence(rubbing)
+
+
+def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
+    hidden = replace(rubbing, verdict="partly_explained", remainder=replace(rubbing.remainder, rms=0.0, of_travel=0.0))
+    told = remaining_sentences(hidden)
+    assert told[0] == "What is left depends on the inputs, but is too small beside the noise to be measured."
+
+
+def test_rivals_of_a_cause_are_told(rubbing):
+    doubtful = replace(rubbing, causes=(replace(rubbing.causes[0], rivals=("presliding",)),))
+    assert rival_sentences(doubtful) == ["These data cannot distinguish Coulomb friction from presliding friction."]
+    assert rival_sentences(rubbing) == []

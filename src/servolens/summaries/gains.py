@@ -64,9 +64,9 @@ def design_summary(
     trusted = light_sentences(lights or {})
     if design.kd is None:
         how = "tune(…, force=True)" if in_python else "--force"
-        withheld = f"The gain is withheld; {how} gives it all the same."
+        why = f"The gain is withheld; {how} gives it all the same." if design.withheld else sentence(design.reason)
         sentences = [
-            withheld if design.withheld else sentence(design.reason),
+            *([] if any(why in said for said in trusted) else [why]),
             *trusted,
             asked_sentence(spec, length_unit, command_unit),
         ]
