@@ -20,7 +20,7 @@ from servolens.plant import Plant
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
 from servolens.report.equation import motion_latex
-from servolens.report.figures_diagnosis import candidates_figure, instrument_figure, telling_instrument
+from servolens.report.figures_diagnosis import _tick, candidates_figure, instrument_figure, telling_instrument
 from servolens.report.laws import law_along
 from servolens.report.plots_diagnosis import (
     plot_candidates,
@@ -413,3 +413,8 @@ def test_rivals_of_a_cause_are_told(rubbing):
     doubtful = replace(rubbing, causes=(replace(rubbing.causes[0], rivals=("presliding",)),))
     assert rival_sentences(doubtful) == ["These data cannot distinguish Coulomb friction from presliding friction."]
     assert rival_sentences(rubbing) == []
+
+
+def test_speed_of_rounding_is_told_as_zero():
+    edges = np.array([0.0, 2.6e-15, 0.004, 7.9])
+    assert [_tick(edges, place) for place in range(4)] == ["0", "0", "0.004", "7.9"]

@@ -53,7 +53,7 @@ def test_nothing_is_wider_than_the_terminal(width, monkeypatch, capsys):
 
 def test_a_unit_stays_whole_in_the_name_of_a_row(monkeypatch, capsys):
     monkeypatch.setenv("COLUMNS", "34")
-    rows = (("Least kd [V s/m]", "3.103–14.33, 20–21"), ("Peak there [V]", "8.8"))
+    rows = (("Least kd [V s/m]", "3.103–14.33, 20–21"), ("Peak command there [V]", "8.8"))
     terminal.show(Summary(title="Title", tables=(Table(title="Side by side", columns=("", "Linear"), rows=rows),)))
     names = [line.split("   ")[0].strip() for line in capsys.readouterr().out.splitlines()]
     assert names[names.index("Least kd") + 1] == "[V s/m]"

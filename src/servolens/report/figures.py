@@ -200,9 +200,9 @@ def damping_law_figure(
     return drawing(key, figures, caption, legend=keys_of(*axes))
 
 
-def law_curve(label: str, plant: Plant, fastest: float, role: Role, slowest: float = 0.0) -> Curve:
-    """Return damping against speed from `slowest` to `fastest` [m/s or rad/s]."""
-    speed = np.linspace(slowest, fastest, 201)
+def law_curve(label: str, plant: Plant, speeds: tuple[float, float], role: Role) -> Curve:
+    """Return damping against speed between two `speeds` [m/s or rad/s]."""
+    speed = np.linspace(*speeds, 201)
     return curve(label, speed, damping_at(plant, speed), role)
 
 

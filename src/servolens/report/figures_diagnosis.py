@@ -100,7 +100,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
 def _tick(edges: NDArray[np.float64], place: int) -> str:
     """Return an edge with the digits that the others leave it."""
     largest = float(np.abs(edges).max())
-    text = "0" if place == 0 and abs(edges[0]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
+    nothing = 1e-3 if place == 0 else 1e-9  # inside, no more than rounding of the log
+    text = "0" if abs(edges[place]) < nothing * largest else number(float(f"{edges[place]:.1e}"))
     return minus(text)
 
 

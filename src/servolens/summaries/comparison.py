@@ -69,7 +69,7 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
         ("Settles on its own model [s]", *map(_settles, own)),
         (f"Settles on the {best} plant [s]", *map(_settles, on)),
         ("Overshoot there [%]", *("–" if r is None else number(100 * r.overshoot, 3) for r in on)),
-        (f"Peak there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
+        (f"Peak command there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
         ("Meets the spec there", *("–" if r is None else "yes" if r.meets else "no" for r in on)),
     )
     columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))

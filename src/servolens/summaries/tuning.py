@@ -52,9 +52,8 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
         tables.append(side_by_side(study.comparison, unit, record.command_unit))
     findings = tuple(f for f in study.findings if study.diagnosis is None or not is_told_already(f, study.diagnosis))
     told = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
-    lights = light_sentences(study.lights)
-    gains = [said for said in gain_sentences(study, overrule=overrule) if not any(said in light for light in lights)]
-    return told, Summary(title="The gain", sentences=(*lights, *gains))
+    last = (*light_sentences(study.lights), *gain_sentences(study, overrule=overrule))
+    return told, Summary(title="The gain", sentences=last)
 
 
 def compared_summary(study: Study) -> Summary:
@@ -74,7 +73,8 @@ def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, 
     if design.withheld:
         return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
     if design.kd is None:
-        return (sentence(design.reason),)
+        why = sentence(design.reason)
+        return ("No gain meets the spec: see its light." if why in study.lights["gain"].sentence else why,)
     unit = f"{record.command_unit} s/{record.length_unit}"
     forced = ("Forced: these gains would be withheld.",) if study.forced else ()
     least = f"Least: {design.spec.free} = {least_gain(design)} {unit}"
