@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from servolens import lab
 from servolens.control_law import controller_voltage
 from servolens.quality import assess, check, fatal
+from servolens.quality.loop import DEGREE
 from servolens.quality.sampling import quantisation_step, white_noise
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
@@ -986,3 +987,19 @@ def test_rounding_is_told_as_noise_where_the_axis_rests():
     told = check_summary([quality], length_unit="m").tables[0]
     noise = dict(zip(told.columns, told.rows[0], strict=True))["Noise [µm]"]
     assert float(noise) >= 28  # 0.1 mm / √12
+
+
+@pytest.mark.parametrize(
+    ("stated", "tells"),
+    [
+        (60 / DEGREE, "correct the stated gains, or the unit of position and reference: they seem to be in degrees."),
+        (60 * DEGREE, "correct the stated gains: they seem to be per degree."),
+        (66.0, "correct the stated gains."),
+    ],
+)
+def test_degrees_in_place_of_radians_are_said_to_be_so(stated, tells):
+    record = simulated(kp=60.0, kd=0.0)
+    turned = replace(record, length_unit="rad")
+    finding = only(turned.with_({"controller": Controller(kp=stated)}))
+    assert finding.code == "gains_contradict_log"
+    assert finding.message.endswith(f"; {tells}")
