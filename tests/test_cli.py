@@ -278,6 +278,7 @@ def test_infeasible_design_exits_with_1_and_writes_its_json(bench, here):
     body = finite((here / "design.json").read_text(encoding="utf-8"))
     assert (body["feasible"], body["kd"], body["intervals"]) == (False, None, [])
     assert body["reason"]
+    assert " ".join(done.stdout.split()).count("No kd in") == 1
 
 
 def test_design_options_reach_the_specification(bench):
@@ -362,8 +363,9 @@ def test_constant_position_is_unfit_for_identification(here):
 
 
 USAGE = {
-    "unknown command": (["tuned"], "no such command 'tuned'"),
+    "unknown command": (["tuned"], "no such command 'tuned'; did you mean 'tune'? See servolens --help"),
     "unknown option": (["check", "r.csv", "--fast"], "no such option"),
+    "misspelt option": (["tune", "r.csv", "--settle", "1"], "; did you mean '--setting' or '--settling-time'? See "),
     "missing record": (["check"], "missing argument"),
     "missing file": (["check", "nowhere.csv"], "nowhere.csv: "),
     "missing model": (["predict", "nowhere.json", "r.csv"], "nowhere.json: "),

@@ -72,6 +72,8 @@ def test_the_map_is_drawn_with_its_feasible_region_and_the_pair_of_least_noise()
     assert ax.get_ylabel() == "Kd [V s/m]"
     (mark,) = (line for line in ax.get_lines() if line.get_label() == "least noise")
     assert (mark.get_xdata()[0], mark.get_ydata()[0]) == found.least_noise  # type: ignore[index]  # arrays
+    scale = ax.figure.axes[-1]
+    assert [label.get_text() for label in scale.get_xticklabels()] == ["0", "0.3", "0.5", "0.75"]
 
 
 def test_a_map_begins_and_ends_around_the_spec() -> None:

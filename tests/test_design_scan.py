@@ -161,6 +161,9 @@ def test_an_infeasible_spec_names_what_conflicts_and_what_can_be_met(
     design = tune(plant, spec)
     assert design.conflict == conflict
     assert design.reason is not None
+    units = {"settling_time": "s", "voltage_limit": "V", "overshoot": "of the step"}
+    for wish in conflict:
+        assert f" of {asked[wish]:g} {units[wish]}" in design.reason
     assert "can be met" in design.reason
     assert {name for name, _ in design.nearest[0].changes} == gives_way
     for relaxed in design.nearest:

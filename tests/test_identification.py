@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -42,6 +43,7 @@ from servolens.lab.laws import ARRAYS, LAWS, Instant
 from servolens.plant import Plant
 from servolens.prediction import predict
 from servolens.report.figures import varying_position
+from servolens.summaries import identification_summary
 
 
 def plant_of(truth: Truth) -> Plant:
@@ -472,3 +474,24 @@ def test_a_prior_far_from_the_data_is_named() -> None:
     assert "prior_contradicts_data" in {finding.code for finding in wrong.findings}
     right = identify(record, priors={"gain": Prior(value=1.9, deviation=0.05)})
     assert "prior_contradicts_data" not in {finding.code for finding in right.findings}
+
+
+def test_law_that_the_data_do_not_determine_is_not_told_as_if_they_did() -> None:
+    fit = identify(step_record(NLM3, kp=60, noise=1e-5, seed=1))
+    assert any("the midpoint is at" in sentence for sentence in identification_summary(fit).sentences)
+    assert fit.velocity is not None
+    assert fit.velocity.covariance is not None
+    vague = replace(fit, velocity=replace(fit.velocity, covariance=1e8 * fit.velocity.covariance))
+    told = identification_summary(vague).sentences
+    assert any("alpha1 is not significantly different from zero" in sentence for sentence in told)
+    assert not any("the midpoint is at" in sentence for sentence in told)
+
+
+def test_pieces_of_which_the_data_determine_none_make_no_table() -> None:
+    fit = identify(step_record(NLM3, kp=60, noise=1e-5, seed=1))
+    titles = [table.title for table in identification_summary(fit).tables]
+    assert "Damping that varies in time (varying)" in titles
+    assert fit.varying is not None
+    vague = replace(fit.varying, spread=Later(lambda: 1e9 * np.eye(fit.varying.damping.size + 1)))
+    titles = [table.title for table in identification_summary(replace(fit, varying=vague)).tables]
+    assert "Damping that varies in time (varying)" not in titles

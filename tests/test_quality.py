@@ -17,10 +17,12 @@ from scipy.signal import lfilter
 from servolens import lab
 from servolens.control_law import controller_voltage
 from servolens.quality import assess, check, fatal
-from servolens.quality.sampling import quantisation_step
+from servolens.quality.loop import DEGREE
+from servolens.quality.sampling import quantisation_step, white_noise
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
 from servolens.record import Controller, Record
+from servolens.summaries import check_summary
 
 DATA = Path(os.environ.get("SERVOLENS_DATA", Path(__file__).parents[2] / "shared" / "data"))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data are not here (SERVOLENS_DATA)")
@@ -547,7 +549,8 @@ def test_gains_that_are_not_the_log_s_are_named(kp, kd, rounding):
     assert (fitted.fitted_kp, fitted.fitted_kd) == (pytest.approx(58.7, rel=1e-3), pytest.approx(0.02, abs=0.01))
     if not rounding:
         assert finding.message == (
-            f"the logged voltage fits kp = 58.7, kd = 0.02, not kp = {kp:.4g}, kd = {kd:.4g}; correct the stated gains."
+            f"the logged voltage fits kp = 58.7 V/m, kd = 0.02 V s/m, not kp = {kp:.4g} V/m, kd = {kd:.4g} V s/m;"
+            " correct the stated gains."
         )
 
 
@@ -623,7 +626,7 @@ def test_column_that_is_logged_late_or_early_is_said_instead_of_other_gains(colu
     assert (finding.code, finding.severity) == (f"{column}_shifted", "warning")
     assert finding.message == (
         f"the {column} is logged {count} {'late' if samples > 0 else 'early'} against {other} and voltage;"
-        f" shift the column, and the voltage fits kp = {kp}, kd = {kd}."
+        f" shift the column, and the voltage fits kp = {kp} V/m, kd = {kd} V s/m."
     )
 
 
@@ -732,7 +735,7 @@ def test_setting_and_gains_that_are_both_wrong_are_both_said():
     record = staircase(setup=lab.Setup(controller=Controller(kp=60, kd=4, derivative_filter=0.3, derivative_window=2)))
     setting, gains = check(record.with_({"controller": Controller(kp=66, kd=4)}))
     assert setting.message.startswith("the log fits derivative_window = 2, derivative_filter = 0.3, not 1, 1 ")
-    assert gains.message.startswith("the logged voltage fits kp = 60, kd = 4, not kp = 66, kd = 4;")
+    assert gains.message.startswith("the logged voltage fits kp = 60 V/m, kd = 4 V s/m, not kp = 66 V/m, kd = 4 V s/m;")
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -821,7 +824,7 @@ def test_slow_loop_is_judged_at_its_own_ticks():
 def test_unknown_gains_are_offered():
     finding = only(simulated(kd=2.0).with_({"controller": None}))
     assert (finding.code, finding.severity) == ("gains_unknown", "note")
-    assert finding.message == "the gains are not stated; the logged voltage fits kp = 60, kd = 2."
+    assert finding.message == "the gains are not stated; the logged voltage fits kp = 60 V/m, kd = 2 V s/m."
 
 
 def test_missing_signals_are_notes():
@@ -965,3 +968,38 @@ def test_voltage_in_another_unit_is_not_blamed_on_the_gains():
     finding = only(record.with_({"voltage": 1e3 * record.voltage}))
     assert (finding.code, finding.severity) == ("units_contradict", "error")
     assert "10^3 times" in finding.message
+
+
+@pytest.mark.parametrize("noise", [4e-6, 8e-6, 2e-5], ids="{:g}".format)
+@pytest.mark.parametrize("moving", [True, False], ids=["moving", "at rest"])
+def test_noise_of_a_coarse_encoder_is_that_of_sensor_and_rounding(noise, moving):
+    step, count = 1e-5, 4000
+    time = 1e-3 * np.arange(count)
+    smooth = 3e-6 + moving * 0.1 * (1 - np.exp(-3 * time) * np.cos(8 * time))
+    seen = np.random.default_rng(1).normal(smooth, noise)
+    # the median of 4000 neighbouring third differences has a standard error of 3 %; steps leave a few per cent more
+    assert white_noise(step * np.round(seen / step), step) == pytest.approx(math.hypot(noise, step / 12**0.5), rel=0.12)
+
+
+def test_rounding_is_told_as_noise_where_the_axis_rests():
+    record = lab.step_record(lab.NLM1, 60, encoder=1e-4)
+    quality = assess(record)
+    told = check_summary([quality], length_unit="m").tables[0]
+    noise = dict(zip(told.columns, told.rows[0], strict=True))["Noise [µm]"]
+    assert float(noise) >= 28  # 0.1 mm / √12
+
+
+@pytest.mark.parametrize(
+    ("stated", "tells"),
+    [
+        (60 / DEGREE, "correct the stated gains, or the unit of position and reference: they seem to be in degrees."),
+        (60 * DEGREE, "correct the stated gains: they seem to be per degree."),
+        (66.0, "correct the stated gains."),
+    ],
+)
+def test_degrees_in_place_of_radians_are_said_to_be_so(stated, tells):
+    record = simulated(kp=60.0, kd=0.0)
+    turned = replace(record, length_unit="rad")
+    finding = only(turned.with_({"controller": Controller(kp=stated)}))
+    assert finding.code == "gains_contradict_log"
+    assert finding.message.endswith(f"; {tells}")

@@ -312,7 +312,11 @@ def test_loop_settings_without_gains_are_a_remark(write):
             GAIN + HEADER + "0,0,1\n1," + "x" * 99 + ",1\n",
             "line 4, position: '" + "x" * 40 + "…' is not a number" + FILL,
         ),
-        (GAIN + HEADER + "0,0,1\n1,1\n", "line 4 has 2 values where the header row has 3"),
+        (GAIN + HEADER + "0,0,1\n1,1\n2,1,1\n", "line 4 has 2 values where the header row has 3"),
+        (
+            GAIN + HEADER + "0,0,1\n1,1\n",
+            "line 4 has 2 values where the header row has 3; it is the last line, delete it if the log was cut off",
+        ),
         (
             GAIN + HEADER + "0,0,1\n1,1,1,1\n",
             "line 4 has 4 values where the header row has 3",

@@ -7,6 +7,7 @@ import re
 from base64 import b64encode
 from hashlib import sha256
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,13 +19,15 @@ from servolens import lab
 from servolens.design import PDSpec
 from servolens.effects import CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
+from servolens.identification import identify
 from servolens.plant import Plant
 from servolens.report import write_report
 from servolens.report.content import Drawing, Key, Picture, Section
 from servolens.report.curves import curve
 from servolens.report.drawing import drawing
 from servolens.report.figure_data import Line, Panel, Scale, encoded, panels_of
-from servolens.report.figures import damping_at, plant_formula
+from servolens.report.figures import damping_at, damping_in_time_figure, plant_formula
+from servolens.report.measured_story import _damping_figures
 from servolens.report.page import render_page, write_page
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
 from servolens.report.plots_design import Mark, plot_settling_times, plot_step_responses
@@ -114,6 +117,29 @@ def test_damping_law_shows_curves_as_lines_and_pieces_as_marks():
     lines = plot_damping_laws([law], [points], length_unit="rad").get_lines()
     assert [line.get_linestyle() for line in lines] == ["-", "None"]
     assert np.array_equal(lines[1].get_ydata(), points.y)
+
+
+def test_laws_of_damping_are_drawn_only_where_the_pieces_are(runs, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(
+        "servolens.report.measured_story.damping_law_figure",
+        lambda key, panels, *_: drawn.update({law.label: law for law in panels[0][1]}),
+    )
+    fit = identify(runs)
+    _damping_figures(fit)
+    assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed.min()} != {0.0}
+
+
+def test_damping_is_seen_where_single_pieces_are_hardly_determined(monkeypatch):
+    heights = []
+    monkeypatch.setattr(
+        "servolens.report.drawing.svg", lambda figure, _key: heights.append(figure.axes[0].get_ylim()) or "<svg>"
+    )
+    varying = SimpleNamespace(  # the damping of the second piece is hardly determined
+        edges=np.array([0.0, 0.1, 0.2]), damping=np.array([8.0, 6.0]), covariance=np.diag([0.1, 900.0, 1e-6])
+    )
+    damping_in_time_figure("c", [("", varying)], "")
+    assert heights == [(pytest.approx(-0.8), pytest.approx(1.35 * 8.0))]
 
 
 def test_errors_tell_held_out_records_by_filled_marks():

@@ -15,12 +15,12 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.effects import CATALOGUE
 from servolens.errors import InputError
-from servolens.findings import Finding
+from servolens.findings import Finding, grouped
 from servolens.plant import Plant
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
 from servolens.report.equation import motion_latex
-from servolens.report.figures_diagnosis import telling_instrument
+from servolens.report.figures_diagnosis import _tick, candidates_figure, instrument_figure, telling_instrument
 from servolens.report.laws import law_along
 from servolens.report.plots_diagnosis import (
     plot_candidates,
@@ -29,9 +29,15 @@ from servolens.report.plots_diagnosis import (
     plot_residuals,
     plot_shares,
 )
+from servolens.report.svg import svg
 from servolens.report.wording import symbol_text
 from servolens.summaries import diagnosis_summary
-from servolens.summaries.diagnosis import findings_of_logs, grouped
+from servolens.summaries.diagnosis import (
+    findings_of_logs,
+    remaining_sentences,
+    rival_sentences,
+    verdict_sentence,
+)
 from servolens.summaries.diagnosis_tables import data_kinds
 from servolens.summaries.evidence import instrument_sentence, where_phrase
 
@@ -99,6 +105,32 @@ def test_every_figure_says_whether_its_data_are_held_out(rubbing, tmp_path):
     assert len(captions) == 7
     told = ("held out", "no measured data")
     assert [caption for caption in captions if not any(words in caption.lower() for words in told)] == []
+
+
+def test_nothing_sticks_out_of_a_figure(rubbing, monkeypatch, tmp_path):
+    cut = []
+
+    def watched(figure, key):
+        text = svg(figure, key)  # lays it out
+        drawn, room = figure.get_tightbbox(), figure.get_size_inches()
+        if min(drawn.x0, drawn.y0) < 0 or drawn.x1 > room[0] or drawn.y1 > room[1]:
+            cut.append((key, drawn.extents.round(2).tolist()))
+        return text
+
+    monkeypatch.setattr("servolens.report.drawing.svg", watched)
+    monkeypatch.setattr("servolens.report.figures_residuals._enlargement", lambda *_: 20000.0)
+    fine = Instrument(
+        varies="force",
+        goes_with="position",
+        correlation=0.9,
+        significance=1e-9,
+        abscissa=(0.0, 0.05, 0.1),
+        value=(-0.00075, -0.00025, 0.00075),
+        deviation=(1e-5, 1e-5, 1e-5),
+    )
+    page_of(rubbing, tmp_path)
+    instrument_figure("fine", rubbing, fine, None)
+    assert cut == []
 
 
 @pytest.mark.parametrize(
@@ -347,3 +379,42 @@ def test_record_without_a_finite_error_is_left_blank():
         ["a", "b"], values, values, np.array([0.1, 0.1]), np.array([True, True]), xlabel="Error [m]"
     )
     assert ax.get_xlim()[1] == pytest.approx(2.8)
+
+
+def test_all_causes_stand_in_bold_among_the_effects_that_were_tried(rubbing, monkeypatch):
+    bold = []
+    monkeypatch.setattr(
+        "servolens.report.figures_diagnosis.plot_candidates",
+        lambda names, _left, chosen, **look: [
+            bold.extend(name for name, answer in zip(names, chosen, strict=True) if answer),
+            plot_candidates(names, _left, chosen, **look),
+        ],
+    )
+    other = next(c.effects[-1] for c in rubbing.candidates if c.effects[-1] != "coulomb_friction" and c.error > 0)
+    pair = replace(rubbing, causes=(*rubbing.causes, replace(rubbing.causes[0], effect=other)))
+    caption = candidates_figure("tried", pair).caption
+    assert len(bold) == 2
+    assert "Bold: the causes, each by itself here; together they leave less." in caption
+
+
+def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help(rubbing):
+    worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=1.0))
+    assert "the held-out error rises from" in verdict_sentence(worse)
+    assert "the held-out error falls from" in verdict_sentence(rubbing)
+
+
+def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
+    hidden = replace(rubbing, verdict="partly_explained", remainder=replace(rubbing.remainder, rms=0.0, of_travel=0.0))
+    told = remaining_sentences(hidden)
+    assert told[0] == "What is left depends on the inputs, but is too small beside the noise to be measured."
+
+
+def test_rivals_of_a_cause_are_told(rubbing):
+    doubtful = replace(rubbing, causes=(replace(rubbing.causes[0], rivals=("presliding",)),))
+    assert rival_sentences(doubtful) == ["These data cannot distinguish Coulomb friction from presliding friction."]
+    assert rival_sentences(rubbing) == []
+
+
+def test_speed_of_rounding_is_told_as_zero():
+    edges = np.array([0.0, 2.6e-15, 0.004, 7.9])
+    assert [_tick(edges, place) for place in range(4)] == ["0", "0", "0.004", "7.9"]

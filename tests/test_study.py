@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,9 @@ from servolens.model import Model
 from servolens.record import Controller
 from servolens.results import to_text, write_json
 from servolens.study import completed_spec, held_out_prediction, suggested_spec
+from servolens.study.workflow import OF_SIMPLER_MODELS
+from servolens.summaries import design_summary
+from servolens.summaries.comparison import side_by_side
 
 CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
 SPEC = PDSpec(kp=80, settling_time=0.5)
@@ -99,6 +103,29 @@ def test_comparison_has_three_columns_with_the_diagnosed_one_last(cart):
     body = comparison.to_json()
     assert body["linear"]["on_diagnosed"]["settling_time"] == comparison.linear_on_diagnosed.settling_time
     assert body["diagnosed"]["recommended"]["kd"] == cart.design.recommended.kd
+
+
+def test_gain_that_never_settles_on_the_diagnosed_plant_is_told_so(cart):
+    late = replace(cart.comparison.linear_on_diagnosed, settling_time=None, meets=False)
+    table = side_by_side(replace(cart.comparison, linear_on_diagnosed=late), "V s/m", "V")
+    assert {name: first for name, first, *_ in table.rows}["Settles on the diagnosed plant [s]"] == "never"
+
+
+def test_what_a_diagnosis_answers_is_no_finding_of_its_study(cart):
+    assert {finding.code for finding in cart.fit.findings} & OF_SIMPLER_MODELS
+    assert not {finding.code for finding in cart.findings} & OF_SIMPLER_MODELS
+
+
+def test_voltage_that_was_not_logged_is_told_once():
+    runs = [record.with_({"voltage": None}) for record in steps(CART, 60, 80)]
+    found = study_records(runs, SPEC, effort="quick")
+    assert [f.record for f in found.findings if f.code == "voltage_reconstructed"] == [run.name for run in runs]
+
+
+def test_lag_of_a_smooth_move_is_told_with_a_unit_that_suits_it(cart):
+    (told,) = (s for s in design_summary(cart.design).sentences if s.startswith("On a smooth move"))
+    assert re.search(r"it lags by [\d.]+ mm \(r\.m\.s\.\)", told)
+    assert "e-" not in told
 
 
 def test_result_is_json_with_the_fields_of_a_tuning(cart):

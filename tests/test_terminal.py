@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
@@ -48,6 +49,26 @@ def test_nothing_is_wider_than_the_terminal(width, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines)) <= width
     assert sum("1.2345 ± 0.0012 (0.1 %)" in line for line in lines) == (1 if width == 240 else 6)
+
+
+def test_a_unit_stays_whole_in_the_name_of_a_row(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "34")
+    rows = (("Least kd [V s/m]", "3.103–14.33, 20–21"), ("Peak command there [V]", "8.8"))
+    terminal.show(Summary(title="Title", tables=(Table(title="Side by side", columns=("", "Linear"), rows=rows),)))
+    names = [line.split("   ")[0].strip() for line in capsys.readouterr().out.splitlines()]
+    assert names[names.index("Least kd") + 1] == "[V s/m]"
+
+
+def test_what_is_true_of_several_records_is_told_once(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "200")
+    two = [Finding(code="g", severity="note", message="read by guess.", record=name) for name in ("a", "b")]
+    many = [Finding(code="s", severity="note", message="shaken by 2 mm/s^2.", record=name) for name in "abcdef"]
+    terminal.show(Summary(title="Title", findings=(*two, *many, replace(two[0], severity="error"))))
+    assert capsys.readouterr().out.split("\n\n")[1].splitlines() == [
+        "error: a: read by guess.",
+        "note: a and b: read by guess.",
+        "note: a, b, c and 3 more: shaken by 2 mm/s².",
+    ]
 
 
 @pytest.mark.parametrize(("value", "coloured"), [(None, True), ("1", False)])

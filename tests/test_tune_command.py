@@ -134,6 +134,8 @@ def test_infeasible_spec_exits_1_with_the_reason(bench):
     body = tuned(bench / "kp60.csv", "--settling-time", "0.03", "--effort", "quick", status=1)
     assert body["comparison"]["diagnosed"]["feasible"] is False
     assert "no kd" in body["reason"].lower()
+    told = " ".join(run("tune", bench / "kp60.csv", "--settling-time", "0.03", "--effort", "quick").stdout.split())
+    assert told.count("No kd in") == 1
 
 
 def test_options_of_the_design_and_gains_of_the_record(bench):

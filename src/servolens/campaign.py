@@ -25,6 +25,8 @@ __all__ = ["Log", "log_files", "read_logs", "read_records"]
 StrPath = str | os.PathLike[str]
 LARGEST_TOML = 2**20
 TABLES = ("columns", "units")
+BY_NAME_ONLY = (".txt", ".log", ".dat", ".asc")
+"""Texts that may be logs; in a folder they may be notes as well, so each is read where it is named."""
 
 
 def read_records(
@@ -169,11 +171,14 @@ def _sources(path: Path, root: Path | None) -> Iterator[_Source]:
 def _folder(folder: Path, root: Path | None) -> Iterator[_Source]:
     with located(str(folder)):
         try:
-            files = sorted(path for path in folder.iterdir() if _is_log(path))
+            entries = sorted(folder.iterdir())
+            files = [path for path in entries if _is_log(path)]
         except OSError as error:
             raise InputError(f"cannot be listed: {(error.strerror or str(error)).lower()}") from error
         if not files:
-            raise InputError("is a folder without logs such as .csv, .mat or .xlsx")
+            texts = [path.name for path in entries if path.suffix.lower() in BY_NAME_ONLY]
+            hint = f"; name each if it is one, as {printable(str(folder / texts[0]))}" if texts else ""
+            raise InputError(f"is a folder without logs such as .csv, .mat or .xlsx{hint}")
     for file in files:
         with located(str(file)):
             yield _Source(path=_inside(file, folder, root), label=str(file))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -18,6 +19,8 @@ from servolens.rendering import escaped
 __all__ = ["group", "main"]
 
 DEBUG = "SERVOLENS_DEBUG"
+POSSIBLE = re.compile(r"\. \(?Did you mean (?:one of: )?(.+)\?\)?$")
+"""How click ends what it says of a name that it does not know."""
 BAD_INPUT, FAULT, INTERRUPTED, BROKEN_PIPE = 2, 3, 130, 141
 FAULT_TEXT = (
     "stopped by an unexpected {kind}. This is a fault of servolens, not of your data: run the command again with"
@@ -105,9 +108,10 @@ def _failure(error: BaseException) -> tuple[int, str]:
 def _usage(error: click.ClickException) -> str:
     """Return click's message as one sentence that says which command's help to read."""
     text = " ".join(error.format_message().split()).rstrip(".")
+    text = POSSIBLE.sub(lambda found: f"; did you mean {' or '.join(found[1].split(', '))}?", text)
     context = getattr(error, "ctx", None)
     path = context.command_path if context is not None else "servolens"
-    return f"{text[:1].lower()}{text[1:]}; see {path} --help"
+    return f"{text[:1].lower()}{text[1:]}{' See' if text.endswith('?') else '; see'} {path} --help"
 
 
 def _mend_streams() -> None:

@@ -7,6 +7,8 @@ from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING
 
+from servolens.findings import grouped
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -86,8 +88,9 @@ def _print_table(console: Console, table: Table) -> None:
         for i, heading in enumerate(headings):
             numeric = i > 0 and all(_is_number(row[i]) for row in cells)
             grid.add_column(heading, no_wrap=i > 0, justify="right" if numeric else "left", overflow="fold")
-        for row in cells:
-            grid.add_row(*row)
+        room = console.width - sum(GUTTER + width for width in _widths(headings, cells)[1:])
+        for first, *others in cells:
+            grid.add_row("\n".join(_broken(first, room)), *others)
         console.print(grid)
     if table.note:
         console.print(escaped(table.note))
@@ -103,23 +106,30 @@ def _print_blocks(console: Console, columns: tuple[str, ...], cells: list[list[s
 
 def _headings(columns: tuple[str, ...], cells: list[list[str]], room: int) -> list[str] | None:
     """Return the headings, broken between words only as far as the screen demands; None if no table fits."""
-    from rich.cells import cell_len
-
+    own = _widths([""] * len(columns), cells)
     for most in HEADING_WIDTHS:
-        headings, total = [], -GUTTER
-        for i, name in enumerate(columns):
-            cell = max((cell_len(row[i]) for row in cells), default=0)
-            lines = _broken(name, max(cell, most)) if most else name.split() or [""]
-            headings.append("\n".join(lines))
-            width = max(cell, *(cell_len(line) for line in lines))
-            total += GUTTER + (min(width, NARROWEST_NAME) if i == 0 else width)
-        if total <= room:
+        broken = [
+            _broken(name, max(cell, most)) if most else name.split() for name, cell in zip(columns, own, strict=True)
+        ]
+        headings = ["\n".join(lines) for lines in broken]
+        first, *others = _widths(headings, cells)
+        if sum(GUTTER + width for width in others) + min(first, NARROWEST_NAME) <= room:
             return headings
     return None
 
 
+def _widths(headings: list[str], cells: list[list[str]]) -> list[int]:
+    """Return the room that each column takes."""
+    from rich.cells import cell_len
+
+    return [
+        max(cell_len(text) for text in (*heading.split("\n"), *(row[i] for row in cells)))
+        for i, heading in enumerate(headings)
+    ]
+
+
 def _broken(heading: str, width: int) -> list[str]:
-    """Break a heading between words; a unit in brackets stays whole."""
+    """Break a heading or a row's name between words; a unit in brackets stays whole."""
     lines = [""]
     for word in re.findall(r"\[[^\]]*\]|\S+", heading):
         together = f"{lines[-1]} {word}".strip()
@@ -139,6 +149,6 @@ def _is_number(cell: str) -> bool:
 
 
 def by_severity(findings: tuple[Finding, ...]) -> list[Finding]:
-    """Return each finding once, the worst first."""
+    """Return each finding once, with all records of which it is true, the worst first."""
     order = list(STYLES)
-    return sorted(dict.fromkeys(findings), key=lambda finding: order.index(finding.severity))
+    return sorted(grouped(findings), key=lambda finding: order.index(finding.severity))

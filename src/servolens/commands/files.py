@@ -32,7 +32,6 @@ __all__ = [
     "quality_findings",
     "refusal",
     "same_file",
-    "together",
     "writing",
 ]
 
@@ -131,15 +130,6 @@ def refusal(findings: Sequence[Finding], *, force: bool) -> tuple[Finding, ...]:
         " wrong, and with it every parameter; correct the records, or give --force if they are right."
     )
     return (Finding(code="model_refused", severity="error", message=message),)
-
-
-def together(*groups: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return the findings of all groups; what an earlier group has told of a record, a later one does not repeat."""
-    told: list[Finding] = []
-    for group in groups:
-        known = {(finding.code, finding.record) for finding in told}
-        told += [finding for finding in group if (finding.code, finding.record) not in known]
-    return tuple(told)
 
 
 def priors_from(given: Sequence[tuple[str, float, float]]) -> dict[str, Prior]:

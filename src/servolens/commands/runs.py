@@ -15,7 +15,6 @@ from servolens.commands.files import (
     priors_from,
     quality_findings,
     refusal,
-    together,
 )
 from servolens.commands.options import (
     Documented,
@@ -28,7 +27,7 @@ from servolens.commands.options import (
 )
 from servolens.commands.terminal import progress_bar, show
 from servolens.errors import NumericalError, ServolensError
-from servolens.findings import Finding
+from servolens.findings import Finding, together
 from servolens.results import STANDARD_OUTPUT, write_json
 from servolens.summary import Summary
 

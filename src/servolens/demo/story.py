@@ -230,10 +230,10 @@ def _true_damping(demo: Demo, record: Record) -> Curve:
 def law_panels(demo: Demo) -> list[tuple[str, list[Curve], list[Curve]]]:
     """Return the damping laws of the three records: title, laws and points of each route to them."""
     fastest = 1.1 * max(float(fit.varying.speed.max()) for fit in demo.fits if fit.varying is not None)
-    truth = law_curve("true", demo.truth, fastest, "truth")
+    truth = law_curve("true", demo.truth, (0.0, fastest), "truth")
     named = [(f"Kp {kp}", fit, role) for kp, fit, role in zip((60, 80, 100), demo.fits, KP_ROLES, strict=True)]
-    pieces = [law_curve(n, f.law_from_pieces, fastest, r) for n, f, r in named if f.law_from_pieces is not None]
-    direct = [law_curve(n, f.velocity.plant, fastest, r) for n, f, r in named if f.velocity is not None]
+    pieces = [law_curve(n, f.law_from_pieces, (0.0, fastest), r) for n, f, r in named if f.law_from_pieces is not None]
+    direct = [law_curve(n, f.velocity.plant, (0.0, fastest), r) for n, f, r in named if f.velocity is not None]
     points = [curve("", f.varying.speed, f.varying.damping, r) for n, f, r in named if f.varying is not None]
     return [
         ("Through the pieces (eqs. 19–22)", [truth, *pieces], points),

@@ -26,6 +26,7 @@ WORDS = {
     "settling_time": "settling time",
     "overshoot": "overshoot limit",
     "voltage_limit": "voltage limit",
+    "band": "band",
 }
 
 
@@ -64,15 +65,18 @@ def explain(
         return f"{searched} stabilises the loop with kp = {spec.kp:g}; choose a smaller kp", ("kp",), ()
     conflict = _conflict(spec, steps)
     nearest = _nearest(models, spec, steps, gains)
-    reason = f"{searched} meets the spec; {_conflict_text(spec, conflict)}"
+    reason = f"{searched} meets the spec; {_conflict_text(spec, conflict, models[0].command_unit)}"
     closest = _closest(spec, steps)
-    settles = f"settles in {closest.settling_time:.4g} s" if np.isfinite(closest.settling_time) else "does not settle"
+    settles = f"settles in {closest.settling_time:.4g} s"
+    if not np.isfinite(closest.settling_time):
+        settles = f"does not settle (up to {100 * closest.band:.3g} % of the step are left)"
+    unit = models[0].command_unit
     reason += (
         f"; the closest, {spec.free} = {closest.kd:.4g}, {settles}, overshoots by"
-        f" {100 * max(closest.overshoot, 0.0):.3g} % and asks for {closest.voltage_limit:.4g} V"
+        f" {100 * max(closest.overshoot, 0.0):.3g} % and asks for {closest.voltage_limit:.4g} {unit}"
     )
     if nearest:
-        reason += f"; {_offer(nearest[0], spec.free)}"
+        reason += f"; {_offer(nearest[0], spec.free, unit)}"
     return reason, conflict, nearest
 
 
@@ -100,7 +104,7 @@ def _step(models: Iterable[Plant], spec: PDSpec, kd: float) -> _Step | None:
 
 
 def _stated(spec: PDSpec) -> list[str]:
-    return [wish for wish in WORDS if getattr(spec, wish) is not None]
+    return [wish for wish in WORDS if wish != "band" and getattr(spec, wish) is not None]
 
 
 def _holds(spec: PDSpec, step: _Step, wishes: Iterable[str]) -> bool:
@@ -117,8 +121,8 @@ def _conflict(spec: PDSpec, steps: Sequence[_Step]) -> tuple[str, ...]:
     return tuple(wishes)
 
 
-def _conflict_text(spec: PDSpec, conflict: Sequence[str]) -> str:
-    names = [f"the {WORDS[wish]} of {getattr(spec, wish):g}" for wish in conflict]
+def _conflict_text(spec: PDSpec, conflict: Sequence[str], command_unit: str) -> str:
+    names = [f"the {_told(wish, getattr(spec, wish), command_unit)}" for wish in conflict]
     if len(names) == 1:
         return f"{names[0]} cannot be met with kp = {spec.kp:g}"
     return f"{', '.join(names[:-1])} and {names[-1]} cannot be met together with kp = {spec.kp:g}"
@@ -186,9 +190,15 @@ def _ratio(spec: PDSpec, wish: str, value: float) -> float:
     return float(value / max(getattr(spec, wish), spec.band))
 
 
-def _offer(found: Relaxed, gain: str) -> str:
-    names = {"band": "band", **WORDS}
-    parts = [f"{'an' if wish == 'overshoot' else 'a'} {names[wish]} of {value:g}" for wish, value in found.changes]
+def _told(wish: str, value: float, command_unit: str) -> str:
+    units = {"settling_time": "s", "voltage_limit": command_unit}
+    return f"{WORDS[wish]} of {value:g} {units.get(wish, 'of the step')}"
+
+
+def _offer(found: Relaxed, gain: str, command_unit: str) -> str:
+    parts = [
+        f"{'an' if wish == 'overshoot' else 'a'} {_told(wish, value, command_unit)}" for wish, value in found.changes
+    ]
     return f"{' with '.join(parts)} can be met ({gain} = {found.kd:.4g})"
 
 

@@ -44,6 +44,7 @@ UNITS_OF = {
     "control_period": " s",
 }
 """Of the controller's settings."""
+DEGREE = math.pi / 180.0
 
 
 @final
@@ -184,7 +185,7 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
     unit = record.command_unit
     left = f"unexplained voltage {other.before:.2g} {unit} r.m.s. as stated, {other.left:.2g} {unit} with this"
     if other.kind == "shift":
-        return _shifted(other, _named(fit.kp, fit.kd))
+        return _shifted(other, _named(record, fit.kp, fit.kd))
     if other.kind == "scale":
         return _scaled(other, left)
     settings = [name for name in other.changed if name not in GAINS]
@@ -255,7 +256,7 @@ def _scaled(other: Alternative, left: str) -> Finding:
 
 def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
     """Yield that the voltage fits no gains, or other gains than stated."""
-    stated, fits = record.controller, _named(fit.kp, fit.kd)
+    stated, fits = record.controller, _named(record, fit.kp, fit.kd)
     if fit.misfit < NO_LAW and fit.kp * (1.0 if stated is None else stated.kp) < 0:
         message = f"the logged voltage fits {fits}: it has the other sign than the control law; change the sign of it."
         yield Finding(code="wrong_sign", severity="error", message=message)
@@ -273,12 +274,22 @@ def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
         cure = "correct the stated gains"
         if fit.misfit > DIFFERENCE:
             cure += f", or the settings of the derivative: {100 * fit.misfit:.2g} % of the voltage is left"
-        message = f"the logged voltage fits {fits}, not {_named(stated.kp, stated.kd)}; {cure}."
+        if record.length_unit == "rad" and stated.kp:
+            cure += _degrees(fit.kp / stated.kp)
+        message = f"the logged voltage fits {fits}, not {_named(record, stated.kp, stated.kd)}; {cure}."
         yield Finding(code="gains_contradict_log", severity="warning", message=message)
 
 
-def _named(kp: float, kd: float) -> str:
-    return f"kp = {kp:.4g}, kd = {0.0 if abs(kd) < 1e-9 * abs(kp) else kd:.4g}"
+def _degrees(ratio: float) -> str:
+    """Return what the ratio of fitted to stated gains says of degrees in place of radians; empty if nothing."""
+    if math.isclose(ratio, DEGREE, rel_tol=DIFFERENCE):
+        return ", or the unit of position and reference: they seem to be in degrees"
+    return ": they seem to be per degree" if math.isclose(ratio, 1.0 / DEGREE, rel_tol=DIFFERENCE) else ""
+
+
+def _named(record: Record, kp: float, kd: float) -> str:
+    volt, length = record.command_unit, record.length_unit
+    return f"kp = {kp:.4g} {volt}/{length}, kd = {0.0 if abs(kd) < 1e-9 * abs(kp) else kd:.4g} {volt} s/{length}"
 
 
 def _with_gains(fitted: Controller, stated: Controller) -> Controller:

@@ -82,6 +82,7 @@ def measure(record: Record) -> Sampling:
     long = intervals > 1.5 * cycles
     gaps, kept = np.flatnonzero(long), ~long
     y = record.position
+    step = quantisation_step(y)
     return Sampling(
         sample_time=h,
         jitter=float(np.std((intervals - cycles)[kept])) if kept.any() else 0.0,
@@ -89,8 +90,8 @@ def measure(record: Record) -> Sampling:
         cycles=(float(cycles.min()), float(cycles.max())),
         gaps=gaps.size,
         first_gap=int(gaps[0]) + 1 if gaps.size else 0,
-        noise=white_noise(y),
-        step=quantisation_step(y),
+        noise=white_noise(y, step),
+        step=step,
         travel=float(np.ptp(y)),
         top_speed=top_speed(record),
     )
@@ -216,8 +217,20 @@ def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(moves)
 
 
-def white_noise(position: NDArray[np.float64]) -> float:
-    """Return the standard deviation of the white noise in `position`, 0 where there are too few samples [m or rad]."""
+def white_noise(position: NDArray[np.float64], step: float | None = None) -> float:
+    """Return the standard deviation of the white noise in `position`, 0 where there are too few samples [m or rad].
+
+    Of a position that moves in a `step`, the differences are whole steps, and so would be their median: each is spread
+    evenly over the half steps beside it before, and the variance of that is taken off after (Sheppard's correction).
+    """
     if position.size < FEWEST_SAMPLES:
         return 0.0
-    return float(1.4826 * np.median(np.abs(np.diff(position, 3))) / np.sqrt(20.0))
+    differences = np.abs(np.diff(position, 3))
+    if step is None:
+        return float(1.4826 * np.median(differences) / np.sqrt(20.0))
+    counts = np.sort(np.rint(differences / step))
+    middle = counts[counts.size // 2]
+    first, end = int(np.searchsorted(counts, middle, "left")), int(np.searchsorted(counts, middle, "right"))
+    low, high = max(middle - 0.5, 0.0), middle + 0.5
+    median = low + (high - low) * (0.5 * counts.size - first) / (end - first)
+    return float(step * np.sqrt(max((1.4826 * median) ** 2 - 1.0 / 12.0, 0.0) / 20.0))

@@ -356,21 +356,23 @@ def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]
                 break
         places: list[int] = []
         rows: list[list[str]] = []
-        for text in body[at:end].decode(errors="replace").removesuffix("\n").split("\n"):
+        texts = body[at:end].decode(errors="replace").removesuffix("\n").split("\n")
+        for i, text in enumerate(texts, start=1):
             line += 1
             if text.strip():
                 fields = _fields(text, form.separator)
-                rows.append(_whole(fields, width, line))
+                rows.append(_whole(fields, width, line, is_last=end == len(body) and i == len(texts)))
                 places.append(line)
         yield places, rows
         at = end
 
 
-def _whole(fields: list[str], width: int, line: int) -> list[str]:
-    """Return a row of `width` cells, or refuse the line."""
+def _whole(fields: list[str], width: int, line: int, *, is_last: bool) -> list[str]:
+    """Return a row of `width` cells, or refuse the line; the last one may be a log's that was cut off."""
     if len(fields) == width or (len(fields) == width + 1 and not fields[-1].strip()):
         return fields[:width]
-    raise InputError(f"line {line} has {len(fields)} values where the header row has {width}")
+    hint = "; it is the last line, delete it if the log was cut off" if is_last and len(fields) < width else ""
+    raise InputError(f"line {line} has {len(fields)} values where the header row has {width}{hint}")
 
 
 def _fields(line: str, separator: str) -> list[str]:

@@ -172,7 +172,9 @@ def damping_in_time_figure(
         known = truth[i].thinned() if i < len(truth) else None
         figure, ax = panel_figure(2.6, FULL_WIDTH if len(panels) == 1 else HALF_WIDTH)
         plot_damping_in_time(varying.edges, varying.damping, error, truth=known, title=title, legend=False, ax=ax)
-        ax.set_ylim(top=1.35 * highest if highest > 0 else None)
+        if highest > 0:  # error bars of what the data hardly determine end outside
+            lowest = min(0.0, *(float(own.damping.min()) for _, own in panels))
+            ax.set_ylim(1.35 * lowest - 0.1 * highest, 1.35 * highest)
         pieces = zip(varying.edges[:-1], varying.edges[1:], varying.damping, error, strict=True)
         rows += [(title, *(float(value) for value in piece)) for piece in pieces]
         figures.append(figure)
@@ -198,9 +200,9 @@ def damping_law_figure(
     return drawing(key, figures, caption, legend=keys_of(*axes))
 
 
-def law_curve(label: str, plant: Plant, fastest: float, role: Role) -> Curve:
-    """Return damping against speed from 0 to `fastest` [m/s or rad/s]."""
-    speed = np.linspace(0.0, fastest, 201)
+def law_curve(label: str, plant: Plant, speeds: tuple[float, float], role: Role) -> Curve:
+    """Return damping against speed between two `speeds` [m/s or rad/s]."""
+    speed = np.linspace(*speeds, 201)
     return curve(label, speed, damping_at(plant, speed), role)
 
 

@@ -100,7 +100,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
 def _tick(edges: NDArray[np.float64], place: int) -> str:
     """Return an edge with the digits that the others leave it."""
     largest = float(np.abs(edges).max())
-    text = "0" if place == 0 and abs(edges[0]) < 1e-3 * largest else number(float(f"{edges[place]:.1e}"))
+    nothing = 1e-3 if place == 0 else 1e-9  # inside, no more than rounding of the log
+    text = "0" if abs(edges[place]) < nothing * largest else number(float(f"{edges[place]:.1e}"))
     return minus(text)
 
 
@@ -157,7 +158,8 @@ def instrument_figure(key: str, diagnosis: Diagnosis, instrument: Instrument, la
     held = {"damping": diagnosis.linear.plant.damping, "gain": diagnosis.linear.plant.gain, "force": 0.0}
     level = f"{10.0 ** np.ceil(np.log10(max(instrument.significance, 1e-12))):.0e}".replace("e-0", "e-")
     title = f"correlation r = {correlation(instrument)}, p < {level}"
-    figure, ax = panel_figure(3.0, WIDE)
+    figure = new_figure(3.0, WIDE)  # its numbers may have any width
+    ax = figure.add_subplot()
     plot_pieces(
         factor * x,
         value,
@@ -214,7 +216,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     for candidate in sorted(diagnosis.candidates, key=lambda candidate: candidate.error):
         best.setdefault(candidate.effects[-1], candidate)
     shown = [*best.items()][:MOST_CANDIDATES]
-    rows = [(capital(spoken(name)), c.error, chosen == {name}) for name, c in shown]
+    rows = [(capital(spoken(name)), c.error, name in chosen) for name, c in shown]
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
     names, errors, answers = zip(*rows, strict=True)
     factor, length = scale([max(errors)], diagnosis.plant.length_unit)
@@ -229,8 +231,8 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         ax=ax,
     )
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
-    caption += " Bold: the answer." if chosen else " None reduces the error enough to be a cause."
-    if chosen and not rows[0][2]:
+    caption += _answer_told(chosen)
+    if len(chosen) == 1 and not rows[0][2]:
         caption += " It explains the most for its number of parameters; others may leave a smaller error."
     rest = len(best) - MOST_CANDIDATES
     if rest > 0:
@@ -239,6 +241,15 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     left = [(name, float(factor * error)) for name, error in zip(names, errors, strict=True)]
     table = Numbers(columns=("Effect", f"R.m.s. error left [{length}]"), rows=left)
     return drawing(key, figure, caption, legend=legend_of(ax), table=table)
+
+
+def _answer_told(causes: set[str]) -> str:
+    """Say what stands in bold among the effects that were tried one by one."""
+    if not causes:
+        return " None reduces the error enough to be a cause."
+    if len(causes) == 1:
+        return " Bold: the answer."
+    return " Bold: the causes, each by itself here; together they leave less."
 
 
 @styled

@@ -42,7 +42,7 @@ MODELS: dict[str, Role] = {"gain and damping": "constant", "with the causes": "v
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class _Missed:
-    """What the simulations of a record miss, in the unit of the figure; not finite where one leaves all bounds."""
+    """What the simulations of a record miss [m or rad]; not finite where one leaves all bounds."""
 
     record: Record
     title: str
@@ -56,9 +56,9 @@ class _Missed:
         """Return the largest size of what a model misses, 0 if it is not known."""
         return float(np.abs(self.by_model[name]).max()) if self.known(name) else 0.0
 
-    def curves(self, *names: str) -> list[Curve]:
-        """Return what is missed over time."""
-        return [curve(name, self.record.time, self.by_model[name], MODELS[name]).thinned() for name in names]
+    def curves(self, factor: float, *names: str) -> list[Curve]:
+        """Return what is missed over time, in the unit of a panel."""
+        return [curve(name, self.record.time, factor * self.by_model[name], MODELS[name]).thinned() for name in names]
 
 
 @styled
@@ -68,16 +68,13 @@ def residuals_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     runs = [*((r, False) for r in diagnosis.records), *((r, True) for r in diagnosis.heldout)]
     drawn = runs if len(runs) <= _most(diagnosis) else [*runs[: _most(diagnosis) - HELD_OUT], *runs[-HELD_OUT:]]
     found = [{name: residual(plant, record) for name, plant in plants.items()} for record, _ in drawn]
-    sizes = [float(np.abs(r).max()) for missed in found for r in missed.values()]
-    factor, length = scale([*sizes, diagnosis.noise_floor], diagnosis.plant.length_unit)
     missed = [
-        _Missed(record, shown(record.name) + held * " (held out)", {name: factor * r for name, r in own.items()})
+        _Missed(record, shown(record.name) + held * " (held out)", own)
         for (record, held), own in zip(drawn, found, strict=True)
     ]
-    noise = DEVIATIONS * factor * diagnosis.noise_floor
+    noise = DEVIATIONS * diagnosis.noise_floor
     times = _enlargement(missed, noise)
-    ylabel = f"Simulated −\nmeasured [{length}]"
-    axes = _abreast(missed, noise, ylabel) if times is None else _side_by_side(missed, noise, times, ylabel)
+    axes = _abreast(missed, noise) if times is None else _side_by_side(missed, noise, times)
     figures = [figure for ax in axes if isinstance(figure := ax.figure, Figure)]
     caption = _caption(diagnosis, missed, enlarged=times is not None, left_out=len(runs) - len(drawn))
     return drawing(key, figures, caption, legend=keys_of(*axes))
@@ -97,29 +94,37 @@ def _enlargement(missed: Sequence[_Missed], noise: float) -> float | None:
     return times if times >= ENLARGED else None
 
 
-def _abreast(missed: Sequence[_Missed], noise: float, ylabel: str) -> list[Axes]:
+def _abreast(missed: Sequence[_Missed], noise: float) -> list[Axes]:
     """Draw each record in a picture of its own."""
+    factor, ylabel = _unit(missed, noise, *MODELS)
     axes = []
     for own in missed:
         ax = panel_figure(1.9, FULL_WIDTH if len(missed) == 1 else HALF_WIDTH)[1]
-        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=ax)
+        plot_residuals(own.curves(factor, *own.known()), factor * noise, title=own.title, ax=ax)
         axes.append(ax)
     return _in_one_scale(axes, ylabel)
 
 
-def _side_by_side(missed: Sequence[_Missed], noise: float, times: float, ylabel: str) -> list[Axes]:
+def _side_by_side(missed: Sequence[_Missed], noise: float, times: float) -> list[Axes]:
     """Draw of each record both models, and beside that, enlarged, what is left with the causes."""
-    after = [*MODELS][1]
-    title = f"{after}, enlarged {float(f'{times:.1g}'):g} times"
+    after, title = [*MODELS][1], f"enlarged {float(f'{times:.1g}'):g} times"
+    whole, close = _unit(missed, noise, *MODELS), _unit(missed, noise, after)
     left, right = [], []
     for own in missed:
         first, second = (panel_figure(1.9, HALF_WIDTH)[1] for _ in range(2))
-        plot_residuals(own.curves(*own.known()), noise, title=own.title, ax=first)
-        plot_residuals(own.curves(*own.known(after)), noise, title=title, ax=second)
+        plot_residuals(own.curves(whole[0], *own.known()), whole[0] * noise, title=own.title, ax=first)
+        plot_residuals(own.curves(close[0], *own.known(after)), close[0] * noise, title=title, ax=second)
         left.append(first)
         right.append(second)
-    both = zip(_in_one_scale(left, ylabel), _in_one_scale(right, ylabel), strict=True)
+    both = zip(_in_one_scale(left, whole[1]), _in_one_scale(right, close[1]), strict=True)
     return [ax for pair in both for ax in pair]
+
+
+def _unit(missed: Sequence[_Missed], noise: float, *names: str) -> tuple[float, str]:
+    """Return the factor of the unit in which what models miss is easy to read, and the label of that axis."""
+    sizes = [own.largest(name) for own in missed for name in names if name in own.by_model]
+    factor, length = scale([*sizes, noise], missed[0].record.length_unit)
+    return factor, f"Simulated −\nmeasured [{length}]"
 
 
 def _in_one_scale(axes: list[Axes], ylabel: str) -> list[Axes]:

@@ -207,12 +207,12 @@ def _damping_figures(fit: Identification) -> list[Block]:
             )
         )
     if fit.velocity is not None and fit.varying is not None:
-        fastest = 1.1 * float(fit.varying.speed.max())
-        laws: list[Curve] = [law_curve("speed-dependent damping", fit.velocity.plant, fastest, "velocity")]
+        speeds = float(fit.varying.speed.min()), 1.1 * float(fit.varying.speed.max())  # slower, no piece tells
+        laws: list[Curve] = [law_curve("speed-dependent damping", fit.velocity.plant, speeds, "velocity")]
         if fit.law_from_pieces is not None:
-            laws.append(law_curve("curve through the pieces", fit.law_from_pieces, fastest, "pieces"))
+            laws.append(law_curve("curve through the pieces", fit.law_from_pieces, speeds, "pieces"))
         if fit.constant is not None:
-            laws.append(law_curve("constant damping", fit.constant.plant, fastest, "constant"))
+            laws.append(law_curve("constant damping", fit.constant.plant, speeds, "constant"))
         points = [curve("pieces", fit.varying.speed, fit.varying.damping, "varying")]
         blocks.append(
             damping_law_figure(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servolens import __version__
+from servolens.rendering import by_severity
 from servolens.report.content import Details, Drawing, Playground
 from servolens.report.printing import checked_page, printed
 from servolens.report.simulated import plants_script, simulator_script
@@ -84,6 +85,7 @@ def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], 
         size=_size,
         numbers=_numbers,
         inert=_inert,
+        by_severity=by_severity,
     )
     return with_shared_letters(html)
 

@@ -266,7 +266,9 @@ def plot_gain_map(
     filled = ax.contourf(found.kp, found.kd, shade.shown(found).T, levels, cmap="Blues", extend="max", alpha=0.85)
     if ax.figure is not None:
         label = shade.label.format(command=command_unit, length=length_unit)
-        ax.figure.colorbar(filled, ax=ax, label=label, location="bottom", format=EngFormatter(sep=""), aspect=30)
+        ax.figure.colorbar(
+            filled, ax=ax, label=label, location="bottom", ticks=levels[::2], format=_short, aspect=30
+        )  # every second level, so that numbers do not run into each other
     if found.feasible.any() and not found.feasible.all():
         ax.contour(found.kp, found.kd, found.feasible.T.astype(float), [0.5], colors=COLOURS["vermilion"])
     marks = (("least noise", found.least_noise, "o"), ("recommended", recommended, "*"))
@@ -279,6 +281,11 @@ def plot_gain_map(
     ax.set(xlabel=kp, ylabel=kd)
     ax.grid(visible=False)
     return ax
+
+
+def _short(value: float, _place: int | None = None) -> str:
+    """Return a number for a scale, thousands with their prefix."""
+    return EngFormatter(sep="")(value) if abs(value) >= 1e3 else f"{value:g}"
 
 
 def _round_levels(values: NDArray[np.float64]) -> NDArray[np.float64]:

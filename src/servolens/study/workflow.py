@@ -12,6 +12,7 @@ from servolens.design import compare, recommend
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import NumericalError, ServolensError
+from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
 from servolens.inputs import as_groups
@@ -43,8 +44,10 @@ Made = TypeVar("Made")
 
 OF_THE_LAW = ("gain", "damping", SIZE, SHAPE)
 """Parameters of the models of constant and of speed-dependent damping."""
-LAW = "beyond_the_law"
-"""A finding of the identification that a diagnosis answers."""
+OF_SIMPLER_MODELS = frozenset(
+    {"beyond_the_law", "no_velocity_dependence", "not_simulated", "pieces_not_determined", "varying_not_determined"}
+)
+"""Findings of the identification on models in whose place a diagnosis puts its own."""
 SEVERITIES = ("error", "warning", "note")
 
 
@@ -220,9 +223,10 @@ def _judged(found: Study, *, force: bool) -> Study:
         design = replace(design, lights=lights, check=found.check, diagnosis=found.diagnosis)
     if comparison is not None and comparison.diagnosed is not None:
         comparison = replace(comparison, diagnosed=design)
-    told = [*_findings(found.check)]
-    told += [] if found.fit is None else [f for f in found.fit.findings if found.diagnosis is None or f.code != LAW]
-    told += [] if found.diagnosis is None else found.diagnosis.findings
+    answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
+    of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
+    of_models += [] if found.diagnosis is None else found.diagnosis.findings
+    told = together(_findings(found.check), of_models)
     return replace(
         found, lights=lights, design=design, comparison=comparison, forced=red and force, findings=_sorted(told)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from servolens.summaries.wording import listed, number, scale
@@ -54,18 +55,19 @@ def _counted(warnings: int) -> list[str]:
 
 
 def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
-    factor, length = scale([quality.noise for quality in qualities], length_unit)
+    noise = [max(q.noise, (q.quantisation_step or 0.0) / math.sqrt(12.0)) for q in qualities]  # rounding is noise too
+    factor, length = scale(noise, length_unit)
     rows = [
         (
             quality.name,
             str(quality.samples),
             number(1e3 * quality.sample_time),
             number(quality.duration),
-            number(factor * quality.noise, 2),
+            number(factor * own, 2),
             str(sum(finding.severity != "note" for finding in quality.findings)),
             "yes" if quality.usable else "no",
         )
-        for quality in qualities
+        for quality, own in zip(qualities, noise, strict=True)
     ]
     return Table(
         title="Records",

@@ -66,14 +66,20 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
     rows = (
         (f"Least {designs[0].spec.free} [{kd_unit}]", *_told_apart(designs)),
         ("All gains on its own model", *intervals),
-        ("Settles on its own model [s]", *("–" if r is None else number(r.settling_time) for r in own)),
-        (f"Settles on the {best} plant [s]", *("–" if r is None else number(r.settling_time) for r in on)),
+        ("Settles on its own model [s]", *map(_settles, own)),
+        (f"Settles on the {best} plant [s]", *map(_settles, on)),
         ("Overshoot there [%]", *("–" if r is None else number(100 * r.overshoot, 3) for r in on)),
-        (f"Peak there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
+        (f"Peak command there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
         ("Meets the spec there", *("–" if r is None else "yes" if r.meets else "no" for r in on)),
     )
     columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))
     return Table(title="Side by side", columns=columns, rows=rows)
+
+
+def _settles(response: Response | None) -> str:
+    if response is None:
+        return "–"
+    return "never" if response.settling_time is None else number(response.settling_time)
 
 
 def _told_apart(designs: Sequence[Design]) -> list[str]:

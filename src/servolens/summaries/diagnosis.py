@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
 from servolens.effects import catalogue
+from servolens.findings import grouped
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
 from servolens.summaries.names import cause_phrase, spoken
@@ -15,8 +16,6 @@ from servolens.summaries.wording import capital, length, listed, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from servolens.diagnosis.next_experiment import Experiment
     from servolens.diagnosis.result import Cause, Diagnosis
     from servolens.findings import Finding
@@ -28,13 +27,13 @@ __all__ = [
     "experiment_sentence",
     "experiment_summary",
     "findings_of_logs",
-    "grouped",
+    "is_told_already",
     "next_sentences",
     "noise_sentences",
     "other_findings",
     "remaining_sentences",
+    "rival_sentences",
     "spoken",
-    "tells_noise_again",
     "verdict_sentence",
     "why_enough",
 ]
@@ -43,6 +42,7 @@ FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis")
 """Findings about what the records hold beside the motion: sentences of their own."""
+TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
 """Times the noise from which on a remainder that knows no input is worth a sentence."""
 
@@ -122,7 +122,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
 
 def findings_of_logs(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     """Return what the logs themselves have wrong that may look like physics: of each kind one, the gravest first."""
-    found = grouped([finding for finding in diagnosis.findings if is_blamed(finding)])
+    found = grouped(finding for finding in diagnosis.findings if is_blamed(finding))
     told = []
     for code in dict.fromkeys(finding.code for finding in found):
         first, *more = (finding for finding in found if finding.code == code)
@@ -131,35 +131,23 @@ def findings_of_logs(diagnosis: Diagnosis) -> tuple[Finding, ...]:
     return tuple(told)
 
 
-def grouped(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return `findings` with units as people write them, those that say the same of several records as one."""
-    kept = {(finding.code, finding.severity, finding.message): finding for finding in findings}
-    names = {key: list[str]() for key in kept}
-    for finding in findings:
-        about = names[finding.code, finding.severity, finding.message]
-        about += [finding.record] if finding.record and finding.record not in about else []
-    return tuple(
-        replace(kept[key], record=listed(about) if about else None, message=unit(kept[key].message))
-        for key, about in names.items()
-    )
-
-
 def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
-    """Return the findings that no sentence tells already, grouped."""
-    told = (*SURROUNDINGS, "immaterial_remainder")
-    return grouped([finding for finding in diagnosis.findings if finding.code not in told])
+    """Return the findings that no sentence tells already."""
+    told = (*SURROUNDINGS, TOLD_WITH_THE_REMAINDER)
+    return grouped(finding for finding in diagnosis.findings if finding.code not in told)
 
 
 def noise_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
     found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
-    return [capital(unit(finding.message)) for finding in found if not tells_noise_again(finding, diagnosis)]
+    return [capital(unit(finding.message)) for finding in found if not is_told_already(finding, diagnosis)]
 
 
-def tells_noise_again(finding: Finding, diagnosis: Diagnosis) -> bool:
-    """Whether a finding says nothing but how large the noise is, and the verdict's sentence says that too."""
+def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:
+    """Whether the sentences on the verdict or the remainder say all that a finding says."""
     is_plain = finding.code == "noise_model" and finding.message.endswith("(r.m.s.).") and ";" not in finding.message
-    return is_plain and "the noise is" in verdict_sentence(diagnosis)
+    of_noise = is_plain and "the noise is" in verdict_sentence(diagnosis)
+    return of_noise or finding.code == TOLD_WITH_THE_REMAINDER
 
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
@@ -209,6 +197,15 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     return told
 
 
+def rival_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Say of each cause what else it may be."""
+    return [
+        f"These data cannot distinguish {spoken(cause.effect)} from {listed(rivals, last='or')}."
+        for cause in diagnosis.causes
+        if (rivals := [spoken(rival) for rival in _rivals(cause)])
+    ]
+
+
 def next_sentences(diagnosis: Diagnosis) -> list[str]:
     """Return what to log next where causes have rivals."""
     plant = diagnosis.plant
@@ -248,7 +245,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
-    return f"{start}; with {them} the {held}error falls from {before} to {after} (r.m.s., the noise is {noise})."
+    goes = "falls" if errors[1] < errors[0] else "rises"
+    return f"{start}; with {them} the {held}error {goes} from {before} to {after} (r.m.s., the noise is {noise})."
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
@@ -296,6 +294,8 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
     if not math.isfinite(rest.rms):
         return ["How much the model misses is unknown: a record cannot be simulated with it."]
+    if rest.rms == 0 and diagnosis.verdict == "partly_explained":
+        return ["What is left depends on the inputs, but is too small beside the noise to be measured."]
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servolens.summaries.wording import inside, number, percent
+from servolens.summaries.wording import inside, length, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def design_summary(
     trusted = light_sentences(lights or {})
     if design.kd is None:
         how = "tune(…, force=True)" if in_python else "--force"
-        withheld = f"The gain is withheld; {how} gives it all the same."
+        why = f"The gain is withheld; {how} gives it all the same." if design.withheld else sentence(design.reason)
         sentences = [
-            withheld if design.withheld else sentence(design.reason),
+            *([] if any(why in said for said in trusted) else [why]),
             *trusted,
             asked_sentence(spec, length_unit, command_unit),
         ]
@@ -264,11 +264,11 @@ def _tracking(design: Design, length_unit: str) -> list[str]:
     found = design.tracking
     if found is None:
         return []
-    without, with_it, worst = (number(x, 2) for x in (found.without, found.with_it, found.worst))
+    without, with_it, worst = (length(x, length_unit) for x in (found.without, found.with_it, found.worst))
     return [
         f"On a smooth move of {number(found.size)} {length_unit} in {number(found.duration)} s it lags by {without}"
-        f" {length_unit} (r.m.s.); with feedforward of speed, acceleration and friction from this model by {with_it}"
-        f" {length_unit}, in plants as above by up to {worst} {length_unit}."
+        f" (r.m.s.); with feedforward of speed, acceleration and friction from this model by {with_it}, in plants as"
+        f" above by up to {worst}."
     ]
 
 

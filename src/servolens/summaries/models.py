@@ -48,10 +48,8 @@ def identification_summary(identification: Identification) -> Summary:
         if model is not None
     ]
     if identification.varying is not None:
-        tables.insert(
-            1 if identification.constant else 0,
-            _varying_table(identification.varying, identification.gain_unit),
-        )
+        place = 1 if identification.constant else 0
+        tables[place:place] = _varying_table(identification.varying, identification.gain_unit)
     if identification.errors:
         tables.append(_errors_table(identification))
     return Summary(
@@ -129,7 +127,7 @@ def _damping_law(model: Model | None) -> list[str]:
     law = None if model is None else model.plant.effect(VelocityDecayDamping.name)
     if model is None or not isinstance(law, VelocityDecayDamping) or law.alpha2 <= 0:
         return []
-    if model.quantities[f"{law.name}.alpha2"].stderr is None:
+    if not all(_is_told(model.quantities[f"{law.name}.{name}"]) for name in ("alpha1", "alpha2")):
         return []
     verb = "falls" if law.alpha1 > 0 else "rises"
     still, fast = model.plant.damping + law.alpha1, model.plant.damping
@@ -147,7 +145,7 @@ def _doubtful(kind: str, model: Model) -> list[str]:
     for name, quantity in model.quantities.items():
         if quantity.stderr is None:
             told.append(f"{kind}: {name} has no standard error: {quantity.reason or 'it is not known'}.")
-        elif quantity.value and abs(quantity.value) < NORMAL_95 * quantity.stderr:
+        elif quantity.value and not _is_told(quantity):
             told.append(
                 f"{kind}: {name} is not significantly different from zero (95 % interval {interval(quantity)})."
             )
@@ -156,13 +154,19 @@ def _doubtful(kind: str, model: Model) -> list[str]:
     return told
 
 
+def _is_told(quantity: Quantity) -> bool:
+    """Whether a value has an error and differs significantly from zero."""
+    return quantity.stderr is not None and abs(quantity.value) >= NORMAL_95 * quantity.stderr
+
+
 def _bound(plant: Plant, name: str, value: float) -> str:
     spec = plant.parameters[name]
     at = next((b for b in (spec.low, spec.high) if math.isclose(value, b, rel_tol=1e-9, abs_tol=1e-12)), None)
     return "" if at is None else f"{number(at)} {unit(plant.unit(name))}"
 
 
-def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
+def _varying_table(varying: VaryingDamping, gain_unit: str) -> list[Table]:
+    """Return the pieces that the data determine; no table where there are none."""
     length_unit = gain_unit.partition("/")[0]
     errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))
     rows = [
@@ -176,16 +180,19 @@ def _varying_table(varying: VaryingDamping, gain_unit: str) -> Table:
         )
         if error < max(c, LEAST_DAMPING)
     ]
+    if not rows:
+        return []
     lost = varying.damping.size - len(rows)
     left_out = f" The data hardly determine the other {lost} of {varying.damping.size} pieces." if lost else ""
     gain = plus_minus(Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit))
     active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
-    return Table(
+    table = Table(
         title="Damping that varies in time (varying)",
         columns=("Time since the step [s]", "Damping ± standard error [1/s]", f"Mean |speed| [{length_unit}/s]"),
         rows=tuple(rows),
         note=f"Gain {gain} {unit(gain_unit)}.{active}{left_out}",
     )
+    return [table]
 
 
 def _errors_table(identification: Identification) -> Table:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary, side_by_side
-from servolens.summaries.diagnosis import remaining_sentences, tells_noise_again, verdict_sentence
+from servolens.summaries.diagnosis import is_told_already, remaining_sentences, rival_sentences, verdict_sentence
 from servolens.summaries.diagnosis_tables import parameters_table
 from servolens.summaries.gains import (
     asked_sentence,
@@ -39,7 +39,8 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     sentences = [said for said in checked if said.rstrip(".") not in study.lights["data"].sentence]
     tables = []
     if study.diagnosis is not None:
-        sentences += [verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis)]
+        found = study.diagnosis
+        sentences += [verdict_sentence(found), *rival_sentences(found), *remaining_sentences(found)]
         tables.append(parameters_table(study.diagnosis))
     elif study.why_undiagnosed:
         sentences.append(f"No cause was sought: {study.why_undiagnosed.rstrip('.')}.")
@@ -49,10 +50,10 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     if study.comparison is not None and design is not None and design.kd is not None:
         unit = f"{record.command_unit} s/{record.length_unit}"
         tables.append(side_by_side(study.comparison, unit, record.command_unit))
-    findings = tuple(f for f in study.findings if study.diagnosis is None or not tells_noise_again(f, study.diagnosis))
-    found = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
-    told = (*light_sentences(study.lights), *gain_sentences(study, overrule=overrule))
-    return found, Summary(title="The gain", sentences=told)
+    findings = tuple(f for f in study.findings if study.diagnosis is None or not is_told_already(f, study.diagnosis))
+    told = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
+    last = (*light_sentences(study.lights), *gain_sentences(study, overrule=overrule))
+    return told, Summary(title="The gain", sentences=last)
 
 
 def compared_summary(study: Study) -> Summary:
@@ -72,7 +73,8 @@ def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, 
     if design.withheld:
         return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
     if design.kd is None:
-        return (sentence(design.reason),)
+        why = sentence(design.reason)
+        return ("No gain meets the spec: see its light." if why in study.lights["gain"].sentence else why,)
     unit = f"{record.command_unit} s/{record.length_unit}"
     forced = ("Forced: these gains would be withheld.",) if study.forced else ()
     least = f"Least: {design.spec.free} = {least_gain(design)} {unit}"

@@ -150,14 +150,21 @@ def percents(low: float, high: float) -> str:
 
 
 def interval(quantity: Quantity) -> str:
-    """Return the 95 % interval of a quantity, to the digits of its error; a dash if it is not known."""
+    """Return the 95 % interval of a quantity, to the digits of its error; a dash if it is not known.
+
+    Examples
+    --------
+    >>> from servolens.model import Quantity
+    >>> interval(Quantity(value=1.3, stderr=3.5, unit="1/s"))
+    '−5.6 to 8.2'
+    """
     bounds = quantity.interval
     if bounds is None or not quantity.stderr:
         return "–"
     if not SMALLEST_PLAIN * 0.1 <= max(abs(b) for b in bounds) < LARGEST_PLAIN:
-        return f"{number(bounds[0])} to {number(bounds[1])}"
+        return " to ".join(minus(number(bound)) for bound in bounds)
     decimals = _decimals(quantity.stderr)
-    return f"{bounds[0]:.{decimals}f} to {bounds[1]:.{decimals}f}"
+    return " to ".join(minus(f"{bound:.{decimals}f}") for bound in bounds)
 
 
 def unit(text: str) -> str:
