@@ -48,8 +48,9 @@ types: $(DEV_STAMP) ## mypy --strict
 layers: $(DEV_STAMP) ## imports go down only
 	@$(BIN)/lint-imports --no-logo
 
-docs: $(DEV_STAMP) ## the documentation, into site/
+docs: $(DEV_STAMP) ## the documentation, into site/, every link checked
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@$(BIN)/python docs/check_links.py
 	@echo "docs: site/index.html"
 
 coverage: $(DEV_STAMP) ## how often the 95 % intervals hold the truth, by model and by effect (minutes)

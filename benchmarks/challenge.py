@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import tempfile
 import time
@@ -21,7 +22,6 @@ def main() -> None:
     from entrants import ENTRANTS
 
     from servolens.lab.challenge import score_answers, write_challenge
-    from servolens.results import to_text, write_atomically
 
     asked = _arguments(list(ENTRANTS))
     rows, wrong = [], []
@@ -31,10 +31,9 @@ def main() -> None:
         cases = sorted(path for path in root.iterdir() if path.is_dir())
         for entrant in asked.entrants:
             with ProcessPoolExecutor(asked.processes, get_context("spawn")) as pool:
-                answered = list(pool.map(answer, [entrant] * len(cases), cases))
+                kept = [_place(asked, entrant, case) for case in cases]
+                answered = list(pool.map(answer, [entrant] * len(cases), cases, kept))
             answers = {case.name: found for case, (found, _) in zip(cases, answered, strict=True)}
-            if asked.answers:
-                write_atomically(asked.answers / f"{entrant.replace(' ', '-')}.json", to_text(answers).encode("utf-8"))
             score = score_answers(answers, asked.seed, cases=asked.cases, world=asked.world).to_json()
             seconds = sorted(spent for _, spent in answered)[len(cases) // 2]
             rows.append(_row(entrant, score, seconds))
@@ -53,12 +52,18 @@ def main() -> None:
     write_tables(PAGE, {"scores": as_table(heads, rows), "wrong": listed})
 
 
-def answer(entrant: str, case: Path) -> tuple[dict[str, dict[str, float]], float]:
-    """Return what an entrant makes of a case, and the processor time that it took [s]; nothing where it fails."""
+def answer(entrant: str, case: Path, kept: Path | None) -> tuple[dict[str, dict[str, float]], float]:
+    """Return what an entrant makes of a case, and the processor time that it took [s]; nothing where it fails.
+
+    An answer that a run before has kept is taken.
+    """
     from entrants import ENTRANTS
 
     from servolens import read_record
+    from servolens.results import to_text, write_atomically
 
+    if kept is not None and kept.is_file():
+        return tuple(json.loads(kept.read_text(encoding="utf-8")))
     records = [read_record(path) for path in sorted(case.glob("run-*.csv"))]
     heldout = [read_record(path) for path in sorted(case.glob("heldout-*.csv"))]
     began = time.process_time()
@@ -67,7 +72,18 @@ def answer(entrant: str, case: Path) -> tuple[dict[str, dict[str, float]], float
     except Exception as failure:  # an entrant that fails has no answer; the others go on
         print(f"{entrant}, {case.name}: {type(failure).__name__}: {failure}", flush=True)
         found = {}
-    return found, time.process_time() - began
+    spent = time.process_time() - began
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(kept, to_text([found, spent]).encode("utf-8"))
+    return found, spent
+
+
+def _place(asked: argparse.Namespace, entrant: str, case: Path) -> Path | None:
+    """Return where an answer is kept."""
+    if asked.answers is None:
+        return None
+    return asked.answers / f"{asked.world}-{asked.seed}" / entrant.replace(" ", "-") / f"{case.name}.json"
 
 
 def _row(entrant: str, score: dict, seconds: float) -> list[str]:
@@ -94,7 +110,7 @@ def _arguments(entrants: list[str]) -> argparse.Namespace:
     parser.add_argument("--world", default="white")
     parser.add_argument("--entrants", nargs="+", choices=entrants, default=entrants)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--answers", type=Path, help="folder for the answers, one file an entrant")
+    parser.add_argument("--answers", type=Path, help="folder that keeps each answer, for a run that goes on")
     return parser.parse_args()
 
 

@@ -14,7 +14,17 @@ from pathlib import Path
 
 from harness import Figure, table, write
 
-PARTS = ("varying_fit", "design", "closed_loop", "kernel", "long_record", "output_error", "diagnosis", "start_up")
+PARTS = (
+    "varying_fit",
+    "design",
+    "closed_loop",
+    "kernel",
+    "long_record",
+    "output_error",
+    "diagnosis",
+    "logs_and_pages",
+    "start_up",
+)
 
 
 def main(wanted: list[str]) -> None:

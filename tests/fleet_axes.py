@@ -25,10 +25,11 @@ def write_record(path, *, kp=60, seed=1, duration=0.3, level=0.0, truth=None):
     return path
 
 
-def make_axes(folder, count=3):
-    """Write `count` axes that can be studied, and one that cannot."""
-    for i in range(count):
-        write_record(folder / f"axis{i}" / "kp60.csv", seed=100 + i)
+def make_axes(folder):
+    """Write three axes that take little to study, and one that cannot be: with a cause, healthy, and without a gain."""
+    write_record(folder / "axis0" / "kp60.csv", seed=100, duration=0.15)
+    write_record(folder / "axis1" / "kp60.csv", seed=102, truth=lab.LM1)
+    write_record(folder / "axis2" / "kp20.csv", seed=102, truth=lab.LM1, kp=20)
     (folder / "unreadable").mkdir(parents=True)
     (folder / "unreadable" / "log.csv").write_text("no numbers here\n", encoding="utf-8")
     return folder

@@ -37,6 +37,7 @@ TOKENS = [
     *(b"\x1b[2J", b"../", b"/etc/passwd", b"../secret.csv", b"=cmd|' /C calc'!A0", b"<script>", b"{{7*7}}", b"%s%n"),
     *(b"${x}", b"time", b"position", b"kp", b"\xff\xff\xff\xff", b"\x80\0\0\0", b"\x7f" + 7 * b"\xff", b"e" * 70),
     *(b"[" * 2000, b"# kp = 1e999\n", b"10**9", b"V/m", b"m" * 50, b"(" * 60, b"**9**9**9", b"# sample_time = 0\n"),
+    *(b"<!DOCTYPE a [", b"&#0;", b"&lt;", b"<Values>", b"; 1; 2\n", b"0.Data;\n"),
     *(b"# supply_voltage = 24\n", b"# reference = 0.1 m from 0.5 s\n", b"# counts_per_unit = 0\n", b"# kp = 1e300\n"),
 ]
 COLUMNS = {"time": np.arange(40) / 1000, "reference": np.full(40, 0.1), "position": np.linspace(0, 0.1, 40) ** 2}
@@ -92,6 +93,22 @@ def diagnosed():
     return {**found, "rival_models": {"delay": [MODEL]}}
 
 
+def traces():
+    """Return traces of CODESYS V3: variables one after the other, in text and in XML."""
+    names = {"position": "PLC_PRG.lrActPos", "reference": "PLC_PRG.lrSetPos"}
+    ticks = [f"{t * 1e3:.0f}" for t in COLUMNS["time"]]
+    plain, lists = "[key]; [value]\nName; Application.Trace\nFlags; 16\n", ""
+    for k, (column, name) in enumerate(names.items()):
+        cells = [f"{value:.6g}" for value in COLUMNS[column]]
+        rows = "".join(f"; {tick}; {cell}\n" for tick, cell in zip(ticks, cells, strict=True))
+        plain += f"{k}.Variable; {name}\n{k}.Class; 15\n{k}.Data; \n{rows}"
+        lists += f'<TraceVariable VarName="{name}"><Values>{",".join(cells)}</Values>'
+        lists += f"<Timestamps>{','.join(ticks)}</Timestamps></TraceVariable>"
+    micro = '<Single Name="MicroSeconds" Type="bool">False</Single>'
+    markup = f"<Trace><TraceConfiguration>{micro}</TraceConfiguration><TraceData>{lists}</TraceData></Trace>"
+    return [plain.encode(), markup.encode(), markup.encode("utf-16")]
+
+
 def seeds():
     """Return good files by kind."""
     lists = {name: values.tolist() for name, values in COLUMNS.items()}
@@ -104,6 +121,7 @@ def seeds():
                  zip(*lists.values(), strict=True)]}).encode()],
         "gzip": [gzip.compress(text().encode(), mtime=0)],
         "mat": [matlab.getvalue()],
+        "codesys": traces(),
         "campaign": [CAMPAIGN],
         "model": [json.dumps(MODEL).encode()],
         "result": [json.dumps(RESULT).encode()],
@@ -212,6 +230,9 @@ class Readers:
 
     def mat(self, content):
         self.log("fuzz.mat", content)
+
+    def codesys(self, content):
+        self.log("fuzz.trace", content)
 
     def campaign(self, content):
         for log in read_logs(self.write("campaign.toml", content)):

@@ -57,12 +57,28 @@ def test_pages_link_only_to_files_that_exist():
         assert [target for target in targets if not (ROOT / target).exists()] == []
 
 
-@pytest.mark.slow
-def test_the_paper_s_numbers_are_those_that_the_code_gives(tmp_path, monkeypatch):
-    script = ROOT / "benchmarks" / "paper.py"
-    found = importlib.util.spec_from_file_location("paper", script)
+def test_links_of_the_built_pages_are_checked_as_from_a_folder(tmp_path):
+    check = _loaded(ROOT / "docs" / "check_links.py")
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "other.html").write_text('<h2 id="here">x</h2><a href="../index.html">up</a>', encoding="utf-8")
+    good = '<a href="sub/other.html#here">a</a><a href="#top">b</a><a href="https://example.org/x">c</a>'
+    (tmp_path / "index.html").write_text(good, encoding="utf-8")
+    assert check.broken(tmp_path) == []
+    wrong = ("sub/", "/sub/other.html", "none.html", "sub/other.html#there", "#there")
+    (tmp_path / "index.html").write_text("".join(f'<a href="{link}">x</a>' for link in wrong), encoding="utf-8")
+    assert [line.split(": ")[1] for line in check.broken(tmp_path)] == list(wrong)
+
+
+def _loaded(script):
+    found = importlib.util.spec_from_file_location(script.stem, script)
     module = importlib.util.module_from_spec(found)
     found.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_the_paper_s_numbers_are_those_that_the_code_gives(tmp_path, monkeypatch):
+    module = _loaded(ROOT / "benchmarks" / "paper.py")
     page = ROOT / "docs" / "paper.md"
     monkeypatch.setattr(module, "PAGE", tmp_path / "paper.md")
     marks = re.compile(r"(<!-- [a-z ]+ begin -->).*?(<!-- [a-z ]+ end -->)", flags=re.DOTALL)

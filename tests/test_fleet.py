@@ -170,17 +170,21 @@ def test_half_written_results_and_those_of_other_files_or_requests_are_made_agai
     assert run_fleet(axes, out, Request(effort="normal"), cores=1, retry=True).studied_now == 2
 
 
+LIGHTS = {part: {"light": "green", "sentence": "s"} for part in ("data", "model", "gain")}
+
+
 @pytest.mark.parametrize(
     "change",
     [
         {"status": "well"},
         {"tuning": 3},
         {"tuning": {"diagnosis": [1]}},
+        {"tuning": {**LIGHTS, "kp": 100, "kd": 10**400, "reason": None, "recommended": None}},
         {"findings": [1]},
         {"axis": "b"},
         {"records": None},
     ],
-    ids=str,
+    ids=lambda change: str(change)[:60],
 )
 def test_result_that_somebody_changed_is_made_again(tmp_path, change):
     axes, out = make_unreadable(tmp_path / "axes", "a"), tmp_path / "out"

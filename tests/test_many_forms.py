@@ -97,6 +97,49 @@ AXIS = ("Axes.Axis 1.ToPlc.ActPos", "Axes.Axis 1.ToPlc.SetPos", "MAIN.fCmd")
 KINDS_OF_UNITS = ("mm (Length)", "mm (Length)", "V (Voltage)")
 
 
+PLC = ("PLC_PRG.lrActPos", "PLC_PRG.lrSetPos", "PLC_PRG.lrVoltage")
+
+
+def codesys_csv(*, flags=16, ticks=1e3, values=(Y, R, U), stamps=(T, T, T), more=""):
+    """CODESYS V3, ``.trace.csv``: settings of the trace, then each variable with its settings and its samples."""
+    head = (
+        "[key]; [value]\nVersion; 0x03050000\nName; Application.Trace\nApplicationName; Application\n"
+        "ApplicationDataGuid; 00000000-0000-0000-0000-000000000000\nIecTaskName; MainTask\nComment; \n"
+        "Trigger.Flags; 0\nCondition.Name; \nCondition.AddrFlags; 0x00000000\nCondition.Class; 0\n"
+        f"Condition.Size; 0\nEveryNCycles; 1\nBufferEntries; 1000\nFlags; {flags}\n"
+    )
+    for k, (name, time, column) in enumerate(zip(PLC, stamps, values, strict=True)):
+        head += (
+            f"{k}.Variable; {name}\n{k}.Address.AddrFlags; 0x00000000\n{k}.Class; 15\n{k}.Size; 8\n"
+            f"{k}.GraphColor; 4292519200\n{k}.GraphType; 1\n{k}.ActivateMinWarning; 0\n{k}.YAxis; 0\n{k}.Data; \n"
+        )
+        head += "".join(f"; {t * ticks:.0f}; {x:.17g}\n" for t, x in zip(time, column, strict=True))
+    return head + more
+
+
+def codesys_xml(*, micro=False, values=(Y, R, U), head='<?xml version="1.0" encoding="utf-16"?>\n', name=PLC[0]):
+    """CODESYS V3, ``.trace``: the configuration, and the samples as lists."""
+    ticks = 1e6 if micro else 1e3
+    body = (
+        f'{head}<Trace>\n<TraceConfiguration><Single Type="{{c45dff5d}}" Method="IArchivable"><Single Name="Record">'
+        f'<Single Name="BufferEntries" Type="uint">1000</Single><Single Name="MicroSeconds" Type="bool">{micro}'
+        '</Single><Single Name="Comment" Type="string">speed &lt; 1</Single></Single></Single></TraceConfiguration>\n'
+        '<TraceData Version="1.0.0.0"><TraceRecord><TriggerState>0</TriggerState>\n'
+    )
+    for k, (label, column) in enumerate(zip((name, *PLC[1:]), values, strict=True)):
+        body += (
+            f'<TraceVariable VarName="{label}" VariableIndex="{k}" Type="System.Double">\n'
+            f"<Values>{','.join(f'{x:.17g}' for x in column)}</Values>\n"
+            f"<Timestamps>{','.join(f'{t * ticks:.0f}' for t in T)}</Timestamps>\n</TraceVariable>\n"
+        )
+    return body + "</TraceRecord></TraceData></Trace>\n"
+
+
+def codesys_text(stamp="Timestamp(ms)", ticks=1e3):
+    head = f"CODESYS V3.5 SP20 Patch 4 Trace: Trace\nC:\\Projects\\axis.project\n{stamp} {' '.join(PLC)}\n"
+    return head + lines(np.round(T * ticks), Y, R, U, separator=" ", form="{:.17g}")
+
+
 def iso_german():
     stamps = (np.datetime64("2024-05-01T12:00:00.000") + np.round(T * 1e3).astype("timedelta64[ms]")).astype(str)
     rows = zip(stamps, Y * 1e3, R * 1e3, U, strict=True)
@@ -362,6 +405,12 @@ READ = [
     ("TwinCAT Scope, symbols", "a.csv", text(scope(symbols=AXIS, units=KINDS_OF_UNITS)), {}),
     ("TwinCAT Scope, one time", "a.csv", text(scope(every_channel=False, symbols=AXIS, separator=";")), {}),
     ("TwinCAT Scope, FILETIME", "a.csv", text(scope(filetime=True, units=KINDS_OF_UNITS)), {}),
+    ("CODESYS V3, CSV", "a.trace.csv", text(codesys_csv()), {}),
+    ("CODESYS V3, CSV in microseconds", "a.trace.csv", text(codesys_csv(flags=36, ticks=1e6), "utf-8-sig"), {}),
+    ("CODESYS V3, trace", "a.trace", text(codesys_xml(), "utf-16"), {}),
+    ("CODESYS V3, trace in microseconds", "a.xml", text(codesys_xml(micro=True, head="")), {}),
+    ("CODESYS V3, text", "a.txt", text(codesys_text()), {}),
+    ("CODESYS V3, German text", "a.txt", text(codesys_text("Zeitstempel(µs)", 1e6), "cp1252"), {}),
     ("workbook", "a.xlsx", workbook, {}),
     ("Parquet", "a.parquet", parquet, {}),
     ("TDMS", "a.tdms", tdms, {}),
@@ -482,6 +531,18 @@ ASKED = [
         "no column named time",
     ),
     (
+        "CODESYS V3, no unit of a length",
+        "a.trace",
+        text(codesys_xml(values=(Y * 1e3, R * 1e3, U)), "utf-16"),
+        "mm, deg and rad are plausible",
+    ),
+    (
+        "CODESYS V3, no unit of the time",
+        "a.trace.csv",
+        text(codesys_csv(flags=0, ticks=5e4)),
+        "plausible in ms and in us",
+    ),
+    (
         "a command that may be the reference",
         "a.csv",
         text("t,pos,command\n" + lines(T, Y, R)),
@@ -516,12 +577,14 @@ ANSWERS = {
     "counts and PWM": (["--setting", "counts_per_rev=4096"], 1.0),
     "counts without a scale": (["--setting", "counts_per_rev=4096"], 2 * np.pi / 4096),
     "CODESYS, sampling trace": (["--setting", "sample_time=1 ms"], 1.0),
+    "CODESYS V3, no unit of a length": (["--unit", "position=mm"], 1.0),
     "joints": (["--unit", "position=deg"], 500 / DEG),
-    "Klipper: what is a count": (["--setting", f"counts_per_unit={PER_MM * 1e3}"], None),
+    "Klipper: what is a count": (["--setting", f"counts_per_unit={PER_MM * 1e3:.0f}"], None),
 }
 """Forms about which there is a question, the answer, and the position in units of the truth (Klipper has its own)."""
 FORMS = [case[:3] for case in READ] + [case[:3] for case in ASKED if case[0] in ANSWERS]
 REAL = 25
+PAGE = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
 NO_COMMAND = ("joints", "Klipper: what is a count")
 """Logs without a command: which gains moved the axis is a second question."""
 
@@ -555,9 +618,16 @@ def test_most_forms_are_read_in_one_command_and_the_others_after_one_question(tm
             assert record.command_unit == "%", form
     assert len(FORMS) >= REAL
     assert len(read) >= 0.8 * len(FORMS)
-    page = (Path(__file__).parent.parent / "docs" / "logs.md").read_text(encoding="utf-8")
     told = f"{len(read)} become a campaign in one command, {len(asked)} after one question, {len(twice)} after two"
-    assert f"The tests hold {len(FORMS)} logs in as many forms: {told}" in " ".join(page.split())
+    assert f"The tests hold {len(FORMS)} logs in as many forms: {told}" in " ".join(PAGE.split())
+    assert f"In one command: {'; '.join(read)}." in " ".join(PAGE.split())
+
+
+@pytest.mark.parametrize("form", ANSWERS)
+def test_the_page_tells_which_form_asks_and_what_answers(form):
+    (row,) = (row for row in PAGE.splitlines() if row.startswith((f"| {form} |", f"| {form} (")))
+    assert f"`{' '.join(ANSWERS[form][0])}`" in row
+    assert ("--record-kp" in row) == (form in NO_COMMAND)
 
 
 def convert(log, campaign, *options):
@@ -685,6 +755,64 @@ def test_a_slower_channel_of_a_scope_is_held(tmp_path):
     record = read_log(tmp_path / "a.csv").record
     assert record.position == pytest.approx(Y, abs=1e-9)
     assert record.voltage == pytest.approx(np.repeat(U[::2], 2)[: U.size], abs=1e-6)
+
+
+def test_variables_of_a_trace_that_began_apart_are_read_at_the_instants_of_all(tmp_path):
+    stamps, values = (T[2:], T[:-3], T[1:]), (Y[2:], R[:-3], U[1:])
+    (tmp_path / "a.trace.csv").write_text(codesys_csv(stamps=stamps, values=values))
+    record = read_log(tmp_path / "a.trace.csv").record
+    assert record.time == pytest.approx(T[2:-3])
+    assert record.position == pytest.approx(Y[2:-3], abs=1e-12)
+    assert record.reference == pytest.approx(R[2:-3], abs=1e-12)
+    assert record.voltage == pytest.approx(U[2:-3], abs=1e-12)
+
+
+def test_a_variable_of_a_trace_in_a_slower_task_is_held(tmp_path):
+    stamps, values = (T, T[::4], T), (Y, R[::4], U)
+    (tmp_path / "a.trace.csv").write_text(codesys_csv(stamps=stamps, values=values))
+    record = read_log(tmp_path / "a.trace.csv").record
+    assert record.position == pytest.approx(Y, abs=1e-12)
+    assert record.reference == pytest.approx(np.repeat(R[::4], 4)[: R.size], abs=1e-12)
+
+
+def test_variables_of_a_trace_that_are_no_numbers_are_left_out(tmp_path):
+    """A text that holds a semicolon, one that does not, and a truth: none of them is asked for."""
+    more = "3.Variable; PLC_PRG.sState\n3.Data; \n; 0; a; b\n4.Variable; PLC_PRG.sMode\n4.Data; \n"
+    more += "".join(f"; {t * 1e3:.0f}; idle\n" for t in T) + "5.Variable; PLC_PRG.xOn\n5.Data; \n"
+    more += "".join(f"; {t * 1e3:.0f}; TRUE\n" for t in T)
+    (tmp_path / "a.trace.csv").write_text(codesys_csv(more=more))
+    assert read_log(tmp_path / "a.trace.csv").record.position == pytest.approx(Y, abs=1e-12)
+    options = {"columns": {"position": "PLC_PRG.sMode"}}
+    with pytest.raises(InputError, match="sample 1, position: 'idle' is not a number"):
+        read_log(tmp_path / "a.trace.csv", **options)
+    with pytest.raises(InputError, match="holds more than one number a sample"):
+        read_log(tmp_path / "a.trace.csv", columns={"position": "PLC_PRG.sState"})
+
+
+DOCTYPE = '<!DOCTYPE Trace [<!ENTITY a "xxxxxxxxxx"><!ENTITY b "&a;&a;&a;&a;">]>'
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (codesys_xml(head="")[:-30], "is a damaged CODESYS trace (line"),
+        (codesys_xml(head="").replace("<Trace>", f"{DOCTYPE}<Trace>", 1), "XML with a document type"),
+        (f"<Trace >{DOCTYPE}</Trace>", "is a damaged CODESYS trace"),
+        ("<Trace><TraceData/></Trace>", "holds no samples"),
+        ("[key]; [value]\nFlags; 16\n0.Variable; PLC_PRG.a\n0.Data; \n", "holds no samples"),
+        (codesys_csv().replace("\n; 300;", "\n; x;"), "has damaged time stamps"),
+        (
+            codesys_xml(head="").replace("<Values>", "<Values>1,", 1),
+            f"has {T.size + 1} values for {T.size} time stamps",
+        ),
+    ],
+    ids=["cut", "document type", "document type within", "no samples, XML", "no samples, CSV", "stamps", "values"],
+)
+def test_damaged_traces_of_codesys_are_refused(tmp_path, content, part):
+    (tmp_path / "a.trace").write_text(content)
+    with pytest.raises(InputError) as refused:
+        read_log(tmp_path / "a.trace", columns={"position": PLC[0]})
+    assert part in str(refused.value)
 
 
 def test_blank_cells_between_tabs_are_never_skipped(tmp_path):

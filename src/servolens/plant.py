@@ -99,7 +99,7 @@ class Plant:
         for spec in BASE_PARAMETERS:
             object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name), "plant"))
         if self.length_unit not in ("m", "rad"):
-            raise InputError(f"plant: length_unit must be 'm' or 'rad', got {self.length_unit!r}")
+            raise InputError(f"plant: length_unit must be 'm' or 'rad', got {str(self.length_unit)[:40]!r}")
         object.__setattr__(self, "effects", _several(self.effects))
         object.__setattr__(self, "structure", tuple(type(effect) for effect in self.effects))
         _check_together(self.structure)

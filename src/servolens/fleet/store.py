@@ -126,7 +126,7 @@ def _is_whole(found: Mapping[str, Any]) -> bool:
     try:
         row_of(found)
         axis_content(found)
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         return False
     return found["status"] in STATUSES
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 from servolens.errors import InputError
 from servolens.reading import files
+from servolens.reading.codesys import is_codesys, read_codesys
 from servolens.reading.files import is_folder, read_bytes, read_start
 from servolens.reading.isolated import read_isolated
 from servolens.reading.json_text import read_json
@@ -22,7 +23,7 @@ __all__ = ["SUFFIXES", "is_bag", "read_tables"]
 
 SUFFIXES = (
     ".csv", ".tsv", ".mat", ".xlsx", ".xlsm", ".xls", ".ods", ".parquet", ".tdms", ".mf4", ".mdf", ".h5", ".hdf5",
-    ".npz", ".npy", ".mcap", ".bag", ".db3", ".lvm", ".jsonl", ".csv.gz",
+    ".npz", ".npy", ".mcap", ".bag", ".db3", ".lvm", ".jsonl", ".csv.gz", ".trace",
 )  # fmt: skip
 """Of the files that are read from a folder; names that reports and notes have too (.txt, .json) are not."""
 
@@ -97,7 +98,7 @@ def _kind(start: bytes) -> _Kind | None:
 
 
 def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
-    """Read MAT v5, JSON or text."""
+    """Read MAT v5, a trace of CODESYS, JSON or text."""
     if content[124:128] in _MAT5:
         table = read_mat(content)
         if sum(column.values.size > 1 for column in table.columns) > 1 or not table.columns:
@@ -112,6 +113,8 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
         raise InputError("is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB")
     if b"\0" in content[: 2 * _LOOKED_AT] and not content.startswith(_UTF16):
         raise InputError("is a binary file of an unknown kind; see the documentation for the formats that are read")
+    if is_codesys(content):
+        return read_codesys(content)
     if content.lstrip()[:1] in (b"{", b"["):
         return read_json(content)
     return read_text(content)

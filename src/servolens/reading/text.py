@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     Matrix = NDArray[np.float64]
 
-__all__ = ["read_text"]
+__all__ = ["read_text", "unified"]
 
 SEPARATORS = ("\t", ";", ",", "|", " ")
 LAYOUT_LINES = 400
@@ -65,7 +65,7 @@ def read_text(content: bytes) -> tuple[Table, ...]:
     InputError
         With one sentence that names the line.
     """
-    content = _unified(content)
+    content = unified(content)
     plain, comments = _without_comments(content)
     form = _form(plain, comments)
     table = Table(
@@ -129,7 +129,7 @@ def _without_comments(content: bytes) -> tuple[bytes, list[str]]:
     return b"".join(parts), found
 
 
-def _unified(content: bytes) -> bytes:
+def unified(content: bytes) -> bytes:
     """Return UTF-8 with line feeds, whatever the encoding and the line ends were."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         content = _recoded(content, "utf-16")
