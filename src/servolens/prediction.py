@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 import numpy as np
 
 from servolens.decoding import json_of, read_fields
-from servolens.effects import Sensor
 from servolens.errors import InputError
 from servolens.inputs import as_model, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion
@@ -213,9 +212,7 @@ def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 def _from(plant: Plant, record: Record, velocity: float) -> NDArray[np.float64]:
-    simulation = simulate(plant, record, initial_velocity=velocity)
-    shown = simulation.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else simulation.position
-    return np.asarray(shown - record.position)
+    return np.asarray(simulate(plant, record, initial_velocity=velocity).shown(plant) - record.position)
 
 
 def predict(

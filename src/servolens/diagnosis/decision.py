@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
+from servolens.diagnosis.explorer import INDISTINCT, SHARE
 from servolens.diagnosis.remainder import remainder_of
-from servolens.diagnosis.search import INDISTINCT, SHARE, Search, search
+from servolens.diagnosis.search import Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases

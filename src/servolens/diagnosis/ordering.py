@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from servolens.identification.starting import Screen
 
 __all__ = [
+    "best_of_each",
     "by_total",
     "by_worst",
     "chosen_for_extension",
@@ -130,3 +131,8 @@ def by_total(hypothesis: Hypothesis) -> float:
 def by_worst(hypothesis: Hypothesis) -> float:
     """Return the key that puts it last."""
     return -hypothesis.total
+
+
+def best_of_each(found: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Return the likeliest of each set of effects, the likeliest of all first."""
+    return tuple(sorted({frozenset(h.causes): h for h in sorted(found, key=by_worst)}.values(), key=by_total))

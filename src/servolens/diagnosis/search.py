@@ -6,60 +6,27 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-import numpy as np
-
-from servolens.diagnosis.ordering import (
-    by_total,
-    by_worst,
-    chosen_for_extension,
-    distinct,
-    families,
-    parted,
-    simplified,
-    specialised,
-    united,
-)
-from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.effects import Drive, catalogue, effect_class
-from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
-from servolens.identification.phases import own_phases
-from servolens.identification.refine import AT_NOISE
-from servolens.identification.rounding import dominates
-from servolens.identification.score import ScoreTest
-from servolens.processors import in_parallel
+from servolens.diagnosis.explorer import INDISTINCT, Explorer
+from servolens.diagnosis.ordering import best_of_each, by_total
+from servolens.effects import effect_class
+from servolens.errors import NumericalError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from servolens.diagnosis.effort import Effort
-    from servolens.diagnosis.trials import Start, Trials
+    from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
-    from servolens.plant import Plant
 
-__all__ = ["INDISTINCT", "SHARE", "Search", "search"]
+__all__ = ["Search", "search"]
 
-ORDINALS = ("first", "second", "third", "fourth", "fifth")
-PROMISING = 0.5
-"""Share of an effect's price that its score must reach for a fit: sizes and shapes are not at their best yet. Beside
-causes that leave nothing that depends on the inputs, all of it."""
-FAR_BEHIND = 0.05
-"""Share of the highest score below which an effect is not fitted."""
-STARTED = 2
-"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take."""
-SHARE, SPENT, RESERVE = 0.25, 0.25, 0.1
-"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for, and what rounds that simplify always have."""
 UNSHAKEN = 0.4
 """Of the effort, what a search that takes the axis for one that nothing shakes may take."""
-INDISTINCT = 10.0
-"""Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
 
 @final
@@ -107,8 +74,7 @@ def search(
     """Return the least set of effects that explains the training records, and what else was tried.
 
     An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
-    before all are found, and so hides that together they leave nothing. What then leaves nothing, and is no likelier
-    beside an observer, is the answer.
+    before all are found, and so hides that together they leave nothing. What then leaves white noise is the answer.
 
     Parameters
     ----------
@@ -137,15 +103,18 @@ def search(
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
     likeliest = [h for h in first.judged if h.causes][: effort.judged]
-    begun = (*first.path[1:], *likeliest, *first.singles[: effort.judged])
-    if first.chosen.total < base.total and is_enough(first.chosen):
-        again = trials.likelihood.judged(first.chosen.plant, first.chosen)
-        if again is None or again.noise.rate == 0.0:
-            return first
-        begun = (again, *begun)
+    begun = [h for h in (*first.path[1:], *likeliest, *first.singles[: effort.judged]) if not _is_last_resort(h)]
+    is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
+    if first.chosen.total < base.total and is_white and is_enough(first.chosen):
+        return first
     left = replace(effort, work=effort.work - unshaken.likelihood.work)
     found = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
-    return replace(found, judged=_best_of_each((*found.judged, *first.judged)))
+    return replace(found, judged=best_of_each((*found.judged, *first.judged)))
+
+
+def _is_last_resort(hypothesis: Hypothesis) -> bool:
+    """Tell whether a cause describes nearly anything of its kind: what it leaves, an observer follows in any case."""
+    return any(effect_class(name).is_last_resort for name in hypothesis.causes)
 
 
 def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
@@ -168,7 +137,7 @@ def _searched(
 
     What was found beside another, `begun`, is where it begins.
     """
-    explorer = _Explorer(trials, effort, tell, known, is_enough)
+    explorer = Explorer(trials, effort, tell, known, is_enough)
     reached = explorer.path_to_the_best(base, begun)
     path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * share * effort.work)
     if is_enough(path[-1]):
@@ -180,304 +149,5 @@ def _searched(
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     return Search(
-        tuple(path), _best_of_each(explorer.judged), tuple(sorted(explorer.singles, key=by_total)), ended_early=early
+        tuple(path), best_of_each(explorer.judged), tuple(sorted(explorer.singles, key=by_total)), ended_early=early
     )
-
-
-def _best_of_each(found: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """Return the likeliest of each set of effects, the likeliest of all first."""
-    return tuple(sorted({frozenset(h.causes): h for h in sorted(found, key=by_worst)}.values(), key=by_total))
-
-
-@final
-class _Explorer:
-    """Fits hypotheses and remembers them."""
-
-    def __init__(
-        self,
-        trials: Trials,
-        effort: Effort,
-        tell: Callable[[str, float], None],
-        known: Sequence[Hypothesis],
-        is_enough: Callable[[Hypothesis], bool],
-    ) -> None:
-        self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
-        self.likelihood = trials.likelihood
-        self.worked = self.likelihood.work
-        self.judged: list[Hypothesis] = [*known]
-        self.singles: list[Hypothesis] = []
-        self.with_last_resorts = False
-        self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
-        self._seen: set[tuple[frozenset[str], bool]] = set()
-
-    @property
-    def left(self) -> float:
-        """Samples times substeps that may still be simulated."""
-        return max(self.effort.work - (self.likelihood.work - self.worked), 0.0)
-
-    def _allowance(self, jobs: int) -> float:
-        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order."""
-        return SHARE * max(self.left, RESERVE * self.effort.work) / max(jobs, 1)
-
-    def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the way from `base` to the best of those `begun`, if one is likelier."""
-        self.singles += distinct([h for h in begun if len(h.causes) == 1])
-        found = self._judged([(h.plant, h) for h in distinct(begun)])
-        if not found or found[0].total >= base.total:
-            return [base]
-        best = self.improved(found[0])
-        return self._steps([base], best) if best.causes else [base]
-
-    def walked(self, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], bool]:
-        """Return `path` and further steps of one effect each, and whether `work` was spent before the end."""
-        beam, steps = path[-1:], 0
-        while len(path[-1].causes) < self.effort.causes:
-            if steps and self.left <= self.effort.work - (1.0 - SPENT) * work:
-                return path, True
-            steps += 1
-            found = self.extended(beam, len(path[-1].causes))
-            if not path[-1].causes and found and not self.is_enough(found[0]):
-                several = self.paired(path[-1], found[0])
-                # what leaves something is compared with what single effects come to with a second one
-                if found[0].total >= path[-1].total or any(self.is_enough(h) for h in several):
-                    found = sorted([*found, *several], key=by_total)
-            path[-1] = self._beside_noise_of(found[:1], path[-1])
-            better = [h for h in found if h.total < path[-1].total]
-            if not better or self.is_chance(path[-1], better[0]):
-                break
-            best = self.improved(better[0])
-            path = self._steps(path, best)
-            further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
-            beam = chosen_for_extension(families([best, *further]), self.effort.beam)
-        return path, False
-
-    def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
-        """Return `path` as it leads to `best`, with what was found on the way where that adds several causes."""
-        before = [h for h in path if len(h.causes) < len(best.causes)]
-        steps = [h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)]
-        return [*before, *sorted(steps, key=by_total)[:1], best]
-
-    def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
-        """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
-        noise = beam[0].noise
-        if noise.rate == 0.0 and not noise.is_model_error and not self.likelihood.simulates:
-            # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
-            best, *others = beam
-            beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
-        members = sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))
-        found: list[Hypothesis] = []
-        first: list[Hypothesis] = []
-        for place, hypothesis in enumerate(members):
-            extensions = self._fitted(hypothesis, (number + place / len(members)) / self.effort.causes)
-            first += sorted(extensions, key=by_total)[:1]
-            found += extensions
-            leaves_less = noise.is_model_error and any(not h.noise.is_model_error for h in first)
-            if leaves_less and self._leaves_nothing(first, beam[0]):
-                break
-        found.sort(key=by_total)
-        if number == 0:
-            self.singles += distinct(found)
-        known = [h for h in self.judged if len(h.causes) == number + 1]
-        jobs = distinct([*found[: self.effort.judged], *first])
-        fitted = self._judged([(h.plant, h) for h in jobs])
-        reached = {frozenset(h.causes) for h in fitted}
-        kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
-        self.judged += kept
-        return sorted([*known, *fitted, *kept], key=by_total)
-
-    def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
-        """Return the likeliest pair of effects, fitted, if it is likelier than `best` after a few iterations.
-
-        Only once in a search.
-        """
-        (test, scored), self._scored = self._scored or (None, []), None
-        if test is None or self.likelihood.simulates:
-            return []
-        plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
-        share = self._allowance(len(plants))
-        begun = in_parallel(
-            lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
-        )
-        found = sorted((h for h in begun if h and h.total < best.total), key=by_total)[:1]
-        return self._judged([(h.plant, h) for h in found])
-
-    def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
-        own = [h for h in others if h.noise.rate > 0.0 and h.total < hypothesis.total]
-        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=by_total)
-
-    def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
-        """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
-        best = self._judged([(h.plant, h) for h in found])[:1]
-        return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
-
-    def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
-        """Tell whether rounding alone may make the `richer` hypothesis as much likelier.
-
-        Beside the noise of the richer: that of the simpler one holds what it lacks. Rounding is no matter where the
-        simpler one misses more than noise and rounding can.
-        """
-        is_close = simpler.noise.spread <= AT_NOISE * self.likelihood.white.spread
-        if not is_close or not dominates(richer.noise) or self.likelihood.simulates:
-            return False
-        paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
-        test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
-        return test.gain(richer.plant) / test.inflation(richer.plant) < paid
-
-    def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
-        """Return `hypothesis` with each effect that its score test finds promising."""
-        trials, cause = self.trials, f"a {ORDINALS[len(hypothesis.causes)]} cause"
-        test = ScoreTest(self.likelihood, hypothesis)
-        self.tell(f"Looking for {cause}", done)
-        is_observed = hypothesis.noise.rate > 0.0
-        is_enough = bool(hypothesis.causes) and self.is_enough(hypothesis)
-        kin = set() if is_observed or is_enough else set(hypothesis.causes)
-        tried = [
-            name
-            for name, cls in catalogue().items()
-            if self.with_last_resorts or not cls.is_last_resort or kin & set(cls.generalises)
-        ]
-        names = [n for n in tried if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
-        self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
-        scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
-        scored.sort(key=lambda starts: -starts[0].gain)
-        if not hypothesis.causes and not self.with_last_resorts:
-            self._scored = test, scored
-        share = 1.0 if is_enough else PROMISING
-        scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]
-        if scored:
-            scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
-        chosen = scored[: self.effort.fitted]
-        chosen += [starts for starts in scored[len(chosen) :] if issubclass(effect_class(starts[0].effect), Drive)]
-        share, count = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1), 0
-
-        def told(found: Hypothesis | None) -> Hypothesis | None:
-            nonlocal count
-            count += 1
-            what = f"Trying {cause}: {count} of {len(chosen)} effects"
-            self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
-            return found
-
-        share_of_work = self._allowance(len(chosen))
-        begun = in_parallel(lambda s: told(self._begun(s, hypothesis, share_of_work)), chosen)
-        found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
-        if is_observed:
-            return found
-        drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
-        close = [*found[: self.effort.judged + 2], *drives]
-        share_of_work = self._allowance(len(close))
-        further = in_parallel(lambda h: told(self._simulated(h, share_of_work)), close)
-        further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
-        better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
-        return [*better, *(h for h in found if h not in close)]
-
-    def _begun(self, starts: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
-        """Return where the best starts of one effect beside `hypothesis` lead in a few iterations."""
-        several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        tried = [s for place, s in enumerate(starts) if place < several or s.is_guess]
-        led = [
-            self.likelihood.tried(
-                s.plant,
-                hypothesis.noise,
-                FEW,
-                like=hypothesis,
-                unpowered=hypothesis.unpowered,
-                allowance=allowance / len(tried),
-            )
-            for s in tried
-        ]
-        return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
-
-    def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
-        """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
-        iterations = SOME * len(hypothesis.plant.effects[-1].parameters())
-        return self.likelihood.tried(
-            hypothesis.plant,
-            self.likelihood.white,
-            iterations,
-            like=hypothesis,
-            unpowered=hypothesis.unpowered,
-            allowance=allowance,
-        )
-
-    def improved(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` reduced and exchanged, until neither finds more."""
-        while True:
-            best = self.exchanged(self.reduced(hypothesis))
-            if best.total >= hypothesis.total - NO_BETTER:
-                return min(best, hypothesis, key=by_total)
-            hypothesis = best
-
-    def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` without the effects that do not pay for themselves."""
-        while len(hypothesis.causes) > 1:
-            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
-            simpler = self._judged([(plant, hypothesis) for plant in without])
-            if not simpler or simpler[0].total >= hypothesis.total:
-                return hypothesis
-            hypothesis = simpler[0]
-        return hypothesis
-
-    def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin or its parts.
-
-        What cannot be told apart while another cause is missing often can beside it.
-        """
-        known = {frozenset(h.causes) for h in self.judged}
-        plants = [*parted(hypothesis.plant)]
-        if len(hypothesis.causes) > 1:
-            plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
-        others = {
-            causes: plant
-            for plant in plants
-            if (causes := frozenset(effect.name for effect in plant.effects)) not in known
-        }
-        return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=by_total)
-
-    def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
-        """Yield the plant with a cause replaced by one that explained about as much while it was alone."""
-        alone = {h.causes[0]: h for h in sorted(self.singles, key=by_worst) if len(h.causes) == 1}
-        for name in hypothesis.causes:
-            limit = alone[name].total + self._indistinct(alone[name]) if name in alone else -np.inf
-            for other, single in alone.items():
-                if single.total <= limit and other not in hypothesis.causes:
-                    with suppress(InputError):  # two that do not go together
-                        yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
-
-    def _indistinct(self, hypothesis: Hypothesis) -> float:
-        """Return by how much −2 log-likelihood may be more for one that explains about as much.
-
-        What a model gets wrong is no noise: a loop remembers it, and as long it counts once.
-        """
-        return INDISTINCT * (self.likelihood.remembered if hypothesis.noise.is_model_error else 1.0)
-
-    def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
-        """Yield the plant with a cause replaced by another one that generalises the same."""
-        for special in specialised(hypothesis.plant, self.trials.screen):
-            name = special.effects[-1].name
-            others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
-            test = ScoreTest(self.likelihood, replace(hypothesis, plant=special))
-            for other, cls in others.items():
-                starts = [] if cls.is_last_resort else self.trials.starts(test, other)
-                yield from (start.plant for start in starts[:1])
-
-    def settled(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
-        if not hypothesis.causes:
-            return hypothesis
-        others = [*specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)]
-        forms = self._judged([(plant, hypothesis) for plant in others])
-        known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        best = min([hypothesis, *forms, *known], key=by_total)
-        simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
-        best = next((h for h in simpler if self.is_chance(h, best)), best)
-        plain = self._judged([(plant, best) for plant in simplified(best.plant, self.trials.seen)])
-        return next((h for h in plain if h.total <= best.total + INDISTINCT), best)
-
-    def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
-        """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
-        share = self._allowance(len(jobs))
-        fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
-        found = [h for h in fits if h]
-        self.judged += found
-        return sorted(found, key=by_total)

@@ -17,7 +17,7 @@ from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.shaken import sensed, shaking
+from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -128,7 +128,7 @@ def drawn_loop_errors(
         Of each draw the errors of all records [m or rad].
     """
     stream = np.random.default_rng(2)
-    still = [sensed(plant, record) for plant, record in zip(plants, records, strict=True)]
+    still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
     spectrum = spectrum_of(noise)
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
@@ -138,7 +138,9 @@ def drawn_loop_errors(
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(ServolensError):
             return tuple(
-                sensed(plant, disturbed(record, error[:, k]), shake[:, k]) + error[:, k] - position
+                simulate(plant, disturbed(record, error[:, k]), acceleration=shake[:, k]).shown(plant)
+                + error[:, k]
+                - position
                 for plant, record, error, shake, position in zip(plants, records, drawn, shakes, still, strict=True)
             )
         return None
@@ -151,7 +153,8 @@ class _Shares:
 
     def __init__(self, plants: Sequence[Plant], records: Sequence[Record], rate: float) -> None:
         runs = [simulate(plant, record) for plant, record in zip(plants, records, strict=True)]
-        self._own = _spanned(_sensitivities(plants, records))
+        shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
+        self._own = _spanned(_sensitivities(plants, records, shown))
         columns, activity = [], []
         for run, record in zip(runs, records, strict=True):
             reference = np.asarray(record.reference)
@@ -182,19 +185,19 @@ class _Shares:
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
-def _sensitivities(plants: Sequence[Plant], records: Sequence[Record]) -> NDArray[np.float64]:
+def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], shown: Errors) -> NDArray[np.float64]:
     """Return how the loops answer to a change of each parameter, shape (n, k)."""
     values = plants[0].named
-    positions = [sensed(plant, record) for plant, record in zip(plants, records, strict=True)]
     columns = []
     for name, value in values.items():
         step = PARAMETER_STEP * value
         if step == 0.0:
             continue
         with suppress(ServolensError):
+            others = [plant.with_named({name: plant.named[name] + step}) for plant in plants]
             moved = [
-                sensed(plant.with_named({name: plant.named[name] + step}), record) - position
-                for plant, record, position in zip(plants, records, positions, strict=True)
+                simulate(other, record).shown(other) - position
+                for other, record, position in zip(others, records, shown, strict=True)
             ]
             columns.append(np.concatenate(moved))
     return np.column_stack(columns)

@@ -14,7 +14,6 @@ A loop with the complementary sensitivity T keeps stable where |T Δ| < 1 at eve
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -82,14 +81,15 @@ def _spectra(plant: Plant, record: Record) -> Spectra | None:
     if record.reference is None or record.controller is None or record.step_size == 0.0:
         return None
     try:
-        run = simulate(plant, replace(record, encoder_resolution=None), voltage_driven=False)
+        run = simulate(plant, record, voltage_driven=False)
         still = record.with_({"position": np.full(len(record), record.position[0]), "velocity": _still(record)})
         drive = controller_voltage(still)
         asked = controller_voltage(record) if record.voltage is None else record.voltage
     except ServolensError:
         return None
-    left = record.position - run.measured  # which may lag behind the position
-    moved, error = _transform(run.measured - run.measured[0]), _transform(left - left[0])
+    shown = run.shown(plant)
+    left = record.position - shown
+    moved, error = _transform(shown - shown[0]), _transform(left - left[0])
     pull, answer, given = _transform(drive), _transform(asked), _transform(run.voltage)
     frequencies = np.fft.rfftfreq(len(record), record.sample_time)
     weight = 1.0 / np.sqrt(np.mean(np.abs(pull * moved) ** 2))

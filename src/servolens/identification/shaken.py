@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["sensed", "shaken", "shaking"]
+__all__ = ["shaken", "shaking"]
 
 RUNS_AWAY = 1e6
 """Standard deviations of an innovation beyond which loop or observer of a draw is unstable, and no draw."""
@@ -75,15 +75,10 @@ def _measured(
     """Return position and applied voltage of a shaken axis as its log would hold them."""
     if record.reference is not None and record.controller is not None:
         moved = simulate(plant, disturbed(record, error), acceleration=shake)
-        return moved.measured + error, applied_voltage(replace(record, voltage=moved.voltage))
+        return moved.shown(plant) + error, applied_voltage(replace(record, voltage=moved.voltage))
     voltage = applied_voltage(record)
     driven = replace(record, voltage=voltage, encoder_resolution=None)
-    return simulate(plant, driven, voltage_driven=True, acceleration=shake).measured + error, voltage
-
-
-def sensed(plant: Plant, record: Record, acceleration: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
-    """Return what the sensor of a simulated loop shows but for rounding [m or rad], shape (n,): it may lag behind."""
-    return simulate(plant, replace(record, encoder_resolution=None), acceleration=acceleration).measured
+    return simulate(plant, driven, voltage_driven=True, acceleration=shake).shown(plant) + error, voltage
 
 
 def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:

@@ -12,7 +12,6 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.identification.loop_errors import loop_error, shifted
 from servolens.identification.rounding import dominates, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
-from servolens.identification.shaken import sensed
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -71,10 +70,11 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
         if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
-        simulated = [sensed(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
+        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
     except (InputError, NumericalError):
         return False
-    errors = [shown - record.position for shown, record in zip(simulated, likelihood.records, strict=True)]
+    shown = [run.shown(plant) for run, plant in zip(simulated, plants, strict=True)]
+    errors = [seen - record.position for seen, record in zip(shown, likelihood.records, strict=True)]
     return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise
 
 

@@ -63,6 +63,10 @@ class Simulation:
     voltage: NDArray[np.float64]
     measured: NDArray[np.float64]
 
+    def shown(self, plant: Plant) -> NDArray[np.float64]:
+        """Return what the sensor of `plant` shows [m or rad]: where the axis is, unless it lags behind."""
+        return self.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else self.position
+
 
 def simulate(
     plant: Plants,
