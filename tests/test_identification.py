@@ -495,3 +495,21 @@ def test_pieces_of_which_the_data_determine_none_make_no_table() -> None:
     vague = replace(fit.varying, spread=Later(lambda: 1e9 * np.eye(fit.varying.damping.size + 1)))
     titles = [table.title for table in identification_summary(replace(fit, varying=vague)).tables]
     assert "Damping that varies in time (varying)" not in titles
+
+
+def test_prior_is_combined_with_records_on_which_no_law_of_damping_can_be_simulated() -> None:
+    friction = {"asymmetric_friction": {"level_positive": 0.8, "level_negative": 0.3}}
+    axis = Truth(gain=2.2, damping=5.0, effects=friction)
+    record = step_record(
+        axis,
+        kp=50,
+        kd=2,
+        reference=[0.2, 0.0, -0.2, 0.1],
+        duration=4.0,
+        sample_time=4e-3,
+        noise=5e-5,
+        encoder=1e-4,
+        seed=1,
+    )
+    model = identify(record, model="constant", priors={"gain": (2.2, 0.01)}).constant
+    assert model.plant.gain == pytest.approx(2.2, abs=0.03)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.explained import Explained, excerpt_of, explained
 from servolens.identification.fitted import AT_BOUND, GIVEN
@@ -81,8 +83,9 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
             left = replace(left, is_enough=False)
     alone = Model(plant=plant(estimate), covariance=covariance[::-1, ::-1])
     if known and not left.is_enough:
-        refined = law_left(segments, FitOptions()).optimum(left.likelihood.records)
-        alone = Model(plant=refined.plant, covariance=refined.covariance)
+        with suppress(NumericalError):  # else the prior is compared with gain and damping alone
+            refined = law_left(segments, FitOptions()).optimum(left.likelihood.records)
+            alone = Model(plant=refined.plant, covariance=refined.covariance)
     for index, name in enumerate(NAMES):
         if name in known:
             weight = covariance[:, index] / (covariance[index, index] + known[name].deviation ** 2)
