@@ -9,6 +9,7 @@ from servolens import Plant
 from servolens.diagnosis.proposal import assumed_scale
 from servolens.effects import CoulombFriction, DeadZone, Saturation
 from servolens.model import Model
+from servolens.model_evidence import DataRange, Evidence
 from servolens.results import write_json
 
 
@@ -35,8 +36,8 @@ def test_step_asks_for_no_more_than_drives_take(model):
     experiment = body["next_experiment"]
     assert abs(experiment["kp"] * (experiment["reference"] - experiment["start"])) <= 10.1
     assert note(body) == (
-        "a model does not know what was logged: looked at are steps of 0.0022 m around kp = 4500 V/m, which ask for"
-        " 9.9 V; give --kp and --reference as they were logged, or the diagnosis (servolens diagnose --json), which"
+        "the model's file does not say what was logged: looked at are steps of 0.0022 m around kp = 4500 V/m, which ask"
+        " for 9.9 V; give --kp and --reference as they were logged, or the diagnosis (servolens diagnose --json), which"
         " knows them."
     )
 
@@ -51,6 +52,19 @@ def test_nothing_is_assumed_where_both_are_given(model):
     body = result("next", "next", model, "--kp", "6000", "--reference", "0.005")
     assert [finding["code"] for finding in body["findings"]] == ["no_rivals"]
     assert 3000 <= body["next_experiment"]["kp"] <= 12000
+
+
+def test_what_the_records_of_a_model_showed_is_not_asked_again(model, tmp_path):
+    shown = DataRange(voltage=9.0, speed=0.1, step=0.004, kp=2500.0, kd=0.0)
+    path = tmp_path / "known.json"
+    known = Model(plant=stage(CoulombFriction(level=0.02)), evidence=Evidence(range=shown))
+    write_json(str(path), "model", known.to_json(), ())
+    body = result("next", "next", path)
+    assert [finding["code"] for finding in body["findings"]] == ["no_rivals"]
+    assert (
+        body["next_experiment"]
+        == result("next", "next", model, "--kp", "2500", "--reference", "0.004")["next_experiment"]
+    )
 
 
 @pytest.mark.parametrize(

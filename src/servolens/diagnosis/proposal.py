@@ -73,9 +73,10 @@ def propose(path: Path | str, *, kp: float | None = None, reference: float | Non
     path : Path or str
         A ``servolens.diagnosis/1`` or ``servolens.model/1`` file.
     kp : float, optional
-        For a model alone, a gain around which to look [V/m or V/rad]; see :func:`assumed_scale`.
+        For a model alone, a gain around which to look [V/m or V/rad]; that of its records where its file knows them,
+        else see :func:`assumed_scale`.
     reference : float, optional
-        For a model alone, the step that the axis may make [m or rad]; see :func:`assumed_scale`.
+        For a model alone, the step that the axis may make [m or rad]; likewise.
 
     Raises
     ------
@@ -131,6 +132,9 @@ def _from_diagnosis(diagnosis: Diagnosis) -> Proposal:
 def _from_model(model: Model, kp: float | None, reference: float | None) -> Proposal:
     """Return what best tells the model from itself without its least certain effect."""
     plant = model.plant
+    if model.evidence is not None:  # of the records from which it was identified
+        logged = model.evidence.range
+        kp, reference = kp if kp is not None else logged.kp, reference if reference is not None else logged.step
     gain, step = assumed_scale(plant, kp, reference)
     if not plant.effects:
         reason = "the model names no rivals and holds no effect beside gain and damping: there is nothing to tell apart"
@@ -140,8 +144,9 @@ def _from_model(model: Model, kp: float | None, reference: float | None) -> Prop
     doubtful = max((effect.name for effect in plant.effects), key=lambda name: _uncertainty(model, name))
     others = plant.without_effect(doubtful)
     name = f"without {doubtful}" if others.effects else "gain_and_damping"
-    logged = _assumed(plant, gain, step)
-    experiment = next_experiment({doubtful: plant, name: others}, [logged], noise=NOISE * abs(step))
+    experiment = next_experiment(
+        {doubtful: plant, name: others}, [_assumed(plant, gain, step)], noise=NOISE * abs(step)
+    )
     told = Finding(
         code="no_rivals",
         severity="note",
@@ -162,8 +167,8 @@ def _scale(plant: Plant, gain: float, step: float) -> Finding:
         code="scale_assumed",
         severity="note",
         message=(
-            f"a model does not know what was logged: looked at are steps of {step:.3g} {plant.length_unit} around"
-            f" kp = {gain:.5g} {unit}, which ask for {abs(gain * step):.3g} {plant.command_unit}; give --kp and"
+            f"the model's file does not say what was logged: looked at are steps of {step:.3g} {plant.length_unit}"
+            f" around kp = {gain:.5g} {unit}, which ask for {abs(gain * step):.3g} {plant.command_unit}; give --kp and"
             " --reference as they were logged, or the diagnosis (servolens diagnose --json), which knows them."
         ),
     )
