@@ -11,7 +11,7 @@ from servolens import lab
 from servolens.effects import CoulombFriction, SensorLag
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors
-from servolens.identification.noise import NoiseModel
+from servolens.identification.noise import NoiseModel, Whitener, burg
 from servolens.identification.options import FitOptions
 from servolens.identification.score import ScoreTest
 from servolens.identification.shaken import shaken, shaking
@@ -40,6 +40,18 @@ def test_size_of_noise_is_as_uncertain_as_that_of_many_draws_is(pole):
     filters = (np.ones(1),) if pole == 0.0 else (np.ones(1), np.array([1.0, -pole]))
     noise = replace(NoiseModel.white(1.0), filters=filters, scales=np.ones(len(filters)), spread=spread)
     assert noise.spread_error(samples) == pytest.approx(np.std(np.sqrt(np.mean(draws**2, axis=1))), rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_slow_noise_is_told_from_an_autoregression_of_the_first_order(seed):
+    stream, samples, pole = np.random.default_rng(seed), 3000, 0.98
+    position = stream.standard_normal(samples)
+    position += 0.25 * lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], stream.standard_normal(samples))
+    _, spreads = burg([position], 1, 0.0)
+    found = NoiseModel.white(1.0).coloured([position], [Whitener(position, 0.0 * position, NoiseModel.white(1.0))])
+    assert found.order > 1
+    fewer = 2.0 * samples * np.log(spreads[-1]) + np.log(samples)
+    assert 2.0 * samples * np.log(found.innovation) + found.parameters * np.log(samples) < fewer - 20.0
 
 
 @pytest.mark.parametrize("corner", [5.0, 60.0])

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.identification.slow_noise import SLOW_PARAMETERS, slow_filters
+from servolens.identification.slow_noise import slow_filters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -222,7 +222,7 @@ class NoiseModel:
         price = 2.0 if for_errors else float(np.log(samples))
         filters, scales = burg(weighed, most_order, price)
         parameters = len(filters) - 1
-        if parameters >= min(SLOW_PARAMETERS):
+        if parameters:
             others = [(parameters, filters, scales), *slow_filters(weighed, MOST_ORDER)]
             parameters, filters, scales = min(others, key=lambda o: 2.0 * samples * np.log(o[2][-1]) + price * o[0])
         spread = float(np.sqrt(sum(float(w @ w) for w in weighed) / samples))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["SLOW_PARAMETERS", "slow_filters"]
+__all__ = ["slow_filters"]
 
 SLOW_PARAMETERS = (2, 3)
 """Beside its size: time constant and share of white noise; two time constants and that share."""
