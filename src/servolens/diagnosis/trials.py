@@ -168,11 +168,11 @@ class Trials:
         for special in cls.generalises:
             plant = plant.without_effect(special)
         try:
-            tried = self._proposed(plant, cls)
+            tried, free = self._proposed(plant, cls), self._free(plant, cls)
         except (InputError, NumericalError):
             return []
         whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))
-        far = _swapped(plant, cls, self.likelihood.rate)
+        far = [*free, *_swapped(plant, cls, self.likelihood.rate)]
         found = [Start(p, test.gain(p), place == 0) for place, p in enumerate(whole)]
         found += [Start(p, test.gain(p), is_guess=True) for p in far if not self.likelihood.is_too_stiff(p)]
         for general in cls.generalised(parts, self.seen) if parts else ():
@@ -186,10 +186,18 @@ class Trials:
         if regressor(cls).sizes:
             return self._solved(plant, cls, proposals)
         tried = [plant.with_effect(effect) for effect in proposals]
-        tried += [free.with_effect(effect) for effect in proposals if (free := self._free_of(plant, effect))]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
         return tried
+
+    def _free(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+        """Return the plants that the integral equation finds where the axis runs free of what the effect proposes.
+
+        With that, and whole: what hardly acts is no worse a guess for explaining little so far.
+        """
+        proposals = [] if regressor(cls).sizes else self.screen.proposals_of(plant, cls)
+        found = [free.with_effect(effect) for effect in proposals if (free := self._free_of(plant, effect))]
+        return [one for one in found if one.effects[-1].is_whole(self.seen)]
 
     def _free_of(self, plant: Plant, effect: Effect) -> Plant | None:
         """Return `plant` as the integral equation finds it where the axis runs free of `effect`; else None."""
