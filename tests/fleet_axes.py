@@ -81,11 +81,21 @@ def studied(out):
 
 
 def children(process):
-    """Return the processes that a process began (Linux)."""
+    """Return the processes that a process began (Linux), once they run a program of their own.
+
+    Before, its parent waits for them, and would for ever if they were stopped.
+    """
     found = []
     for task in Path(f"/proc/{process}/task").glob("*/children"):
         found += [int(child) for child in task.read_text(encoding="ascii").split()]
-    return found
+    return [child for child in found if _program(child) not in ("", _program(process))]
+
+
+def _program(process):
+    try:
+        return Path(f"/proc/{process}/cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return ""
 
 
 def is_running(process):

@@ -108,8 +108,9 @@ def search(
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
     left = replace(effort, work=effort.work - unshaken.likelihood.work)
-    found = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
-    return replace(found, judged=best_of_each((*found.judged, *first.judged)))
+    second = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
+    likelier = min(second, first, key=lambda found: found.chosen.total)
+    return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
 
 
 def _is_last_resort(hypothesis: Hypothesis) -> bool:

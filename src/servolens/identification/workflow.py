@@ -324,10 +324,10 @@ def _varying(segments: Sequence[Segment], request: Request, noise: Callable[[], 
 
 def _vague(varying: VaryingDamping) -> tuple[Finding, ...]:
     errors = np.sqrt(np.diag(varying.covariance)[:-1])
-    vague = [f"{i + 1}" for i in np.flatnonzero(~(errors < np.maximum(varying.damping, 1.0)))]
+    vague = int(np.sum(~(errors < np.maximum(varying.damping, 1.0))))
     if not vague:
         return ()
-    message = f"time-varying damping: the data hardly determine piece {', '.join(vague)} of {errors.size}."
+    message = f"time-varying damping: the data hardly determine {vague} of its {errors.size} pieces."
     return (Finding(code="pieces_not_determined", severity="note", message=message),)
 
 

@@ -85,7 +85,10 @@ def plot_shares(
     for i, (height, stressed) in enumerate(zip(error, worst, strict=True)):
         ax.bar(i + 0.5, height, width=0.84, color=COLOUR_BEFORE, alpha=1.0 if stressed else 0.35, zorder=2)
     ax.hlines(samples, [i + 0.04 for i in range(samples.size)], [i + 0.96 for i in range(samples.size)], color=INK)
-    ax.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
+    marks = ax.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
+    for mark, (place, _) in zip(marks, ticks, strict=True):
+        if place >= error.size:  # there is no room beyond
+            mark.label1.set_horizontalalignment("right")
     ax.set_xlim(0.0, float(error.size))
     ax.set_ylim(0.0, 1.08 * float(max(error.max(), samples.max())))
     ax.grid(visible=False, axis="x")
