@@ -199,7 +199,7 @@ def test_nothing_to_read_is_said(folder, tmp_path):
     empty.mkdir()
     assert refusal(empty) == f"{empty}: is a folder without logs such as .csv, .mat or .xlsx"
     (empty / "run4.txt").write_text("millis\tpos\n")
-    assert refusal(empty).endswith(f"; name each if it is one, as {empty / 'run4.txt'}")
+    assert refusal(empty).endswith(f"; if a text in it is a log, name that file: {empty / 'run4.txt'}")
     assert refusal(tmp_path / "no.toml") == f"{tmp_path / 'no.toml'}: cannot be opened: no such file or directory"
 
 

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pytest
@@ -813,6 +814,27 @@ def test_damaged_traces_of_codesys_are_refused(tmp_path, content, part):
     with pytest.raises(InputError) as refused:
         read_log(tmp_path / "a.trace", columns={"position": PLC[0]})
     assert part in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (codesys_csv().replace("\n; 300;", "\n;" + " " * 1_000_000 + "x;"), "has damaged time stamps"),
+        (
+            "[key]; [value]\n" + "".join(f"{i}.Variable; a\n{i}.Data; \n" for i in range(1002)),
+            "more than 1000 variables",
+        ),
+        ("<Trace>" + "<TraceVariable/>" * 1002 + "</Trace>", "more than 1000 variables"),
+        ("<Trace>" + "<a>" * 200_000, "more than 100 elements within each other"),
+    ],
+    ids=["blanks", "many, CSV", "many, XML", "deep"],
+)
+def test_hostile_traces_of_codesys_are_refused_at_once(tmp_path, content, part):
+    (tmp_path / "a.trace").write_text(content)
+    begun = process_time()
+    with pytest.raises(InputError, match=part):
+        read_log(tmp_path / "a.trace", columns={"position": PLC[0]})
+    assert process_time() - begun < 10.0  # what SECURITY.md promises
 
 
 def test_blank_cells_between_tabs_are_never_skipped(tmp_path):

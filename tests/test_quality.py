@@ -992,8 +992,8 @@ def test_rounding_is_told_as_noise_where_the_axis_rests():
 @pytest.mark.parametrize(
     ("stated", "tells"),
     [
-        (60 / DEGREE, "correct the stated gains, or the unit of position and reference: they seem to be in degrees."),
-        (60 * DEGREE, "correct the stated gains: they seem to be per degree."),
+        (60 / DEGREE, "position and reference seem to be in degrees: state their unit, or correct the stated gains."),
+        (60 * DEGREE, "the stated gains seem to be per degree: correct the stated gains."),
         (66.0, "correct the stated gains."),
     ],
 )

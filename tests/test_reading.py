@@ -315,7 +315,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (GAIN + HEADER + "0,0,1\n1,1\n2,1,1\n", "line 4 has 2 values where the header row has 3"),
         (
             GAIN + HEADER + "0,0,1\n1,1\n",
-            "line 4 has 2 values where the header row has 3; it is the last line, delete it if the log was cut off",
+            "line 4 has 2 values where the header row has 3; if the log was cut off there, delete this last line",
         ),
         (
             GAIN + HEADER + "0,0,1\n1,1,1,1\n",

@@ -176,8 +176,8 @@ def _folder(folder: Path, root: Path | None) -> Iterator[_Source]:
         except OSError as error:
             raise InputError(f"cannot be listed: {(error.strerror or str(error)).lower()}") from error
         if not files:
-            texts = [path.name for path in entries if path.suffix.lower() in BY_NAME_ONLY]
-            hint = f"; name each if it is one, as {printable(str(folder / texts[0]))}" if texts else ""
+            texts = [path.name for path in entries if path.suffix.lower() in BY_NAME_ONLY and path.is_file()]
+            hint = f"; if a text in it is a log, name that file: {printable(str(folder / texts[0]))}" if texts else ""
             raise InputError(f"is a folder without logs such as .csv, .mat or .xlsx{hint}")
     for file in files:
         with located(str(file)):

@@ -275,7 +275,7 @@ def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
         if fit.misfit > DIFFERENCE:
             cure += f", or the settings of the derivative: {100 * fit.misfit:.2g} % of the voltage is left"
         if record.length_unit == "rad" and stated.kp:
-            cure += _degrees(fit.kp / stated.kp)
+            cure = _degrees(fit.kp / stated.kp) + cure
         message = f"the logged voltage fits {fits}, not {_named(record, stated.kp, stated.kd)}; {cure}."
         yield Finding(code="gains_contradict_log", severity="warning", message=message)
 
@@ -283,8 +283,8 @@ def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
 def _degrees(ratio: float) -> str:
     """Return what the ratio of fitted to stated gains says of degrees in place of radians; empty if nothing."""
     if math.isclose(ratio, DEGREE, rel_tol=DIFFERENCE):
-        return ", or the unit of position and reference: they seem to be in degrees"
-    return ": they seem to be per degree" if math.isclose(ratio, 1.0 / DEGREE, rel_tol=DIFFERENCE) else ""
+        return "position and reference seem to be in degrees: state their unit, or "
+    return "the stated gains seem to be per degree: " if math.isclose(ratio, 1.0 / DEGREE, rel_tol=DIFFERENCE) else ""
 
 
 def _named(record: Record, kp: float, kd: float) -> str:

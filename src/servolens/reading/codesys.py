@@ -30,20 +30,22 @@ if TYPE_CHECKING:
 
 __all__ = ["is_codesys", "read_codesys"]
 
-LARGEST_TEXT = 64 * 2**20
-"""Longest trace that is read [bytes]: its cells take about ten times as much memory while they are split."""
+LARGEST_TEXT = 24 * 2**20
+"""Longest trace that is read [bytes]: while they are split, its cells take up to thirty times as much memory."""
+DEEPEST = 100
+"""Elements of XML within each other at most; a trace has about ten."""
 LOOKED_AT = 4096
 MILLISECONDS, MICROSECONDS = 16, 32
 """Bits of the flags in the CSV."""
 SHARED = 0.9
-"""Share of the samples from which on variables whose recordings began or ended apart stand in one table."""
+"""Share of the samples from which on variables whose recordings began or ended apart stand in one table: a tenth of a
+record may be lost to a late start, more is another trace."""
 TRUTHS = {"true": "1", "false": "0"}
 _CSV = re.compile(r"\s*\[key\];\s*\[value\]|\s*0\.Variable;")
 _XML = re.compile(r"<Trace[\s>]")
 _VARIABLE = re.compile(r"(?m)^\d+\.Variable;(.*)$")
 _DATA = re.compile(r"(?m)^\d+\.Data;.*$")
 _FLAGS = re.compile(r"(?m)^Flags;\s*(\d{1,9})\s*$")
-_SAMPLE = re.compile(r"\s*\n;[ \t]*")
 
 
 @final
@@ -82,10 +84,10 @@ def read_codesys(content: bytes) -> tuple[Table, ...]:
     content = unified(content)
     text = content.decode()
     variables, unit = _of_csv(text) if _CSV.match(text) else _of_xml(content)
-    variables = [one for one in variables[:MOST_COLUMNS] if one.stamps.size or one.fault]
+    variables = [one for one in variables if one.stamps.size or one.fault]
     if not any(one.stamps.size for one in variables):
-        why = next((one.fault.what for one in variables if one.fault), "holds no samples")
-        raise InputError(f"is a CODESYS trace: {why}; record, and save it again")
+        why = next((f"{one.fault.what}; save it again" for one in variables if one.fault), "")
+        raise InputError(f"is a CODESYS trace: {why or 'holds no samples; record, then save it again'}")
     return tuple(_table(group, unit) for group in _together(variables))
 
 
@@ -94,7 +96,8 @@ def _of_csv(text: str) -> tuple[list[_Variable], str | None]:
     found = _FLAGS.search(text)
     flags = int(found[1]) if found else 0
     unit = {MILLISECONDS: "ms", MICROSECONDS: "us"}.get(flags & (MILLISECONDS | MICROSECONDS))
-    pieces = _VARIABLE.split(text)
+    pieces = _VARIABLE.split(text, maxsplit=MOST_COLUMNS + 1)
+    _refuse_many(len(pieces) // 2)
     return [_sampled(name.strip(), rows) for name, rows in zip(pieces[1::2], pieces[2::2], strict=True)], unit
 
 
@@ -102,7 +105,7 @@ def _sampled(name: str, text: str) -> _Variable:
     """Return a variable of a ``.trace.csv`` from the lines ``; time stamp; value`` below its data mark."""
     begin = _DATA.search(text)
     rows = text[begin.end() :].rstrip() if begin else ""
-    cells = _SAMPLE.sub(";", rows).removeprefix(";").split(";") if rows.strip() else []
+    cells = rows.replace("\n;", ";").removeprefix(";").split(";") if rows.strip() else []
     if len(cells) % 2 or rows.count("\n") != len(cells) // 2:
         what = f"column {quote(name)} holds more than one number a sample, or its lines are damaged"
         return _Variable(name, np.empty(0), np.empty(0), Fault("", what))
@@ -131,9 +134,13 @@ class _Parts:
     variables: list[dict[str, list[str]]] = field(default_factory=list)
     resolutions: list[list[str]] = field(default_factory=list)
     text: list[str] | None = None
+    depth: int = 0
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.text = None
+        self.text, self.depth = None, self.depth + 1
+        if self.depth > DEEPEST:
+            raise InputError(f"is XML with more than {DEEPEST} elements within each other; it is not read")
+        _refuse_many(len(self.variables))
         if tag == "TraceVariable":
             self.variables.append({"name": [attributes.get("VarName", "")]})
         elif tag in ("Values", "Timestamps") and self.variables:
@@ -143,7 +150,7 @@ class _Parts:
             self.resolutions.append(self.text)
 
     def end(self, _tag: str) -> None:
-        self.text = None
+        self.text, self.depth = None, self.depth - 1
 
     def characters(self, text: str) -> None:
         if self.text is not None:
@@ -164,7 +171,12 @@ def _of_xml(content: bytes) -> tuple[list[_Variable], str | None]:
         raise InputError(f"is a damaged CODESYS trace (line {error.lineno}); save it again") from error
     stated = {"".join(text).strip().lower() for text in parts.resolutions}
     unit = {"true": "us", "false": "ms"}.get(stated.pop()) if len(stated) == 1 else None
-    return [_listed(one) for one in parts.variables[: MOST_COLUMNS + 1]], unit
+    return [_listed(one) for one in parts.variables], unit
+
+
+def _refuse_many(variables: int) -> None:
+    if variables > MOST_COLUMNS:
+        raise InputError(f"is a CODESYS trace of more than {MOST_COLUMNS} variables, the most that are read")
 
 
 def _refuse_doctype(*_: object) -> None:

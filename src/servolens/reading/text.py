@@ -371,7 +371,7 @@ def _whole(fields: list[str], width: int, line: int, *, is_last: bool) -> list[s
     """Return a row of `width` cells, or refuse the line; the last one may be a log's that was cut off."""
     if len(fields) == width or (len(fields) == width + 1 and not fields[-1].strip()):
         return fields[:width]
-    hint = "; it is the last line, delete it if the log was cut off" if is_last and len(fields) < width else ""
+    hint = "; if the log was cut off there, delete this last line" if is_last and len(fields) < width else ""
     raise InputError(f"line {line} has {len(fields)} values where the header row has {width}{hint}")
 
 
