@@ -27,7 +27,8 @@ MOST = 0.9
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.3, 2.0 / 3.0
-"""Of the effort of the first search, what a second one, by simulations, may take. The first one's share of both."""
+"""Of the effort, what a search by simulations may take, and one after a ripple of the mains was learnt in any case.
+The share of the progress that is the searches' by prediction errors."""
 
 
 @final

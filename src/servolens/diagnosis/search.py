@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 __all__ = ["Search", "search"]
 
 SIMPLE = 0.75
-"""Of the effort, what the search without last resorts may take."""
+"""Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
 UNSHAKEN = 0.4
-"""Of the effort, what a search that takes the axis for one that nothing shakes may take."""
+"""Of the effort, what a search that takes the axis for one that nothing shakes may take. Chosen likewise."""
 
 
 @final
@@ -43,7 +43,7 @@ class Search:
     singles : tuple of Hypothesis
         Single effects, not all of them to their optimum, the best first.
     ended_early : bool
-        Whether the effort was spent before nothing more could be found.
+        Whether the effort was spent before nothing more could be found, and what is left depends on the inputs.
     """
 
     path: tuple[Hypothesis, ...]
@@ -74,7 +74,9 @@ def search(
     """Return the least set of effects that explains the training records, and what else was tried.
 
     An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
-    before all are found, and so hides that together they leave nothing. What then leaves white noise is the answer.
+    before all are found, and so hides that together they leave nothing. If what is found then is likelier than gain and
+    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer; else a second
+    search begins there, and the likelier of both is returned.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def search(
         Tells whether a hypothesis leaves nothing that depends on the inputs; else effects that are a last resort are
         tried as well.
     begun : sequence of Hypothesis
-        What an earlier search has found, if any: this one begins there.
+        What an earlier search has found, if any: this one begins there, and none without shaking is made before it.
     """
     if base.noise.rate == 0.0 or trials.likelihood.simulates or begun:
         return _searched(trials, base, effort, tell, known, is_enough, begun)

@@ -64,7 +64,7 @@ class Simulation:
     measured: NDArray[np.float64]
 
     def shown(self, plant: Plant) -> NDArray[np.float64]:
-        """Return what the sensor of `plant` shows [m or rad]: where the axis is, unless it lags behind."""
+        """Return what a sensor effect of `plant` shows, rounded as the record's encoder does, else the position."""
         return self.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else self.position
 
 

@@ -245,8 +245,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
-    goes = "falls" if errors[1] < errors[0] else "rises"
-    return f"{start}; with {them} the {held}error {goes} from {before} to {after} (r.m.s., the noise is {noise})."
+    goes = f"{'falls' if errors[1] < errors[0] else 'rises'} from {before} to" if before != after else "stays at"
+    return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
