@@ -200,7 +200,7 @@ def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], shown: Er
                 for other, record, position in zip(others, records, shown, strict=True)
             ]
             columns.append(np.concatenate(moved))
-    return np.column_stack(columns)
+    return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])
 
 
 def share_limit(draws: NDArray[np.float64], level: float) -> float:
@@ -234,5 +234,7 @@ def _spanned(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return an orthonormal basis of what the columns of `rows` span."""
     sizes = np.linalg.norm(rows, axis=0)
     rows = rows[:, sizes > 0.0] / sizes[sizes > 0.0]
+    if rows.shape[1] == 0:  # of a loop that answers to nothing
+        return rows
     left, singular, _ = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(left[:, singular > 1e-9 * singular[0]])
