@@ -17,7 +17,6 @@ from scipy.signal import lfilter
 from servolens import lab
 from servolens.control_law import controller_voltage
 from servolens.quality import assess, check, fatal
-from servolens.quality.loop import DEGREE
 from servolens.quality.sampling import quantisation_step, white_noise
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
@@ -992,8 +991,11 @@ def test_rounding_is_told_as_noise_where_the_axis_rests():
 @pytest.mark.parametrize(
     ("stated", "tells"),
     [
-        (60 / DEGREE, "position and reference seem to be in degrees: state their unit, or correct the stated gains."),
-        (60 * DEGREE, "the stated gains seem to be per degree: correct the stated gains."),
+        (
+            60 * 180 / math.pi,
+            "position and reference seem to be in degrees: state their unit, or correct the stated gains.",
+        ),
+        (60 * math.pi / 180, "the stated gains seem to be per degree: correct the stated gains."),
         (66.0, "correct the stated gains."),
     ],
 )

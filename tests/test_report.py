@@ -27,7 +27,7 @@ from servolens.report.curves import curve
 from servolens.report.drawing import drawing
 from servolens.report.figure_data import Line, Panel, Scale, encoded, panels_of
 from servolens.report.figures import damping_at, damping_in_time_figure, plant_formula
-from servolens.report.measured_story import _damping_figures
+from servolens.report.measured_story import damping_figures
 from servolens.report.page import render_page, write_page
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
 from servolens.report.plots_design import Mark, plot_settling_times, plot_step_responses
@@ -126,7 +126,7 @@ def test_laws_of_damping_are_drawn_only_where_the_pieces_are(runs, monkeypatch):
         lambda key, panels, *_: drawn.update({law.label: law for law in panels[0][1]}),
     )
     fit = identify(runs)
-    _damping_figures(fit)
+    damping_figures(fit)
     assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed.min()} != {0.0}
 
 

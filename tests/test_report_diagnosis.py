@@ -20,7 +20,7 @@ from servolens.plant import Plant
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
 from servolens.report.equation import motion_latex
-from servolens.report.figures_diagnosis import _tick, candidates_figure, instrument_figure, telling_instrument
+from servolens.report.figures_diagnosis import candidates_figure, edge_text, instrument_figure, telling_instrument
 from servolens.report.laws import law_along
 from servolens.report.plots_diagnosis import (
     plot_candidates,
@@ -118,7 +118,6 @@ def test_nothing_sticks_out_of_a_figure(rubbing, monkeypatch, tmp_path):
         return text
 
     monkeypatch.setattr("servolens.report.drawing.svg", watched)
-    monkeypatch.setattr("servolens.report.figures_residuals._enlargement", lambda *_: 20000.0)
     fine = Instrument(
         varies="force",
         goes_with="position",
@@ -128,6 +127,8 @@ def test_nothing_sticks_out_of_a_figure(rubbing, monkeypatch, tmp_path):
         value=(-0.00075, -0.00025, 0.00075),
         deviation=(1e-5, 1e-5, 1e-5),
     )
+    enlarged = tuple((before, 1e-4 * after) for before, after in rubbing.missed)  # by some 20 000 times
+    page_of(replace(rubbing, missed=enlarged, noise_floor=1e-4 * rubbing.noise_floor), tmp_path)
     page_of(rubbing, tmp_path)
     instrument_figure("fine", rubbing, fine, None)
     assert cut == []
@@ -417,4 +418,4 @@ def test_rivals_of_a_cause_are_told(rubbing):
 
 def test_speed_of_rounding_is_told_as_zero():
     edges = np.array([0.0, 2.6e-15, 0.004, 7.9])
-    assert [_tick(edges, place) for place in range(4)] == ["0", "0", "0.004", "7.9"]
+    assert [edge_text(edges, place) for place in range(4)] == ["0", "0", "0.004", "7.9"]

@@ -44,7 +44,6 @@ UNITS_OF = {
     "control_period": " s",
 }
 """Of the controller's settings."""
-DEGREE = math.pi / 180.0
 
 
 @final
@@ -282,9 +281,11 @@ def _gains(record: Record, fit: LoopFit) -> Iterator[Finding]:
 
 def _degrees(ratio: float) -> str:
     """Return what the ratio of fitted to stated gains says of degrees in place of radians; empty if nothing."""
-    if math.isclose(ratio, DEGREE, rel_tol=DIFFERENCE):
+    if math.isclose(ratio, math.radians(1.0), rel_tol=DIFFERENCE):
         return "position and reference seem to be in degrees: state their unit, or "
-    return "the stated gains seem to be per degree: " if math.isclose(ratio, 1.0 / DEGREE, rel_tol=DIFFERENCE) else ""
+    return (
+        "the stated gains seem to be per degree: " if math.isclose(ratio, math.degrees(1.0), rel_tol=DIFFERENCE) else ""
+    )
 
 
 def _named(record: Record, kp: float, kd: float) -> str:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "candidates_figure",
+    "edge_text",
     "errors_figure",
     "instrument_figure",
     "shares_figure",
@@ -90,14 +91,14 @@ def _draw_share(ax: Axes, share: Share) -> None:
         factor, text = _scaled(high[-1] if abs(high[-1]) > abs(low[0]) else low[0], share.unit)
         edges = factor * np.append(low, high[-1])
         ends = np.flatnonzero(np.diff(worst, prepend=False, append=False)).tolist()
-        ticks = [(float(place), _tick(edges, place)) for place in _apart([*ends, 0, worst.size], worst.size)]
+        ticks = [(float(place), edge_text(edges, place)) for place in _apart([*ends, 0, worst.size], worst.size)]
         xlabel = f"{name.capitalize()} [{text}]"
     plot_shares(100 * error, 100 * samples, ticks, worst, xlabel=xlabel, title=title, ax=ax)
     ax.set_ylabel("Share [%]")
     ax.title.set_fontsize(8.0)
 
 
-def _tick(edges: NDArray[np.float64], place: int) -> str:
+def edge_text(edges: NDArray[np.float64], place: int) -> str:
     """Return an edge with the digits that the others leave it."""
     largest = float(np.abs(edges).max())
     nothing = 1e-3 if place == 0 else 1e-9  # inside, no more than rounding of the log

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from servolens.report.figures_design import Column
     from servolens.study import Study
 
-__all__ = ["write_measured"]
+__all__ = ["damping_figures", "write_measured"]
 
 MOST_STEPS = 3
 MAPPED = 50
@@ -178,7 +178,7 @@ def _models(fit: Identification) -> Section:
     if fit.velocity is not None:
         blocks.append(plant_formula("law", fit.velocity.plant))
     blocks.append(Summary(title="", tables=told.tables))
-    blocks += _damping_figures(fit)
+    blocks += damping_figures(fit)
     matches = _matches(fit)
     if matches:
         rest = len(fit.records) - len(matches)
@@ -194,7 +194,8 @@ def _models(fit: Identification) -> Section:
     return Section(key="models", title="The models", blocks=tuple(blocks))
 
 
-def _damping_figures(fit: Identification) -> list[Block]:
+def damping_figures(fit: Identification) -> list[Block]:
+    """Return damping in time and against speed, as far as the data determine it."""
     blocks: list[Block] = []
     if fit.varying is not None:
         blocks.append(
