@@ -31,6 +31,7 @@ from servolens.report.plots_diagnosis import (
 )
 from servolens.report.svg import svg
 from servolens.report.wording import symbol_text
+from servolens.simulation import simulate
 from servolens.summaries import diagnosis_summary
 from servolens.summaries.diagnosis import (
     findings_of_logs,
@@ -127,8 +128,11 @@ def test_nothing_sticks_out_of_a_figure(rubbing, monkeypatch, tmp_path):
         value=(-0.00075, -0.00025, 0.00075),
         deviation=(1e-5, 1e-5, 1e-5),
     )
-    enlarged = tuple((before, 1e-4 * after) for before, after in rubbing.missed)  # by some 20 000 times
-    page_of(replace(rubbing, missed=enlarged, noise_floor=1e-4 * rubbing.noise_floor), tmp_path)
+    runs = {
+        kind: tuple(replace(run, position=simulate(rubbing.plant, run).position) for run in getattr(rubbing, kind))
+        for kind in ("records", "heldout")
+    }
+    page_of(replace(rubbing, **runs, noise_floor=1e-7), tmp_path)  # what is left is enlarged by tens of thousands
     page_of(rubbing, tmp_path)
     instrument_figure("fine", rubbing, fine, None)
     assert cut == []
