@@ -288,7 +288,7 @@ class Explorer:
         What cannot be told apart while another cause is missing often can beside it.
         """
         known = {frozenset(h.causes) for h in self.judged}
-        plants = [*parted(hypothesis.plant)]
+        plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
             plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
         others = {

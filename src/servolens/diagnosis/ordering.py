@@ -35,9 +35,6 @@ __all__ = [
     "united",
 ]
 
-LOOKS = 200
-"""Samples, at most, over which the level of a friction is averaged."""
-
 
 def chosen_for_extension(ranked: Sequence[Hypothesis], places: int) -> list[Hypothesis]:
     """Return the hypotheses that are extended: the best, and as many that know no wave in time.
@@ -68,6 +65,8 @@ def specialised(plant: Plant, motion: Screen) -> Iterator[Plant]:
             special = effect_class(name)
             names = [spec.name for spec in special.parameters()]
             if isinstance(effect, DryFriction):
+                if not all(one.startswith("level") for one in names):
+                    continue  # a level tells nothing of a place, a width or a speed
                 values = dict.fromkeys(names, _mean_level(effect, motion))
             else:
                 values = {name: getattr(effect, name) for name in names}
@@ -106,11 +105,10 @@ def parted(plant: Plant) -> Iterator[Plant]:
 
 def _mean_level(friction: DryFriction, motion: Screen) -> float:
     """Return the level of a dry `friction`, the mean over the `motion`."""
-    places, velocities = np.concatenate([s.position for s in motion.segments]), np.concatenate(motion.velocity)
-    every = -(-places.size // LOOKS)
+    places, velocities = motion.thinned.position.tolist(), motion.thinned.velocity.tolist()
     levels = [
         float(type(friction).physics(Axis(place, speed, abs(speed), np.sign(speed), 0.0), friction))
-        for place, speed in zip(places[::every].tolist(), velocities[::every].tolist(), strict=True)
+        for place, speed in zip(places, velocities, strict=True)
     ]
     return float(np.mean(levels))
 

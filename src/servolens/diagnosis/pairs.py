@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["likeliest_pairs"]
 
-PARALLEL = 1e-10
-"""Eigenvalue of the products of unit directions, as a share of the largest, below which they are one."""
-
 
 def likeliest_pairs(
     test: ScoreTest, scored: Sequence[Sequence[Start]], most: int, price: Callable[[Plant], float]
@@ -47,6 +44,7 @@ def likeliest_pairs(
     ends = np.cumsum([0, *(part.shape[1] for part in parts)])
     columns = np.column_stack([np.empty((test.left.size, 0)), *parts])
     columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    rounded = columns.shape[0] * np.finfo(float).eps  # error of a product: below it two directions are one
     products, along = columns.T @ columns, columns.T @ test.left
     pairs = []
     for i, j in combinations(range(len(plants)), 2):
@@ -55,7 +53,7 @@ def likeliest_pairs(
         with suppress(InputError, NumericalError):  # two that do not go together
             plant = plants[i].with_effect(plants[j].effects[-1])
             own = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
-            sizes = np.linalg.lstsq(products[np.ix_(own, own)], along[own], rcond=PARALLEL)[0]
+            sizes = np.linalg.lstsq(products[np.ix_(own, own)], along[own], rcond=rounded)[0]
             pairs.append((float(along[own] @ sizes) - price(plant), _kind(plant), plant))
     found: dict[frozenset[str], Plant] = {}
     for _, kind, plant in sorted(pairs, key=lambda pair: -pair[0]):

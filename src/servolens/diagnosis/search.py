@@ -96,7 +96,8 @@ def search(
     begun : sequence of Hypothesis
         What an earlier search has found, if any: this one begins there, and none without shaking is made before it.
     """
-    if base.noise.rate == 0.0 or trials.likelihood.simulates or begun:
+    is_one = base.noise.rate == 0.0 or trials.likelihood.simulates or bool(begun)
+    if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
         return _searched(trials, base, effort, tell, known, is_enough, begun)
     unshaken = trials.unshaken()
     try:
@@ -104,12 +105,13 @@ def search(
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, share=UNSHAKEN)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
+    left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
+    trials.likelihood.count(unshaken.likelihood.work)
     likeliest = [h for h in first.judged if h.causes][: effort.judged]
     begun = [h for h in (*first.path[1:], *likeliest, *first.singles[: effort.judged]) if not _is_last_resort(h)]
     is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
-    left = replace(effort, work=effort.work - unshaken.likelihood.work)
     second = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
     likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))

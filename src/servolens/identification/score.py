@@ -114,7 +114,7 @@ class ScoreTest:
         Nothing, shape (n, 0), where it has no simulation.
         """
         try:
-            return self.free_of_own(self._columns(plant, self._missed(plant)))
+            return self._beside_own(self._columns(plant, self._missed(plant)))
         except (InputError, NumericalError):
             return np.empty((self.residual.size, 0))
 
@@ -169,14 +169,18 @@ class ScoreTest:
 
     def explained(self, columns: NDArray[np.float64]) -> float:
         """Return how much of the squared residual the `columns`, shape (n, k), explain beside the hypothesis."""
-        free = self.free_of_own(columns)
-        sizes = np.linalg.norm(free, axis=0)
-        free = free[:, sizes > 1e-9 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
+        free = self._beside_own(columns)
         if free.shape[1] == 0:
             return 0.0
         q, _ = np.linalg.qr(free / np.linalg.norm(free, axis=0))
         along = q.T @ self._left
         return float(along @ along)
+
+    def _beside_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what the hypothesis does not explain itself of `columns`, without those of which that is nothing."""
+        free = self.free_of_own(columns)
+        sizes = np.linalg.norm(free, axis=0)
+        return free[:, sizes > 1e-9 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
 
     def _columns(self, plant: Plant, missed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the differences of what `plant` and the hypothesis miss; of a wave, for each record and two phases."""
