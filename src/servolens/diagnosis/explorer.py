@@ -47,9 +47,9 @@ FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
-SHARE, SPENT, RESERVE = 0.25, 0.25, 0.1
+SHARE, SPENT = 0.25, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for, and what rounds that simplify always have."""
+whole, with how little left no further effect is looked for: so much is kept for fits to their optimum."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -80,9 +80,12 @@ class Explorer:
         """Samples times substeps that may still be simulated."""
         return max(self.effort.work - (self.likelihood.work - self.worked), 0.0)
 
-    def _allowance(self, jobs: int) -> float:
-        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order."""
-        return SHARE * max(self.left, RESERVE * self.effort.work) / max(jobs, 1)
+    def _allowance(self, jobs: int, kept: float = 0.0) -> float:
+        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
+
+        As if a share `kept` of the effort were left in any case.
+        """
+        return SHARE * max(self.left, kept * self.effort.work) / max(jobs, 1)
 
     def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the way from `base` to the best of those `begun`, if one is likelier."""
@@ -340,7 +343,7 @@ class Explorer:
 
     def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
-        share = self._allowance(len(jobs))
+        share = self._allowance(len(jobs), SPENT)
         fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
         found = [h for h in fits if h]
         self.judged += found
