@@ -15,8 +15,9 @@ from servolens.diagnosis import diagnose
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.effects import CATALOGUE
 from servolens.errors import InputError
-from servolens.findings import Finding, grouped
+from servolens.findings import Finding
 from servolens.plant import Plant
+from servolens.rendering import grouped
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
 from servolens.report.equation import motion_latex

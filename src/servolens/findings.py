@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
-__all__ = ["Finding", "Severity", "grouped", "together"]
+__all__ = ["Finding", "Severity", "listed", "together"]
 
 Severity = Literal["note", "warning", "error"]
-ACCELERATION = re.compile(r"(?<=/s)\^2\b")
-MOST_NAMES = 4
-"""Records that are named; the others are counted."""
 
 
 @final
@@ -44,29 +40,6 @@ class Finding:
         return {"code": self.code, "severity": self.severity, "message": self.message, "record": self.record}
 
 
-def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings as people are told them: each once, of all records of which it is true, accelerations in m/s².
-
-    Parameters
-    ----------
-    findings : iterable of Finding
-        In the order in which they are told.
-
-    Examples
-    --------
-    >>> found = grouped(Finding(code="gaps", severity="note", message="gaps.", record=name) for name in "abc")
-    >>> [finding.record for finding in found]
-    ['a, b and c']
-    """
-    records: dict[Finding, list[str]] = {}
-    for finding in dict.fromkeys(findings):
-        records.setdefault(replace(finding, record=None), []).extend([finding.record] if finding.record else [])
-    return tuple(
-        replace(finding, record=_listed(names), message=ACCELERATION.sub("²", finding.message))
-        for finding, names in records.items()
-    )
-
-
 def together(*groups: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return the findings of all groups; what an earlier group has told of a record, a later one does not repeat."""
     told: list[Finding] = []
@@ -76,7 +49,15 @@ def together(*groups: Sequence[Finding]) -> tuple[Finding, ...]:
     return tuple(told)
 
 
-def _listed(names: list[str]) -> str | None:
-    if len(names) > MOST_NAMES:
-        names = [*names[: MOST_NAMES - 1], f"{len(names) - MOST_NAMES + 1} more"]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names) or None
+def listed(words: Sequence[str], most: int = 4, last: str = "and") -> str:
+    """Return `words` as a list in a sentence, at most `most` of them; semicolons part words that hold commas.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(list("abcdefg"))
+    ('a, b and c', 'a, b, c and 4 more')
+    """
+    mark = "; " if any("," in word for word in words) else ", "
+    if len(words) > most:
+        return f"{mark.join(words[: most - 1])} {last} {len(words) - most + 1} more"
+    return f" {last} ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING
 
-from servolens.findings import grouped
+from servolens.findings import listed
+from servolens.units import unit
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from rich.console import Console
 
     from servolens.findings import Finding
     from servolens.summary import Summary, Table
 
-__all__ = ["as_html", "as_text", "by_severity", "escaped", "print_summary", "told_finding"]
+__all__ = ["as_html", "as_text", "by_severity", "escaped", "grouped", "print_summary", "told_finding"]
 
 NARROWEST_NAME = 12
 """Columns of text into which the first column may be folded."""
@@ -146,6 +150,31 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return cell in ("–", "")
     return True
+
+
+def grouped(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings as people are told them: each once, of all records of which it is true, units with exponents.
+
+    Parameters
+    ----------
+    findings : iterable of Finding
+        In the order in which they are told.
+
+    Examples
+    --------
+    >>> from servolens.findings import Finding
+    >>> found = grouped(Finding(code="gaps", severity="note", message="gaps.", record=name) for name in "abc")
+    >>> [finding.record for finding in found]
+    ['a, b and c']
+    """
+    records: dict[tuple[Finding, bool], list[str]] = {}  # what is true of the whole campaign is told of no record
+    for finding in dict.fromkeys(findings):
+        key = replace(finding, record=None), finding.record is None
+        records.setdefault(key, []).extend([finding.record] if finding.record else [])
+    return tuple(
+        replace(finding, record=listed(names) if names else None, message=unit(finding.message))
+        for (finding, _), names in records.items()
+    )
 
 
 def by_severity(findings: tuple[Finding, ...]) -> list[Finding]:

@@ -18,7 +18,7 @@ from servolens.errors import InputError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["Unit", "parse_unit", "prefixed", "readable", "split_number"]
+__all__ = ["Unit", "parse_unit", "prefixed", "readable", "split_number", "unit"]
 
 Dimension = tuple[tuple[str, float], ...]
 
@@ -241,3 +241,14 @@ def _registry() -> Any:
 
 def _sorted(dimension: Mapping[str, float]) -> Dimension:
     return tuple(sorted((base, float(power)) for base, power in dimension.items() if power))
+
+
+def unit(text: str) -> str:
+    """Return a unit as people write it.
+
+    Examples
+    --------
+    >>> unit("m/s^2/V")
+    'm/s²/V'
+    """
+    return text.replace("^2", "²").replace("^3", "³")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
 from servolens.effects import catalogue
-from servolens.findings import grouped
+from servolens.rendering import grouped
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
 from servolens.summaries.names import cause_phrase, spoken

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from servolens.units import prefixed
+from servolens.findings import listed
+from servolens.units import prefixed, unit
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
     from servolens.model import Quantity
 
@@ -167,17 +168,6 @@ def interval(quantity: Quantity) -> str:
     return " to ".join(minus(f"{bound:.{decimals}f}") for bound in bounds)
 
 
-def unit(text: str) -> str:
-    """Return a unit as people write it.
-
-    Examples
-    --------
-    >>> unit("m/s^2/V")
-    'm/s²/V'
-    """
-    return text.replace("^2", "²").replace("^3", "³")
-
-
 def scale(values: Iterable[float], length_unit: str) -> tuple[float, str]:
     """Return the factor and the unit in which the largest of `values` [m or rad] is easy to read.
 
@@ -247,20 +237,6 @@ def capital(text: str) -> str:
     ('A dead zone', '11 mm')
     """
     return text[:1].upper() + text[1:]
-
-
-def listed(words: Sequence[str], most: int = 4, last: str = "and") -> str:
-    """Return `words` as a list in a sentence, at most `most` of them; semicolons part words that hold commas.
-
-    Examples
-    --------
-    >>> listed(["a", "b", "c"]), listed(list("abcdefg"))
-    ('a, b and c', 'a, b, c and 4 more')
-    """
-    mark = "; " if any("," in word for word in words) else ", "
-    if len(words) > most:
-        return f"{mark.join(words[: most - 1])} {last} {len(words) - most + 1} more"
-    return f" {last} ".join([mark.join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def _unsigned_zero(text: str) -> str:
