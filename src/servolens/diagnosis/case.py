@@ -6,7 +6,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, TypeVar, final
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
+from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import loop_error
 from servolens.identification.observed import clock_error
@@ -27,9 +28,10 @@ from servolens.processors import in_parallel
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from servolens.findings import Finding
+    from servolens.identification.bursts import Burst
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.options import Prior
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["Case"]
+
+T = TypeVar("T")
 
 REFITTED = 5e6
 """Samples times substeps that a refit without one record may simulate: it begins at the optimum of all."""
@@ -76,6 +80,7 @@ class Case:
         self.base = self.trials.base()
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
+        self._bursts: dict[int, tuple[Hypothesis, Burst | None]] = {}
         self._ripples: dict[int, tuple[Hypothesis, Ripple]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._simulating: Case | None = None
@@ -95,7 +100,7 @@ class Case:
         other.trials = self.trials.simulating()
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
-        other._dependent, other._left_out, other._ripples, other._held = {}, {}, {}, None
+        other._dependent, other._bursts, other._left_out, other._ripples, other._held = {}, {}, {}, {}, None
         self._simulating = other
         return other
 
@@ -114,11 +119,7 @@ class Case:
 
         An observer would follow the ripple, and so hide it.
         """
-        known = self._ripples.get(id(hypothesis))
-        if known is None:
-            known = hypothesis, self._ripple(hypothesis)
-            self._ripples[id(hypothesis)] = known
-        return known[1]
+        return _once(self._ripples, hypothesis, self._ripple)
 
     def _ripple(self, hypothesis: Hypothesis) -> Ripple:
         likelihood = self.likelihood
@@ -162,11 +163,17 @@ class Case:
         """Tell whether what `hypothesis` leaves does not depend on the inputs."""
         if self.likelihood.simulates:
             return False
-        known = self._dependent.get(id(hypothesis))
-        if known is None:
-            known = hypothesis, self._depends(hypothesis)
-            self._dependent[id(hypothesis)] = known
-        return not known[1]
+        return not _once(self._dependent, hypothesis, self._depends)
+
+    def burst(self, hypothesis: Hypothesis) -> Burst | None:
+        """Return the strongest burst of what shakes the axis beside `hypothesis`; None where it is steady, or nothing.
+
+        Of a hypothesis that leaves nothing that depends on the inputs: the noise that it claims must be noise.
+        """
+        if hypothesis.noise.rate == 0.0 or not self.is_enough(hypothesis):
+            return None
+        likelihood = self.likelihood
+        return _once(self._bursts, hypothesis, lambda h: burst_of(ScoreTest(likelihood, likelihood.whitened_well(h))))
 
     def _depends(self, hypothesis: Hypothesis) -> bool:
         """Ask the innovations; and the loops where the noise may have taken up what the model lacks.
@@ -279,12 +286,8 @@ class Case:
 
     def left_out(self, hypothesis: Hypothesis) -> list[Plant]:
         """Return, for each training record, the plant of `hypothesis` refitted without it."""
-        known = self._left_out.get(id(hypothesis))
-        if known is None:
-            jobs = list(zip(range(len(self.records)), self.cuts, strict=True))
-            known = hypothesis, in_parallel(lambda job: self._without(hypothesis, *job), jobs)
-            self._left_out[id(hypothesis)] = known
-        return known[1]
+        jobs = list(zip(range(len(self.records)), self.cuts, strict=True))
+        return _once(self._left_out, hypothesis, lambda h: in_parallel(lambda job: self._without(h, *job), jobs))
 
     def _without(self, hypothesis: Hypothesis, i: int, cut: int) -> Plant:
         kept = [k for k in range(len(self.records)) if k != i]
@@ -320,3 +323,12 @@ class Case:
             clock = float(np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals]))
             return max(float(np.sqrt(chosen.noise.spread**2 + clock + ripple**2)), 1e-300)
         return max(self.likelihood.floor, ripple, resting_noise(self.records))
+
+
+def _once(known: dict[int, tuple[Hypothesis, T]], hypothesis: Hypothesis, make: Callable[[Hypothesis], T]) -> T:
+    """Return what is made of a hypothesis, or was made of it before."""
+    found = known.get(id(hypothesis))
+    if found is None:
+        found = hypothesis, make(hypothesis)
+        known[id(hypothesis)] = found
+    return found[1]

@@ -50,7 +50,7 @@ def said(
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
-        told.append(_shaken(case, remainder))
+        told += [_shaken(case, remainder), *_bursts(case, chosen)]
     if chosen.unpowered:
         told.append(_unpowered(case))
     if decision.found.ended_early:
@@ -58,8 +58,7 @@ def said(
         told.append(Finding(code="effort_spent", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained") and not remainder.material:
         message = (
-            "what is left depends on the inputs and has no known cause, but is immaterial:"
-            f" {100 * remainder.of_travel:.2g} % of the travel."
+            f"what is left has no known cause, but is immaterial: {100 * remainder.of_travel:.2g} % of the travel."
         )
         told.append(Finding(code="immaterial_remainder", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained"):
@@ -99,6 +98,17 @@ def _shaken(case: Case, remainder: Remainder) -> Finding:
         " machine nearby."
     )
     return Finding(code="shaken_axis", severity="note", message=message)
+
+
+def _bursts(case: Case, chosen: Hypothesis) -> Iterator[Finding]:
+    burst = case.burst(chosen)
+    if burst is not None:
+        message = (
+            f"what shakes the axis comes in bursts, the strongest {readable(burst.time, 's')} into"
+            f" {case.records[burst.record].name}: look for knocks, for a contact or friction that comes and goes, and"
+            " for counts that the encoder loses."
+        )
+        yield Finding(code="bursts", severity="note", message=message)
 
 
 def _unpowered(case: Case) -> Finding:

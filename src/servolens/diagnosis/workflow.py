@@ -189,10 +189,13 @@ def _check_priors(names: Iterable[str]) -> None:
 
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
-    """Judge what is left in the training records, and whether those held out are of the same axis."""
+    """Judge what is left in the training records, and whether those held out are of the same axis.
+
+    What comes in bursts is no noise that a model claims, whether or not it depends on the inputs.
+    """
     chosen = path[-1]
     fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
-    if case.is_enough(chosen) and not fails:
+    if case.is_enough(chosen) and not fails and case.burst(chosen) is None:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 

@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
 
-__all__ = ["depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
+__all__ = ["BLOCKS", "TESTS", "depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
-TESTS = 4
-"""Among which the familywise error rate is shared: forces, changes of the reference, ringing, rest against motion."""
+TESTS = 5
+"""Among which the familywise error rate is shared: forces, changes of the reference, ringing, rest against motion,
+bursts."""
 BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
 """Samples of a block: a few, as many as a fast loop remembers, and a slow one; blocks of a third that is compared."""
 SMALL = 1e-3

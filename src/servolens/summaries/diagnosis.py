@@ -40,7 +40,7 @@ __all__ = [
 
 FEW_SAMPLES = 200
 """Samples up to which records show little."""
-SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis")
+SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
@@ -253,10 +253,11 @@ def _healthy(diagnosis: Diagnosis) -> str:
     several = len(diagnosis.experiments) > 1
     noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
     these, they = ("these records", "they") if several else ("this record", "it")
-    if any(finding.code == "shaken_axis" for finding in diagnosis.findings):
+    if _has(diagnosis, "shaken_axis"):
+        bursts = " in bursts" if _has(diagnosis, "bursts") else ""
         return (
             f"gain and damping explain how {these} depend{'' if several else 's'} on the reference; in addition"
-            f" something shakes the axis, and the sensor's noise is {noise} (r.m.s.)."
+            f" something shakes the axis{bursts}, and the sensor's noise is {noise} (r.m.s.)."
         )
     return (
         f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
@@ -269,6 +270,8 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     if contradiction:
         told = unit(contradiction[0].message)
         return told if told.endswith((".", "?")) else f"{told}."
+    if not diagnosis.remainder.depends_on_inputs and _has(diagnosis, "bursts"):
+        return _healthy(diagnosis)
     where = where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
@@ -289,7 +292,7 @@ def _first_the_log(diagnosis: Diagnosis) -> list[str]:
 
 def _left(diagnosis: Diagnosis) -> list[str]:
     """Say what remains, where something does."""
-    if any(finding.code == "heldout_contradicts" for finding in diagnosis.findings):
+    if _has(diagnosis, "heldout_contradicts"):
         return ["Records that were held out are much farther off than those that were fitted: see the warnings below."]
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
     if not math.isfinite(rest.rms):
@@ -308,6 +311,10 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     if not rest.material:
         return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
+
+
+def _has(diagnosis: Diagnosis, code: str) -> bool:
+    return any(finding.code == code for finding in diagnosis.findings)
 
 
 def _error(diagnosis: Diagnosis, *, after: bool) -> float:

@@ -1,0 +1,66 @@
+"""Whether what shakes an axis is as strong all the time, or comes in bursts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import servolens
+from servolens import lab
+from servolens.diagnosis import diagnose
+from servolens.identification.bursts import Burst, burst_of
+from servolens.identification.likelihood import Likelihood
+from servolens.identification.noise import NoiseModel
+from servolens.identification.options import FitOptions
+from servolens.identification.score import ScoreTest
+from servolens.simulation.loop import simulate
+
+H, RATE, CORNER, KNOCK = 1e-3, 120.0, 20.0, 3.0
+CART = servolens.Plant(gain=2.0, damping=8.0)
+NOISE = replace(NoiseModel.white(1e-6), gain=CART.gain, damping=CART.damping, rate=RATE, corner=CORNER)
+
+
+def shaken_loop(seed, knock=0.0):
+    """Return a loop that a steady acceleration shakes as the noise model has it, and a knock of 20 ms beside it."""
+    stream, time = np.random.default_rng(seed), np.arange(5000) * H
+    kept, power = NOISE.shaking(H)
+    white = stream.standard_normal(time.size)
+    shake = NOISE.spread * np.sqrt(power) * lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], white)
+    shake += knock * np.std(shake) * ((time >= KNOCK) & (time < KNOCK + 0.02))
+    error = NOISE.spread * stream.standard_normal(time.size)
+    reference = 0.1 * ((time >= 0.2) & (time < 2.2))
+    still = servolens.Record(
+        time=time, position=0.0 * time, reference=reference, controller=servolens.Controller(kp=60.0)
+    )
+    run = simulate(CART, still, acceleration=shake)
+    return replace(still, position=run.position + error, voltage=run.voltage)
+
+
+def burst_in(records):
+    likelihood = Likelihood(records, CART, FitOptions())
+    found = likelihood.judged(CART, iterations=10)
+    assert found.noise.rate > 0.0
+    return burst_of(ScoreTest(likelihood, found))
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_what_shakes_steadily_is_no_burst(seed):
+    assert burst_in([shaken_loop(seed), shaken_loop(seed + 100)]) is None
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_knock_is_found_in_its_record_at_its_time(seed):
+    assert burst_in([shaken_loop(seed), shaken_loop(seed + 100, knock=12.0)]) == Burst(1, pytest.approx(KNOCK, abs=0.1))
+
+
+@pytest.mark.parametrize("law", ["random_knocks", "missed_counts"])
+@pytest.mark.parametrize("seed", [7311, 7312])
+def test_what_comes_in_bursts_is_told_and_neither_healthy_nor_explained(law, seed):
+    campaign = lab.hidden_campaign(seed, foreign=law, visibility=60.0, records=3, heldout=1)
+    found = diagnose(campaign.records, heldout=campaign.heldout)
+    assert found.verdict in ("unexplained", "partly_explained")
+    bursts = [finding for finding in found.findings if finding.code == "bursts"]
+    assert bursts or found.remainder.depends_on_inputs
+    if bursts and not found.causes:
+        assert "in bursts" in str(found.summary())
