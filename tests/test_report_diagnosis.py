@@ -69,7 +69,7 @@ def healthy():
 
 def page_of(diagnosis, folder):
     path = folder / "diagnosis.html"
-    write_diagnosis_report(path, diagnosis)
+    write_diagnosis_report(str(path), diagnosis)
     text = path.read_text(encoding="utf-8")
     assert_self_contained(text)
     return text

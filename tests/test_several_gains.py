@@ -96,6 +96,12 @@ def test_limits_that_no_gain_keeps_are_named_with_what_can_be_kept():
     assert tune(PAPER, replace(SPEC, kp=100.0, **{name: least})).feasible
 
 
+def test_limits_that_no_gain_keeps_are_told_with_their_units():
+    found = tune(PAPER, replace(SPEC, kp=100.0, delay_margin=0.5, noise_gain=2e3))
+    assert found.kd is None
+    assert "the delay margin of 0.5 s and the noise gain of 2000 V/m" in found.reason
+
+
 def test_a_map_knows_the_limits_of_the_linearised_loop():
     spec = replace(SPEC, peak_sensitivity=1.3)
     axes = np.linspace(60.0, 120.0, 4), np.linspace(3.0, 9.0, 7)

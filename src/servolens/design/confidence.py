@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["trust"]
 
 MISSED = 0.05
-"""R.m.s. of the held-out error over the step from which on a model is not that of the axis."""
+"""R.m.s. of the held-out error over the step from which on a model in the stated loop is not the axis."""
 ORDER = ("green", "amber", "red")
 
 
@@ -70,7 +70,7 @@ def _model_light(evidence: Evidence | None) -> Light:
             light="red",
             sentence=(
                 f"On data that took no part in the fit the simulation misses {100 * missed:.2g} % of the step (r.m.s.),"
-                f" more than {100 * MISSED:g} %: this model is not that of the axis."
+                f" more than {100 * MISSED:g} %: the model, or what the records state of their loop, is wrong."
             ),
         )
     if left is None:
@@ -104,7 +104,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     if kd is None:
         return Light(light="red", sentence=_sentence(design.reason or "no gain meets the spec"))
     if of_model.light == "red":
-        return Light(light="red", sentence=f"A gain would be designed on a wrong model. {of_model.sentence}")
+        return Light(light="red", sentence=f"A gain would be designed on what the records contradict. {of_model.sentence}")
     if chosen is not None and chosen.probability < NINE_OF_TEN:
         return Light(
             light="red",

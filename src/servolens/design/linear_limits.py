@@ -60,8 +60,9 @@ def none_keeps(
     best = int(np.argmin(worst))
     missed = tuple(name for name, limit in spec.limits.items() if _ratio(found[best], name, limit) > 1.0)
     changes = tuple((name, _rounded(getattr(found[best], name), up=name != "delay_margin")) for name in missed)
-    reached = " and ".join(f"a {WORDS[name]} of {value:g}" for name, value in changes)
-    asked = " and ".join(f"the {WORDS[name]} of {limit:g}" for name, limit in spec.limits.items())
+    units = {"delay_margin": " s", "noise_gain": f" {plants[0].command_unit}/{plants[0].length_unit}"}
+    reached = " and ".join(f"a {WORDS[name]} of {value:g}{units.get(name, '')}" for name, value in changes)
+    asked = " and ".join(f"the {WORDS[name]} of {limit:g}{units.get(name, '')}" for name, limit in spec.limits.items())
     reason = (
         f"no {spec.free} that meets the spec otherwise, {gains[0]:.4g} to {gains[-1]:.4g}, keeps to {asked};"
         f" {reached} can be met ({spec.free} = {gains[best]:.4g})"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +41,7 @@ from servolens.summaries.wording import capital, listed, plus_minus, unit
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    import os
 
     from servolens.diagnosis import Diagnosis
     from servolens.report.content import Block
@@ -55,12 +56,12 @@ WHY = {
 }
 
 
-def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
+def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis) -> None:
     """Write a diagnosis as one self-contained page.
 
     Parameters
     ----------
-    path : Path
+    path : path
         The HTML or PDF file.
     diagnosis : Diagnosis
         What was found.
@@ -78,7 +79,7 @@ def write_diagnosis_report(path: Path, diagnosis: Diagnosis) -> None:
     ]
     more = [Lights(lights=diagnosis_lights(diagnosis)), *_log(diagnosis), *remaining_sentences(diagnosis)]
     more.append(_tested(diagnosis))
-    write_page(path, f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
+    write_page(Path(path), f"Diagnosis: {listed(names)}", verdict_sentence(diagnosis), more, sections)
 
 
 def diagnosis_sections(diagnosis: Diagnosis) -> list[Section]:

@@ -302,7 +302,9 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
-        told = f"In addition the simulation misses {size}, which does not depend on the reference. {worth}"
+        in_doubt = findings_of_logs(diagnosis)
+        why = "with what the logs state of their loop" if in_doubt else "which does not depend on the reference"
+        told = f"In addition the simulation misses {size}, {why}. {worth}"
         return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
