@@ -104,7 +104,9 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     if kd is None:
         return Light(light="red", sentence=_sentence(design.reason or "no gain meets the spec"))
     if of_model.light == "red":
-        return Light(light="red", sentence=f"A gain would be designed on what the records contradict. {of_model.sentence}")
+        return Light(
+            light="red", sentence=f"A gain would be designed on what the records contradict. {of_model.sentence}"
+        )
     if chosen is not None and chosen.probability < NINE_OF_TEN:
         return Light(
             light="red",

@@ -129,9 +129,9 @@ class Explorer:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         noise = beam[0].noise
         if noise.rate == 0.0 and not noise.is_model_error and not self.likelihood.simulates:
-            # what leaves no more than sensor noise is no impostor, unless what has fewer parameters reaches as far
+            # what leaves no more than sensor noise is no impostor, unless what has no more parameters reaches as far
             best, *others = beam
-            beam = [best, *(h for h in others if len(h.plant.values) + 1 < len(best.plant.values))]
+            beam = [best, *(h for h in others if len(h.plant.values) + 1 <= len(best.plant.values))]
         members = sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
@@ -198,7 +198,7 @@ class Explorer:
         self.tell(f"Looking for {cause}", done)
         is_observed = hypothesis.noise.rate > 0.0
         is_enough = bool(hypothesis.causes) and self.is_enough(hypothesis)
-        kin = set() if is_observed or is_enough else set(hypothesis.causes)
+        kin = set() if is_observed else set(hypothesis.causes)
         tried = [
             name
             for name, cls in catalogue().items()
@@ -328,10 +328,28 @@ class Explorer:
                 starts = [] if cls.is_last_resort else self.trials.starts(test, other)
                 yield from (start.plant for start in starts[:1])
 
+    def generalised(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` or what comes of a last resort in the place of causes that it generalises.
+
+        Coloured noise takes up what causes of nearly the right form leave, so that it does not depend on the inputs; and
+        the effort may have been spent before any was tried.
+        """
+        if hypothesis.noise.rate > 0.0:  # an observer follows what is left in any case
+            return hypothesis
+        test = ScoreTest(self.likelihood, hypothesis)
+        for name, cls in catalogue().items():
+            if cls.is_last_resort and set(cls.generalises) & set(hypothesis.causes):
+                starts = [s for s in self.trials.starts(test, name)[:1] if s.gain > self.trials.price(cls)]
+                found = self._judged([(start.plant, hypothesis) for start in starts])
+                if found and found[0].total < hypothesis.total:
+                    return self.improved(found[0])
+        return hypothesis
+
     def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
+        hypothesis = self.generalised(hypothesis)
         others = [*specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)]
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]

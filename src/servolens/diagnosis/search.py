@@ -6,6 +6,7 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -25,8 +26,9 @@ __all__ = ["Search", "search"]
 
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
-UNSHAKEN = 0.4
-"""Of the effort, what a search that takes the axis for one that nothing shakes may take. Chosen likewise."""
+UNSHAKEN, LIKELIER = 0.4, 0.7
+"""Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
+something likelier than that the axis is shaken. Chosen likewise."""
 
 
 @final
@@ -102,7 +104,9 @@ def search(
     unshaken = trials.unshaken()
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, share=UNSHAKEN)
+        first = _searched(
+            unshaken, unshaken.base(), effort, told, known, is_enough, share=UNSHAKEN, likelier=(base.total, LIKELIER)
+        )
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
     left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
@@ -137,10 +141,12 @@ def _searched(
     begun: Sequence[Hypothesis] = (),
     *,
     share: float = 1.0,
+    likelier: tuple[float, float] = (-math.inf, 1.0),
 ) -> Search:
     """Return what is found beside noise of one kind with a `share` of the effort.
 
-    What was found beside another, `begun`, is where it begins.
+    What was found beside another, `begun`, is where it begins. Where its total is less than the first of `likelier`, it
+    goes on with as large a share as the second says.
     """
     explorer = Explorer(trials, effort, tell, known, is_enough)
     reached = explorer.path_to_the_best(base, begun)
@@ -151,6 +157,9 @@ def _searched(
         explorer.with_last_resorts = True
         further, early = explorer.walked([base], share * effort.work)
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
+        limit, more = likelier
+        if early and path[-1].total < limit and not is_enough(path[-1]):
+            path, early = explorer.walked(path, more * effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     return Search(

@@ -194,11 +194,17 @@ def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 def forced(test: ScoreTest) -> NDArray[np.float64]:
-    """Return what each force of a general kind would do to the whitened residual, shape (n, k)."""
+    """Return what each force of a general kind would do to the whitened residual, shape (n, k).
+
+    Without those under which an axis that sticks would chatter so fast that it cannot be simulated.
+    """
     laws = _laws(test)
     size = SMALL * max(float(np.abs(run.signals.voltage).max()) for run in test.runs)
-    count = laws[0].shape[0]
-    return np.column_stack([test.pushed([law[k] for law in laws], size) for k in range(count)])
+    columns = [np.empty((test.residual.size, 0))]
+    for k in range(laws[0].shape[0]):
+        with suppress(NumericalError):
+            columns.append(test.pushed([law[k] for law in laws], size))
+    return np.column_stack(columns)
 
 
 def _laws(test: ScoreTest) -> list[NDArray[np.float64]]:
