@@ -104,9 +104,8 @@ def search(
     unshaken = trials.unshaken()
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        first = _searched(
-            unshaken, unshaken.base(), effort, told, known, is_enough, share=UNSHAKEN, likelier=(base.total, LIKELIER)
-        )
+        part = _Part(UNSHAKEN, LIKELIER, promising=base.total)
+        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, part=part)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
     left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
@@ -119,6 +118,16 @@ def search(
     second = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
     likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one."""
+
+    share: float = 1.0
+    longer: float = 1.0
+    promising: float = -math.inf
 
 
 def _is_last_resort(hypothesis: Hypothesis) -> bool:
@@ -139,27 +148,24 @@ def _searched(
     known: Sequence[Hypothesis],
     is_enough: Callable[[Hypothesis], bool],
     begun: Sequence[Hypothesis] = (),
-    *,
-    share: float = 1.0,
-    likelier: tuple[float, float] = (-math.inf, 1.0),
+    part: _Part | None = None,
 ) -> Search:
-    """Return what is found beside noise of one kind with a `share` of the effort.
+    """Return what is found beside noise of one kind with a `part` of the effort, by default all of it.
 
-    What was found beside another, `begun`, is where it begins. Where its total is less than the first of `likelier`, it
-    goes on with as large a share as the second says.
+    What was found beside another, `begun`, is where it begins.
     """
+    part = part or _Part()
     explorer = Explorer(trials, effort, tell, known, is_enough)
     reached = explorer.path_to_the_best(base, begun)
-    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * share * effort.work)
+    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * part.share * effort.work)
     if is_enough(path[-1]):
         early = False
     else:
         explorer.with_last_resorts = True
-        further, early = explorer.walked([base], share * effort.work)
+        further, early = explorer.walked([base], part.share * effort.work)
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
-        limit, more = likelier
-        if early and path[-1].total < limit and not is_enough(path[-1]):
-            path, early = explorer.walked(path, more * effort.work)
+        if early and path[-1].total < part.promising and not is_enough(path[-1]):
+            path, early = explorer.walked(path, part.longer * effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     return Search(
