@@ -22,15 +22,25 @@ __all__ = ["Proposals", "Thinned", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
 """Samples that are kept, more or less."""
+TOGETHER = 32
+"""Effects whose forces are integrated at once: enough to be quick, and few for what memory that takes in between."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Forces of one class and their double integrals, shape (all sizes, n), initial states projected out."""
+    """Forces of one class and their double integrals, initial states projected out.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        One force each.
+    blocks : tuple of ndarray, shape (all sizes, n)
+        Of so many effects as are integrated together.
+    """
 
     effects: tuple[Effect, ...]
-    columns: NDArray[np.float64]
+    blocks: tuple[NDArray[np.float64], ...]
 
 
 @final
@@ -94,7 +104,8 @@ class Thinned:
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
-        return Proposals(tuple(effects), self._freed(self._forces(effects)))
+        parts = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
+        return Proposals(tuple(effects), tuple(self._freed(self._forces(part)) for part in parts))
 
     def ranked(self, others: Sequence[Effect], proposals: Proposals) -> list[tuple[float, Effect]]:
         """Return the proposals with the square error that each one leaves beside `others`, the best first.
@@ -105,13 +116,15 @@ class Thinned:
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
-        columns = proposals.columns - (proposals.columns @ basis) @ basis.T
-        along, total, left = columns @ target, float(target @ target), []
-        width = columns.shape[0] // max(len(proposals.effects), 1)
-        for i, effect in enumerate(proposals.effects):
-            own = slice(i * width, (i + 1) * width)
-            sizes = np.linalg.lstsq(columns[own] @ columns[own].T, along[own], rcond=1e-9)[0]
-            left.append((total - float(sizes @ along[own]), effect))
+        total, left = float(target @ target), []
+        for first, block in zip(range(0, len(proposals.effects), TOGETHER), proposals.blocks, strict=True):
+            columns = block - (block @ basis) @ basis.T
+            along, effects = columns @ target, proposals.effects[first : first + TOGETHER]
+            width = columns.shape[0] // len(effects)
+            for i, effect in enumerate(effects):
+                own = slice(i * width, (i + 1) * width)
+                sizes = np.linalg.lstsq(columns[own] @ columns[own].T, along[own], rcond=1e-9)[0]
+                left.append((total - float(sizes @ along[own]), effect))
         return sorted(left, key=lambda pair: pair[0])
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
