@@ -165,6 +165,10 @@ class Case:
             return False
         return not _once(self._dependent, hypothesis, self._depends)
 
+    def explains(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether what `hypothesis` leaves is the noise that it claims: steady, and independent of the inputs."""
+        return self.is_enough(hypothesis) and self.burst(hypothesis) is None
+
     def burst(self, hypothesis: Hypothesis) -> Burst | None:
         """Return the strongest burst of what shakes the axis beside `hypothesis`; None where it is steady, or nothing.
 
@@ -316,13 +320,15 @@ class Case:
         """Return the r.m.s. of sensor noise, a ripple of the mains and rounding together [m or rad].
 
         Of a model that leaves nothing else, what it leaves; what shakes the axis is not the sensor's. Else what a
-        settled axis shows at the end of its steps, but no less than third differences do.
+        settled axis shows at the end of its steps, but no less than third differences do, and no more than the model
+        leaves where nothing shakes the axis: one with play never settles.
         """
         ripple = self.ripple_beside(chosen).rms
         if self.is_enough(chosen):
             clock = float(np.mean([clock_error(chosen.noise, signals) ** 2 for signals in self.likelihood.signals]))
             return max(float(np.sqrt(chosen.noise.spread**2 + clock + ripple**2)), 1e-300)
-        return max(self.likelihood.floor, ripple, resting_noise(self.records))
+        left = chosen.noise.spread if chosen.noise.rate == 0.0 and not self.likelihood.simulates else np.inf
+        return max(self.likelihood.floor, ripple, min(resting_noise(self.records), left))
 
 
 def _once(known: dict[int, tuple[Hypothesis, T]], hypothesis: Hypothesis, make: Callable[[Hypothesis], T]) -> T:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
+from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.explorer import INDISTINCT, SHARE
-from servolens.diagnosis.remainder import remainder_of
+from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
@@ -132,11 +133,19 @@ def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
     is_likelier = case.misfit(path[-1]) < case.misfit(path[-2])
     if not is_likelier and case.difference(path[-1], path[-2]) > INDISTINCT:
         return False
+    if not case.explains(path[-1]) and not _foretells(case, path[-2], path[-1]):
+        return False
     if path[-1].noise.rate == 0.0:
         return True
     alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
     gains = case.gains(alike)
     return not any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
+
+
+def _foretells(case: Case, simpler: Hypothesis, richer: Hypothesis) -> bool:
+    """Tell whether simulations of records that were not fitted miss less with the `richer` hypothesis."""
+    missed = [pooled(held_errors(case, h, case.gains([h]))) for h in (simpler, richer)]
+    return missed[1] < missed[0]
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
@@ -151,7 +160,9 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
         simulating = case.simulating()
         base = simulating.base
         if _is_immaterial(simulating, base) and not _takes_most(case, chosen):
-            alone = Search((base,), (base,), found.singles, ended_early=found.ended_early)
+            before = case.base.total - base.total  # singles gain as much as they did by prediction errors
+            singles = tuple(replace(h, total=h.total - before) for h in found.singles)
+            alone = Search((base,), (base,), singles, ended_early=found.ended_early)
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
         work = SECOND * effort.work

@@ -80,6 +80,10 @@ class Explorer:
         """Samples times substeps that may still be simulated."""
         return max(self.effort.work - (self.likelihood.work - self.worked), 0.0)
 
+    def has_more(self, work: float) -> bool:
+        """Tell whether of so much `work` enough is left to look for a further effect."""
+        return self.left > self.effort.work - (1.0 - SPENT) * work
+
     def _allowance(self, jobs: int, kept: float = 0.0) -> float:
         """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
 
@@ -100,7 +104,7 @@ class Explorer:
         """Return `path` and further steps of one effect each, and whether `work` was spent before the end."""
         beam, steps = path[-1:], 0
         while len(path[-1].causes) < self.effort.causes:
-            if self.left <= (self.effort.work - (1.0 - SPENT) * work if steps else 0.0):
+            if not (self.has_more(work) if steps else self.left > 0.0):
                 return path, True
             steps += 1
             found = self.extended(beam, len(path[-1].causes))

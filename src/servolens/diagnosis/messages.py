@@ -76,7 +76,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     told = f"noise {readable(gains.noise, unit, share * gains.noise)} (r.m.s.)"
     memory = noise.memory()
     if noise.rate == 0.0 and memory > 2.0:
-        slow = float(np.sqrt(max(noise.spread**2 - noise.innovation**2, 0.0)))
+        slow = gains.noise * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
         told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
     if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
         told += f"; the encoder's rounding to {readable(noise.rounding, unit)} dominates"

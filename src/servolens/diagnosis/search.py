@@ -164,7 +164,8 @@ def _searched(
         explorer.with_last_resorts = True
         further, early = explorer.walked([base], part.share * effort.work)
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
-        if early and path[-1].total < part.promising and not is_enough(path[-1]):
+        is_promising = path[-1].total < part.promising and not is_enough(path[-1])
+        if early and is_promising and explorer.has_more(part.longer * effort.work):
             path, early = explorer.walked(path, part.longer * effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]

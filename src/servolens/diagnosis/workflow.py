@@ -195,7 +195,7 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     """
     chosen = path[-1]
     fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
-    if case.is_enough(chosen) and not fails and case.burst(chosen) is None:
+    if case.explains(chosen) and not fails:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 

@@ -298,7 +298,9 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     if not math.isfinite(rest.rms):
         return ["How much the model misses is unknown: a record cannot be simulated with it."]
     if rest.rms == 0 and diagnosis.verdict == "partly_explained":
-        return ["What is left depends on the inputs, but is too small beside the noise to be measured."]
+        return [
+            "What is left depends on the inputs, but is smaller than the noise: only many samples together show it."
+        ]
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."

@@ -97,7 +97,7 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
         rows=tuple(rows),
         note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
         " for each effect; not held out. Gain: increase of twice the log-likelihood, less a penalty for each parameter;"
-        " the most likely effect comes first.",
+        " the most likely effect comes first. What seems to shake the axis beside an effect is not in what it leaves.",
     )
 
 

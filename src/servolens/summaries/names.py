@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.effects import catalogue
-from servolens.summaries.wording import value_and_error
+from servolens.summaries.wording import listed, value_and_error
 
 if TYPE_CHECKING:
     from servolens.diagnosis.result import Cause
@@ -16,6 +16,8 @@ ALONE = {"gain_and_damping": "gain and damping alone"}
 """What stands for no effect."""
 SIDES = {"level_positive": "level forward", "level_negative": "level backward"}
 """Of parameters whose name is no phrase."""
+MANY = 5
+"""Parameters from which on a sentence leaves them to a table."""
 
 
 def spoken(name: str) -> str:
@@ -45,10 +47,18 @@ def spoken_parameter(name: str) -> str:
 
 
 def cause_phrase(cause: Cause) -> str:
-    """Return a cause with its parameters but for a phase: name and value ± error, each with its unit."""
+    """Return a cause with its parameters but for a phase: name and value ± error, each with its unit.
+
+    Without those that the data do not determine, if they determine any; of many parameters none.
+    """
     phase = cause.kind.wave[1] if cause.kind.wave else ""
-    told = {name: value_and_error(quantity) for name, quantity in cause.quantities.items() if name != phase}
-    if len(told) == 1:
+    known = {name: quantity for name, quantity in cause.quantities.items() if name != phase}
+    if len(known) >= MANY:
+        return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
+    sure = {name: quantity for name, quantity in known.items() if quantity.stderr is not None}
+    told = {name: value_and_error(quantity) for name, quantity in (sure or known).items()}
+    if len(known) == 1:
         return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
-    named = [f"{spoken_parameter(name)} {value}" for name, value in told.items()]
-    return f"{spoken(cause.effect)} ({', '.join(named)})"
+    named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
+    unknown = [spoken_parameter(name) for name in known if name not in told]
+    return f"{spoken(cause.effect)} ({named}{f'; {listed(unknown)} not determined' if unknown else ''})"
