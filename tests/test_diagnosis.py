@@ -95,6 +95,19 @@ def test_remainder_of_what_is_explained_is_immaterial(rubbing):
     assert rest.acceleration_rms < 0.1 * campaign.truth.effects["coulomb_friction"]["level"]
 
 
+def test_what_noise_does_to_an_axis_with_a_dead_zone_is_no_unexplained_force():
+    axis = lab.Truth(gain=0.67, damping=3.2, effects={"dead_zone": {"width": 1.0}})
+    runs = [
+        lab.step_record(axis, kp, kd, reference=(0.25, 0.0), duration=2.0, sample_time=2e-3, noise=1e-4, seed=kp)
+        for kp, kd in ((96, 8), (60, 4), (130, 12))
+    ]
+    found = diagnose(runs)
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["dead_zone"])
+    assert found.remainder.times_noise > 2.0
+    assert "noise_in_loop" in codes(found)
+    assert found.remainder.acceleration_rms < 0.02 * axis.gain * axis.effects["dead_zone"]["width"]
+
+
 def test_simpler_effect_is_preferred_to_those_that_contain_it(rubbing):
     _, diagnosis = rubbing
     single = {candidate.effects[-1]: candidate.likelihood for candidate in diagnosis.candidates}

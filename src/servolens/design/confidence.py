@@ -82,7 +82,7 @@ def _model_light(evidence: Evidence | None) -> Light:
         return Light(
             light="amber",
             sentence=(
-                f"The model misses {share} beyond the noise, which nothing explains; the scenarios carry it as a force."
+                f"The model misses {share} beyond the noise; the scenarios carry what is unexplained of it as a force."
             ),
         )
     if missed is not None and missed > MATERIAL:

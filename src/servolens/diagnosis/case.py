@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, TypeVar, final
 
 import numpy as np
 
-from servolens.diagnosis.errors import KEPT, Gains, residual
+from servolens.diagnosis.errors import KEPT, Gains, pooled, residual
 from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.trials import Trials
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
-from servolens.identification.loop_errors import loop_error
+from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_lines, ripple_in
 from servolens.identification.rounding import dominates
@@ -81,6 +81,7 @@ class Case:
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._bursts: dict[int, tuple[Hypothesis, Burst | None]] = {}
+        self._heard: dict[int, tuple[Hypothesis, float]] = {}
         self._ripples: dict[int, tuple[Hypothesis, Ripple]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._simulating: Case | None = None
@@ -199,6 +200,22 @@ class Case:
         ripples = [ripple.at(i, record.time) for i, record in enumerate(self.records)]
         found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
         return found.depends or (noise.rate > 0.0 and not found.is_seen)
+
+    def noise_in_loop(self, hypothesis: Hypothesis) -> float:
+        """Return what the sensor's noise makes simulations in closed loop miss if `hypothesis` is the axis, r.m.s.
+
+        [m or rad]. The loop hands the noise on to the motor, and where a dead zone, dry friction or a play acts it
+        moves the axis otherwise than without. Only of a model that leaves nothing else is the noise known; else 0.
+        """
+        closed = all(record.reference is not None and record.controller is not None for record in self.records)
+        if not hypothesis.causes or not closed or not self.is_enough(hypothesis):
+            return 0.0
+        return _once(self._heard, hypothesis, self._noise_in_loop)
+
+    def _noise_in_loop(self, hypothesis: Hypothesis) -> float:
+        plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
+        draws = drawn_loop_errors(plants, self.records, replace(hypothesis.noise, rate=0.0, corner=0.0))
+        return float(np.sqrt(np.mean([pooled(draw) ** 2 for draw in draws]))) if draws else 0.0
 
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servolens.diagnosis.errors import pooled, residual
 from servolens.identification.data_range import data_range
-from servolens.identification.loop_errors import drawn_loop_errors
 from servolens.identification.model_error import model_error
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
@@ -41,12 +39,13 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     missed, lasts = unexplained_acceleration(
         chosen.plant, case.records, trained, rate=case.likelihood.rate, noise=noise
     )
-    beyond, heard = float(np.sqrt(max(error**2 - noise**2, 0.0))), max(noise, noise_in_loop(case, chosen))
-    rms = float(np.sqrt(max(error**2 - heard**2, 0.0))) if np.isfinite(error) else error
-    missed = missed * (rms / beyond if beyond > 0.0 else 1.0) if np.isfinite(error) else error
+    rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
+    noisy = max(noise, case.noise_in_loop(chosen))  # no force makes up for what the noise does
+    share = np.sqrt(max(error**2 - noisy**2, 0.0)) / rms if rms > 0.0 else 1.0
+    missed = float(share * missed) if np.isfinite(error) else error
     return Remainder(
         rms=rms,
-        times_noise=error / heard if heard > 0.0 else None,
+        times_noise=error / noise if noise > 0.0 else None,
         of_travel=rms / max(travel, 1e-300),
         acceleration_rms=missed,
         correlation_time=lasts,
@@ -54,20 +53,6 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
         depends_on_inputs=not case.is_enough(chosen),
         material=rms > MATERIAL * travel,
     )
-
-
-def noise_in_loop(case: Case, chosen: Hypothesis) -> float:
-    """Return what the sensor's noise makes simulations in closed loop miss if `chosen` is the axis, r.m.s. [m or rad].
-
-    The loop hands the noise on to the motor, and where a dead zone, dry friction or a play acts it moves the axis
-    otherwise than it would without. Only of a model that leaves nothing else is the noise known; of others 0.
-    """
-    closed = all(record.reference is not None and record.controller is not None for record in case.records)
-    if not chosen.causes or not closed or not case.is_enough(chosen):
-        return 0.0
-    plants = [chosen.plant_of(i) for i in range(len(case.records))]
-    draws = drawn_loop_errors(plants, case.records, replace(chosen.noise, rate=0.0, corner=0.0))
-    return float(np.sqrt(np.mean([pooled(draw) ** 2 for draw in draws]))) if draws else 0.0
 
 
 def evidence_of(

@@ -40,7 +40,7 @@ __all__ = [
 
 FEW_SAMPLES = 200
 """Samples up to which records show little."""
-SURROUNDINGS = ("noise_model", "mains_ripple", "shaken_axis", "bursts")
+SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
@@ -306,6 +306,7 @@ def _left(diagnosis: Diagnosis) -> list[str]:
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
         in_doubt = findings_of_logs(diagnosis)
         why = "with what the logs state of their loop" if in_doubt else "which does not depend on the reference"
+        why += ": the sensor's noise moves the axis" if _has(diagnosis, "noise_in_loop") else ""
         told = f"In addition the simulation misses {size}, {why}. {worth}"
         return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
     worth = "and it matters" if rest.material else "but immaterial"
