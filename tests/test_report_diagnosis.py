@@ -13,9 +13,11 @@ from test_report import HOSTILE, assert_self_contained
 from servolens import lab
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.evidence import Instrument, Share
+from servolens.diagnosis.result import Cause
 from servolens.effects import CATALOGUE
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.model import UNDETERMINED, Quantity
 from servolens.plant import Plant
 from servolens.rendering import grouped
 from servolens.report import write_diagnosis_report
@@ -42,6 +44,7 @@ from servolens.summaries.diagnosis import (
 )
 from servolens.summaries.diagnosis_tables import data_kinds
 from servolens.summaries.evidence import instrument_sentence, where_phrase
+from servolens.summaries.names import cause_phrase
 
 CART = {"gain": 1.9, "damping": 6.0}
 
@@ -427,3 +430,29 @@ def test_rivals_of_a_cause_are_told(rubbing):
 def test_speed_of_rounding_is_told_as_zero():
     edges = np.array([0.0, 2.6e-15, 0.004, 7.9])
     assert [edge_text(edges, place) for place in range(4)] == ["0", "0", "0.004", "7.9"]
+
+
+def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_the_table():
+    def phrase(effect, **values):
+        quantities = {name: Quantity(unit="m", **fields) for name, fields in values.items()}
+        cause = Cause(
+            effect=effect, quantities=quantities, confidence=0.9, rivals=(), train=(2.0, 1.0), heldout=(2.0, 1.0)
+        )
+        return cause_phrase(cause)
+
+    high = {"value": 0.1, "stderr": 1e-3}
+    low = {"value": -17.0, "reason": UNDETERMINED}
+    assert phrase("end_stop", low=low, high=high) == "an end stop (high 100 ± 1 mm; low not determined)"
+    at_bound = {"value": -0.2, "reason": "it is at its bound"}
+    assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
+    assert phrase("delay", time=low).startswith("a delay, ")
+    levels = {f"positive_{i}": high for i in range(5)}
+    assert phrase("friction_map", **levels).endswith("(5 parameters, in the table of the model)")
+
+
+def test_loop_that_a_log_states_wrongly_is_named_as_the_reason_of_what_is_left():
+    runs = [
+        replace(run, controller=replace(run.controller, kp=1.25 * run.controller.kp)) for run in steps({}, (40, 80))
+    ]
+    told = remaining_sentences(diagnose(runs))
+    assert "with the loop as the logs state it" in told[0]

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["trust"]
 
 MISSED = 0.05
-"""R.m.s. of the held-out error over the step from which on a model in the stated loop is not the axis."""
+"""R.m.s. of the held-out error over the step from which on the model, or the loop that is stated, is wrong."""
 ORDER = ("green", "amber", "red")
 
 
@@ -104,9 +104,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     if kd is None:
         return Light(light="red", sentence=_sentence(design.reason or "no gain meets the spec"))
     if of_model.light == "red":
-        return Light(
-            light="red", sentence=f"A gain would be designed on what the records contradict. {of_model.sentence}"
-        )
+        return Light(light="red", sentence=f"No gain is recommended: the model is not reliable. {of_model.sentence}")
     if chosen is not None and chosen.probability < NINE_OF_TEN:
         return Light(
             light="red",

@@ -81,7 +81,7 @@ class Case:
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._bursts: dict[int, tuple[Hypothesis, Burst | None]] = {}
-        self._heard: dict[int, tuple[Hypothesis, float]] = {}
+        self._loop_noise: dict[int, tuple[Hypothesis, float]] = {}
         self._ripples: dict[int, tuple[Hypothesis, Ripple]] = {}
         self._left_out: dict[int, tuple[Hypothesis, list[Plant]]] = {}
         self._simulating: Case | None = None
@@ -101,7 +101,8 @@ class Case:
         other.trials = self.trials.simulating()
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
-        other._dependent, other._bursts, other._left_out, other._ripples, other._held = {}, {}, {}, {}, None
+        other._dependent, other._bursts, other._loop_noise = {}, {}, {}
+        other._left_out, other._ripples, other._held = {}, {}, None
         self._simulating = other
         return other
 
@@ -190,7 +191,10 @@ class Case:
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
         is_rough = noise.rate > 0.0 or dominates(noise)
         asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis
-        if noise.is_model_error or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+        try:
+            if noise.is_model_error or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+                return True
+        except NumericalError:  # what cannot be asked is not shown
             return True
         if not closed or (noise.rate == 0.0 and noise.order == 0):
             return False
@@ -210,12 +214,14 @@ class Case:
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
         if not hypothesis.causes or not closed or not self.is_enough(hypothesis):
             return 0.0
-        return _once(self._heard, hypothesis, self._noise_in_loop)
+        return _once(self._loop_noise, hypothesis, self._noise_in_loop)
 
     def _noise_in_loop(self, hypothesis: Hypothesis) -> float:
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
-        draws = drawn_loop_errors(plants, self.records, replace(hypothesis.noise, rate=0.0, corner=0.0))
-        return float(np.sqrt(np.mean([pooled(draw) ** 2 for draw in draws]))) if draws else 0.0
+        with suppress(InputError, NumericalError):  # what the records state of their loop may be wrong
+            draws = drawn_loop_errors(plants, self.records, replace(hypothesis.noise, rate=0.0, corner=0.0))
+            return float(np.sqrt(np.mean([pooled(draw) ** 2 for draw in draws]))) if draws else 0.0
+        return 0.0
 
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.

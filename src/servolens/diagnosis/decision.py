@@ -114,38 +114,45 @@ def _simplest(case: Case, found: Search) -> Search:
 def _confirmed(case: Case, found: Search) -> Decision:
     """Take the last causes off the path that records to which they were not fitted do not confirm."""
     path, findings = list(found.path), []
-    while len(path) > 1 and not _is_confirmed(case, path):
+    while len(path) > 1 and (objection := _objection(case, path)):
         lost = ", ".join(name for name in path[-1].causes if name not in path[-2].causes)
-        message = f"{lost} explains the training records only, not those held out; it is left out."
+        message = f"{lost} {objection}; it is left out."
         findings.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
     return Decision(case, found, tuple(path), tuple(findings))
 
 
-def _is_confirmed(case: Case, path: Sequence[Hypothesis]) -> bool:
-    """Tell whether records to which they were not fitted are likelier beside the last of `path` than the one before.
+def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
+    """Return what records to which they were not fitted say against the last of `path`; empty if nothing.
 
-    Where these would not tell the two apart, as of a limit that they do not reach, those fitted decide. An observer
-    that follows a shaken axis may follow what a wrong cause does: there the simulation of all records, to which neither
-    was fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
-    simulation foretells.
+    They must be likelier beside it than beside the one before. Where they would not tell the two apart, as of a limit
+    that they do not reach, those fitted decide. Where something is left that nothing explains, what is likelier from
+    sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
+    wrong cause does: there the simulation of all records, to which neither was fitted, must not miss more than that of
+    any simpler model, either, of those with the same waves: whose phases no simulation foretells.
     """
-    is_likelier = case.misfit(path[-1]) < case.misfit(path[-2])
-    if not is_likelier and case.difference(path[-1], path[-2]) > INDISTINCT:
-        return False
-    if not case.explains(path[-1]) and not _foretells(case, path[-2], path[-1]):
-        return False
-    if path[-1].noise.rate == 0.0:
-        return True
-    alike = [h for h in path if own_phases(h.plant) == own_phases(path[-1].plant)]
+    simpler, richer = path[-2:]
+    only_training, not_simulated = (
+        "explains the training records only, not those held out",
+        "predicts records from sample to sample only, and simulations of them miss more with it",
+    )
+    if case.difference(richer, simpler) > INDISTINCT:
+        if case.misfit(richer) >= case.misfit(simpler):
+            return only_training
+        if not case.explains(richer) and _misses_more(case, simpler, richer):
+            return not_simulated
+    if richer.noise.rate == 0.0:
+        return ""
+    alike = [h for h in path if own_phases(h.plant) == own_phases(richer.plant)]
     gains = case.gains(alike)
-    return not any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
+    is_worse = any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
+    return not_simulated if is_worse else ""
 
 
-def _foretells(case: Case, simpler: Hypothesis, richer: Hypothesis) -> bool:
-    """Tell whether simulations of records that were not fitted miss less with the `richer` hypothesis."""
+def _misses_more(case: Case, simpler: Hypothesis, richer: Hypothesis) -> bool:
+    """Tell whether simulations of records that were not fitted miss more with the `richer` hypothesis."""
     missed = [pooled(held_errors(case, h, case.gains([h]))) for h in (simpler, richer)]
-    return missed[1] < missed[0]
+    return missed[1] > missed[0]
 
 
 def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:

@@ -335,10 +335,10 @@ class Explorer:
     def generalised(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what comes of a last resort in the place of causes that it generalises.
 
-        Coloured noise takes up what causes of nearly the right form leave, so that it does not depend on the inputs,
-        and no last resort was tried.
+        Coloured noise takes up what causes of nearly the right form leave, so that it does not depend on the inputs:
+        a search may end with them, before it has tried any last resort.
         """
-        if hypothesis.noise.rate > 0.0 or not self.is_enough(hypothesis):  # there all has been tried
+        if hypothesis.noise.rate > 0.0 or not self.is_enough(hypothesis):
             return hypothesis
         test = ScoreTest(self.likelihood, hypothesis)
         for name, cls in catalogue().items():

@@ -31,7 +31,7 @@ __all__ = ["missed_by_far", "said", "strangers"]
 
 FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
-MOVED = 1.5
+MOVES = 1.5
 """Times the noise from which on what the noise does to the loop is worth a sentence."""
 NAMED = 4
 """Records that are named in a sentence."""
@@ -53,9 +53,9 @@ def said(
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
         told += [_shaken(case, remainder), *_bursts(case, chosen)]
-    heard = case.noise_in_loop(chosen)
-    if heard > MOVED * gains.noise:
-        told.append(_noise_in_loop(case, heard, gains.noise))
+    in_loop = case.noise_in_loop(chosen)
+    if in_loop > MOVES * gains.noise:
+        told.append(_noise_in_loop(case, in_loop, gains.noise))
     if chosen.unpowered:
         told.append(_unpowered(case))
     if decision.found.ended_early:
@@ -116,12 +116,11 @@ def _bursts(case: Case, chosen: Hypothesis) -> Iterator[Finding]:
         yield Finding(code="bursts", severity="note", message=message)
 
 
-def _noise_in_loop(case: Case, heard: float, noise: float) -> Finding:
+def _noise_in_loop(case: Case, missed: float, noise: float) -> Finding:
     unit = case.records[0].length_unit
     message = (
-        f"the sensor's noise, {readable(noise, unit)}, moves this axis: a simulation without it misses the records by"
-        f" {readable(heard, unit)} (r.m.s.). Less kd, a derivative filter or a better sensor makes the axis more"
-        " predictable."
+        f"through the gains the sensor's noise, {readable(noise, unit)}, moves the axis: {readable(missed, unit)} (r.m.s.)"
+        " of its motion no simulation can foretell. A better sensor, or a filter of the derivative, makes it less."
     )
     return Finding(code="noise_in_loop", severity="note", message=message)
 

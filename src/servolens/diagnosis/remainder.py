@@ -39,10 +39,12 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     missed, lasts = unexplained_acceleration(
         chosen.plant, case.records, trained, rate=case.likelihood.rate, noise=noise
     )
-    rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
-    noisy = max(noise, case.noise_in_loop(chosen))  # no force makes up for what the noise does
-    share = np.sqrt(max(error**2 - noisy**2, 0.0)) / rms if rms > 0.0 else 1.0
-    missed = float(share * missed) if np.isfinite(error) else error
+    is_finite = bool(np.isfinite(error))
+    rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if is_finite else error
+    in_loop = case.noise_in_loop(chosen)
+    if is_finite and in_loop > noise:  # no force has to make up for what the noise does
+        missed *= float(np.sqrt(max(error**2 - in_loop**2, 0.0))) / max(rms, 1e-300)
+    missed = missed if is_finite else error
     return Remainder(
         rms=rms,
         times_noise=error / noise if noise > 0.0 else None,

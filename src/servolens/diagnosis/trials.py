@@ -133,12 +133,8 @@ class Trials:
     def _is_admissible(self, plant: Plant) -> bool:
         """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
 
-        A drive with a loop of its own sets the gain, which no bound of the fit holds then. Records show nothing of a
-        damping that is faster than their samples, unless gain and damping alone have it.
+        A drive with a loop of its own sets the gain, which no bound of the fit holds then.
         """
-        sample = float(np.median(np.diff(self.likelihood.signals[0].time)))
-        if plant.effects and plant.damping > max(1.0 / sample, self.bare.damping):
-            return False
         values = dict(zip(plant.parameters, plant.values, strict=True))
         known = ((values[name], *_range(prior)) for name, prior in self.priors.items() if name in values)
         agrees = all(low <= value <= high for value, low, high in known)

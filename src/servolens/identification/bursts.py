@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.structure import BLOCKS, TESTS
+from servolens.identification.structure import BLOCKS, FEWEST_BLOCKS, TESTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ __all__ = ["Burst", "burst_of"]
 @final
 @dataclass(frozen=True, slots=True)
 class Burst:
-    """Where what shakes an axis is strongest: number of the record, and time of its log [s]."""
+    """Where what shakes an axis is strongest: number of the record, and time since that began [s]."""
 
     record: int
     time: float
@@ -45,23 +45,29 @@ def burst_of(test: ScoreTest) -> Burst | None:
 
     level = FALSE_ALARM / TESTS / len(BLOCKS)
     ends = np.cumsum([0, *(run.samples for run in test.runs)])
+    found: list[tuple[float, int]] = []
     for size in BLOCKS:
         firsts = np.concatenate([np.arange(a, b - size + 1, size) for a, b in pairwise(ends)])
-        if firsts.size < 2:
+        if firsts.size < FEWEST_BLOCKS:
             continue
         sums = _sums(test.left, firsts, size)
-        drawn = np.array([_log_kurtosis(_sums(one, firsts, size)) for one in test.drawn.T])
-        away = (_log_kurtosis(sums) - np.mean(drawn)) / (np.std(drawn, ddof=1) * np.sqrt(1.0 + 1.0 / drawn.size))
-        if t.sf(away, drawn.size - 1) < level:
-            first = int(firsts[np.argmax(np.abs(sums))])
-            record = int(np.searchsorted(ends, first, side="right")) - 1
-            return Burst(record, float(test.runs[record].instants[first - ends[record]]))
-    return None
+        drawn = np.array([_tailedness(_sums(one, firsts, size)) for one in test.drawn.T])
+        spread = max(float(np.std(drawn, ddof=1)), 1e-300) * np.sqrt(1.0 + 1.0 / drawn.size)
+        chance = float(t.sf((_tailedness(sums) - np.mean(drawn)) / spread, drawn.size - 1))
+        if chance < level:
+            found.append((chance, int(firsts[np.argmax(np.abs(sums))])))
+    if not found:
+        return None
+    _, first = min(found)
+    number = int(np.searchsorted(ends, first, side="right")) - 1
+    instants = test.runs[number].instants
+    return Burst(number, float(instants[first - ends[number]] - instants[0]))
 
 
 def _sums(residual: NDArray[np.float64], firsts: NDArray[np.intp], size: int) -> NDArray[np.float64]:
     return np.asarray(np.sum(residual[firsts[:, None] + np.arange(size)], axis=1))
 
 
-def _log_kurtosis(sums: NDArray[np.float64]) -> float:
-    return float(np.log(float(np.mean(sums**4)) / max(float(np.mean(sums**2)) ** 2, 1e-300)))
+def _tailedness(sums: NDArray[np.float64]) -> float:
+    """Return −1/kurtosis, which grows with it, and is distributed about normally, unlike the kurtosis itself."""
+    return -(float(np.mean(sums**2)) ** 2) / max(float(np.mean(sums**4)), 1e-300)

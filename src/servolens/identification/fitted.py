@@ -10,7 +10,7 @@ import numpy as np
 from servolens.identification.error_problem import Known
 from servolens.identification.fit_findings import findings_of
 from servolens.identification.refine import Refinement, minimise_error
-from servolens.model import Model
+from servolens.model import UNDETERMINED, Model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,7 +73,7 @@ def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]
     """Return the model that a search ended with, and why parameters have no error bar: those `held` were given."""
     plant = refined.plant
     reasons = dict.fromkeys(plant.parameters, "its error could not be estimated")
-    reasons |= dict.fromkeys(refined.undetermined, "the data do not determine it")
+    reasons |= dict.fromkeys(refined.undetermined, UNDETERMINED)
     reasons |= dict.fromkeys(refined.at_bound, AT_BOUND)
     reasons |= dict.fromkeys(plant.derived, "it follows from other parameters")
     return Model(

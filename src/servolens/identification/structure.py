@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
 
-__all__ = ["BLOCKS", "TESTS", "depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
+__all__ = ["BLOCKS", "FEWEST_BLOCKS", "TESTS", "depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -197,13 +197,20 @@ def forced(test: ScoreTest) -> NDArray[np.float64]:
     """Return what each force of a general kind would do to the whitened residual, shape (n, k).
 
     Without those under which an axis that sticks would chatter so fast that it cannot be simulated.
+
+    Raises
+    ------
+    NumericalError
+        If that is true of all.
     """
     laws = _laws(test)
     size = SMALL * max(float(np.abs(run.signals.voltage).max()) for run in test.runs)
-    columns = [np.empty((test.residual.size, 0))]
+    columns = []
     for k in range(laws[0].shape[0]):
         with suppress(NumericalError):
             columns.append(test.pushed([law[k] for law in laws], size))
+    if not columns:
+        raise NumericalError("the axis cannot be simulated with any force beside it")
     return np.column_stack(columns)
 
 

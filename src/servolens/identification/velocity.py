@@ -16,6 +16,7 @@ from servolens.identification.refine import refine, refine_closed_loop
 from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
+from servolens.model import UNDETERMINED
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -79,7 +80,7 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
         findings.append(Finding(code="not_converged", severity="warning", message=f"velocity model: {refined.status}."))
     model = model_of(refined, [s.record for s in segments], options.held)
     if SHAPE not in options.held:
-        why = "the data do not determine it" if depends else NO_DEPENDENCE
+        why = UNDETERMINED if depends else NO_DEPENDENCE
         model = replace(model, reasons={**model.reasons, SHAPE: why})
     return VelocityFit(model, used, left, tuple(findings))
 

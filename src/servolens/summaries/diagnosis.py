@@ -42,6 +42,8 @@ FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
+OF_THE_LOOP = ("gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log")
+"""Findings that what a log states of its loop is wrong: a simulation of that loop cannot be right."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
 """Times the noise from which on a remainder that knows no input is worth a sentence."""
@@ -297,17 +299,17 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
     if not math.isfinite(rest.rms):
         return ["How much the model misses is unknown: a record cannot be simulated with it."]
-    if rest.rms == 0 and diagnosis.verdict == "partly_explained":
+    if rest.rms == 0 and rest.depends_on_inputs and diagnosis.verdict == "partly_explained":
         return [
             "What is left depends on the inputs, but is smaller than the noise: only many samples together show it."
         ]
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
-        in_doubt = findings_of_logs(diagnosis)
-        why = "with what the logs state of their loop" if in_doubt else "which does not depend on the reference"
-        why += ": the sensor's noise moves the axis" if _has(diagnosis, "noise_in_loop") else ""
-        told = f"In addition the simulation misses {size}, {why}. {worth}"
+        if any(_has(diagnosis, code) for code in OF_THE_LOOP):
+            told = f"In addition the simulation misses {size}, with the loop as the logs state it. {worth}"
+        else:
+            told = f"In addition the simulation misses {size}, which does not depend on the reference. {worth}"
         return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.effects import catalogue
+from servolens.model import UNDETERMINED
 from servolens.summaries.wording import listed, value_and_error
 
 if TYPE_CHECKING:
@@ -49,14 +50,14 @@ def spoken_parameter(name: str) -> str:
 def cause_phrase(cause: Cause) -> str:
     """Return a cause with its parameters but for a phase: name and value ± error, each with its unit.
 
-    Without those that the data do not determine, if they determine any; of many parameters none.
+    Without the values that the data do not determine; of many parameters none.
     """
     phase = cause.kind.wave[1] if cause.kind.wave else ""
     known = {name: quantity for name, quantity in cause.quantities.items() if name != phase}
     if len(known) >= MANY:
         return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
-    sure = {name: quantity for name, quantity in known.items() if quantity.stderr is not None}
-    told = {name: value_and_error(quantity) for name, quantity in (sure or known).items()}
+    is_told = {name: q.reason != UNDETERMINED for name, q in known.items()}
+    told = {name: value_and_error(q) for name, q in known.items() if is_told[name] or not any(is_told.values())}
     if len(known) == 1:
         return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
     named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
