@@ -442,7 +442,7 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
 
     high = {"value": 0.1, "stderr": 1e-3}
     low = {"value": -17.0, "reason": UNDETERMINED}
-    assert phrase("end_stop", low=low, high=high) == "an end stop (high 100 ± 1 mm; low not determined)"
+    assert phrase("end_stop", low=low, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not determined)"
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
     assert phrase("delay", time=low).startswith("a delay, ")

@@ -119,8 +119,8 @@ def _bursts(case: Case, chosen: Hypothesis) -> Iterator[Finding]:
 def _noise_in_loop(case: Case, missed: float, noise: float) -> Finding:
     unit = case.records[0].length_unit
     message = (
-        f"through the gains the sensor's noise, {readable(noise, unit)}, moves the axis: {readable(missed, unit)} (r.m.s.)"
-        " of its motion no simulation can foretell. A better sensor, or a filter of the derivative, makes it less."
+        f"through the gains the sensor's noise, {readable(noise, unit)}, moves the axis: {readable(missed, unit)}"
+        " (r.m.s.) of its motion no simulation can foretell. A better sensor, or a filter of the derivative, helps."
     )
     return Finding(code="noise_in_loop", severity="note", message=message)
 
