@@ -26,6 +26,8 @@ SETUPS: dict[str, tuple[Truth, Step, str]] = {
     "velocity, NLm1, Kp 80, Kd 5": (NLM1, Step(80.0, 5.0), "velocity"),
 }
 REPEATS = 200
+DOUBTED = "beyond_the_law"
+"""Finding that says not to rely on the intervals: they count as none."""
 
 
 def study(job: Job) -> Batch:
@@ -43,8 +45,9 @@ def study(job: Job) -> Batch:
             continue
         finally:
             seconds += time.process_time() - begun
+        is_doubted = any(finding.code == DOUBTED for finding in found.findings)
         for name, true, value, interval in _compared(truth, found, model):
-            held = None if interval is None else bool(interval[0] <= true <= interval[1])
+            held = None if interval is None or is_doubted else bool(interval[0] <= true <= interval[1])
             batch.add(name, abs(value - true) / abs(true), held)
         batch.note(found.findings)
     return Batch(job, batch.held, batch.errors, batch.findings, batch.failed, round(seconds, 3))
