@@ -413,8 +413,8 @@ def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help
 
 
 def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
-    hidden = replace(rubbing, verdict="partly_explained", remainder=replace(rubbing.remainder, rms=0.0, of_travel=0.0))
-    told = remaining_sentences(hidden)
+    left = replace(rubbing.remainder, rms=0.0, of_travel=0.0, depends_on_inputs=True)
+    told = remaining_sentences(replace(rubbing, verdict="partly_explained", remainder=left))
     assert (
         told[0]
         == "What is left depends on the inputs, but is smaller than the noise: only many samples together show it."
