@@ -155,7 +155,7 @@ def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the remainder is worth where there is one, and what the records are too short to show."""
     told = _left(diagnosis)
-    if diagnosis.verdict in ("partly_explained", "unexplained"):
+    if diagnosis.verdict in ("partly_explained", "unexplained") and diagnosis.remainder.depends_on_inputs:
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
     samples = sum(len(record) for record in diagnosis.records)
     if 0 < samples <= FEW_SAMPLES:
