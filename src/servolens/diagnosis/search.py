@@ -104,8 +104,8 @@ def search(
     unshaken = trials.unshaken()
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        part = _Part(UNSHAKEN, LIKELIER, promising=base.total)
-        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, part=part)
+        budget = _Budget(UNSHAKEN, LIKELIER, promising=base.total)
+        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
     left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
@@ -122,7 +122,7 @@ def search(
 
 @final
 @dataclass(frozen=True, slots=True)
-class _Part:
+class _Budget:
     """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one."""
 
     share: float = 1.0
@@ -148,25 +148,25 @@ def _searched(
     known: Sequence[Hypothesis],
     is_enough: Callable[[Hypothesis], bool],
     begun: Sequence[Hypothesis] = (),
-    part: _Part | None = None,
+    budget: _Budget | None = None,
 ) -> Search:
-    """Return what is found beside noise of one kind with a `part` of the effort, by default all of it.
+    """Return what is found beside noise of one kind within a `budget`, by default all of the effort.
 
     What was found beside another, `begun`, is where it begins.
     """
-    part = part or _Part()
+    budget = budget or _Budget()
     explorer = Explorer(trials, effort, tell, known, is_enough)
     reached = explorer.path_to_the_best(base, begun)
-    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * part.share * effort.work)
+    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * budget.share * effort.work)
     if is_enough(path[-1]):
         early = False
     else:
         explorer.with_last_resorts = True
-        further, early = explorer.walked([base], part.share * effort.work)
+        further, early = explorer.walked([base], budget.share * effort.work)
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
-        is_promising = path[-1].total < part.promising and not is_enough(path[-1])
-        if early and is_promising and explorer.has_more(part.longer * effort.work):
-            path, early = explorer.walked(path, part.longer * effort.work)
+        is_promising = path[-1].total < budget.promising and not is_enough(path[-1])
+        if early and is_promising and explorer.has_more(budget.longer * effort.work):
+            path, early = explorer.walked(path, budget.longer * effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
     return Search(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.structure import BLOCKS, FEWEST_BLOCKS, TESTS
+from servolens.identification.structure import BLOCKS, FEWEST_BLOCKS, TESTS, first_samples, standing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,21 +43,21 @@ def burst_of(test: ScoreTest) -> Burst | None:
     from scipy.stats import t
 
     level = FALSE_ALARM / TESTS / len(BLOCKS)
-    ends = np.cumsum([0, *(run.samples for run in test.runs)])
+    samples = [run.samples for run in test.runs]
     found: list[tuple[float, int]] = []
     for size in BLOCKS:
-        firsts = np.concatenate([np.arange(a, b - size + 1, size) for a, b in pairwise(ends)])
+        firsts = np.concatenate(first_samples(samples, size))
         if firsts.size < FEWEST_BLOCKS:
             continue
         sums = _sums(test.left, firsts, size)
         drawn = np.array([_tailedness(_sums(one, firsts, size)) for one in test.drawn.T])
-        spread = max(float(np.std(drawn, ddof=1)), 1e-300) * np.sqrt(1.0 + 1.0 / drawn.size)
-        chance = float(t.sf((_tailedness(sums) - np.mean(drawn)) / spread, drawn.size - 1))
+        chance = float(t.sf(standing(_tailedness(sums), drawn), drawn.size - 1))
         if chance < level:
             found.append((chance, int(firsts[np.argmax(np.abs(sums))])))
     if not found:
         return None
     _, first = min(found)
+    ends = np.cumsum([0, *samples])
     number = int(np.searchsorted(ends, first, side="right")) - 1
     instants = test.runs[number].instants
     return Burst(number, float(instants[first - ends[number]] - instants[0]))

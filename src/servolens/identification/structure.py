@@ -23,7 +23,17 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.observed import ObservedRun, SimulatedRun
 
-__all__ = ["BLOCKS", "FEWEST_BLOCKS", "TESTS", "depends_on_inputs", "forces_along", "is_chance", "is_shaking"]
+__all__ = [
+    "BLOCKS",
+    "FEWEST_BLOCKS",
+    "TESTS",
+    "depends_on_inputs",
+    "first_samples",
+    "forces_along",
+    "is_chance",
+    "is_shaking",
+    "standing",
+]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
@@ -125,11 +135,21 @@ def _differs_in_motion(test: ScoreTest) -> bool:
             if f.sf(ratio / usual, blocks.count, blocks.count) < level:
                 return True
             continue
-        drawn = np.log([blocks.ratio(one) for one in test.drawn.T])
-        away = (np.log(ratio) - np.mean(drawn)) / (np.std(drawn, ddof=1) * np.sqrt(1.0 + 1.0 / drawn.size))
-        if 2.0 * t.sf(abs(away), drawn.size - 1) < level:
+        away = standing(float(np.log(ratio)), np.log([blocks.ratio(one) for one in test.drawn.T]))
+        if 2.0 * t.sf(abs(away), test.drawn.shape[1] - 1) < level:
             return True
     return False
+
+
+def standing(value: float, drawn: NDArray[np.float64]) -> float:
+    """Return Student's t of one further draw: how far `value` is from the mean of those `drawn`, by their spread."""
+    spread = float(np.std(drawn, ddof=1)) * np.sqrt(1.0 + 1.0 / drawn.size)
+    return (value - float(np.mean(drawn))) / max(float(spread), 1e-300)
+
+
+def first_samples(samples: Sequence[int], size: int) -> list[NDArray[np.intp]]:
+    """Return where each whole block of `size` samples begins, record by record, counted over all records."""
+    return [np.arange(begin, end - size + 1, size) for begin, end in pairwise(np.cumsum([0, *samples]))]
 
 
 class _Blocks:
@@ -146,8 +166,7 @@ class _Blocks:
     """
 
     def __init__(self, speeds: Sequence[NDArray[np.float64]], samples: Sequence[int], size: int) -> None:
-        ends = np.cumsum([0, *samples])
-        firsts = [np.arange(begin, end - size + 1, size) for begin, end in pairwise(ends)]
+        firsts = first_samples(samples, size)
         energy = [
             np.sum(v[: size * at.size].reshape(at.size, size) ** 2, axis=1)
             for v, at in zip(speeds, firsts, strict=True)

@@ -61,7 +61,7 @@ def write_diagnosis_report(path: str | os.PathLike[str], diagnosis: Diagnosis) -
 
     Parameters
     ----------
-    path : path
+    path : str or path
         The HTML or PDF file.
     diagnosis : Diagnosis
         What was found.
