@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 
 import pytest
 from fuzzing import MEMORY, Readers, hostile, judged, memory, seeds
@@ -43,3 +44,17 @@ def test_damaged_files_are_read_or_refused(readers, kind, chance):
 def test_fuzzing_finds_a_reader_that_breaks(readers, monkeypatch, wrong):
     monkeypatch.setattr(Readers, "text", staticmethod(wrong))
     assert "Error" in judged(readers, "text", random.Random(0).randbytes(10))
+
+
+@pytest.mark.parametrize(
+    ("kind", "before", "after"),
+    [
+        ("model", rb'"level": \{', b'"lev' + b"[" * 2000 + b'": {'),
+        ("diagnosis", rb'"sample_time": [0-9.e-]+', b'"sample_time": 1e-310'),
+    ],
+    ids=["long name", "endless steps"],
+)
+def test_what_fuzzing_has_found_is_read_or_refused(readers, kind, before, after):
+    content, number = re.subn(before, after, GOOD[kind][0])
+    assert number
+    assert judged(readers, kind, content) is None

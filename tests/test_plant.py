@@ -59,6 +59,7 @@ def test_values_are_frozen() -> None:
         (lambda: Plant(gain=1.0, damping=1.0, length_unit="x" * 99), "must be .m. or .rad., got .x{40}.$"),
         (lambda: Plant.effect_from("magic", {}), "there is no effect 'magic'"),
         (lambda: Plant.effect_from("saturation", {"width": 1.0}), "needs the parameters limit"),
+        (lambda: Plant.effect_from("saturation", {"w" * 99: 1.0}), "needs the parameters limit; got w{40}$"),
     ],
 )
 def test_wrong_plants_are_one_sentence(make, message: str) -> None:

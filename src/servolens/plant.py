@@ -222,7 +222,8 @@ class Plant:
         cls = (known or {}).get(name) or effect_class(name)
         wanted = [spec.name for spec in cls.parameters()]
         if sorted(parameters) != sorted(wanted):
-            raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {', '.join(parameters) or 'none'}")
+            given = ", ".join(parameters)[:40] or "none"
+            raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {given}")
         return cls(**parameters)
 
 

@@ -220,7 +220,7 @@ def _trials(largest: Logged, logged: Sequence[Logged], plant: Plant) -> list[Rec
     most = _most_voltage(logged)
     gains = _gains(logged, most / max(largest.amplitude, 1e-300), plant)
     known = next((one.controller for one in (largest, *logged) if one.controller), Controller(kp=gains[0]))
-    count = min(max(round(largest.duration / largest.sample_time), 4), MOST_SAMPLES)
+    count = round(min(max(largest.duration / largest.sample_time, 4.0), MOST_SAMPLES))
     index = np.arange(REST + 2 * count)
     time = index.astype(np.float64) * largest.sample_time
     away = (index >= REST) & (index < REST + count)
