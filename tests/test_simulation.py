@@ -43,6 +43,30 @@ def test_sampled_linear_loop_equals_the_matrix_exponential() -> None:
     np.testing.assert_allclose(run.position, expected, rtol=0, atol=1e-8)
 
 
+def test_controller_answers_to_an_error_of_the_sensor_as_the_encoder_rounds_it() -> None:
+    time, resolution = grid(1.0), 2e-5
+    error = 5e-6 * np.random.default_rng(3).standard_normal(time.size)
+    loop = {"resolution": resolution, "sensor_error": error}
+    run = simulate_loop(LINEAR, Controller(kp=60.0, kd=3.0), time, np.full(time.size, 0.1), **loop)
+    step = expm(np.array([[0, 1, 0], [0, -LINEAR.damping, LINEAR.gain], [0, 0, 0]]) * 1e-3)
+    state, last = np.zeros(2), None
+    for k in range(time.size):
+        assert run.position[k] == pytest.approx(state[0], abs=1e-8)
+        seen = run.measured[k]  # one of the two steps beside the position: which, may hang on the last digit
+        assert seen == pytest.approx(resolution * np.round((state[0] + error[k]) / resolution), abs=1.01 * resolution)
+        assert abs(seen - state[0] - error[k]) <= 0.5 * resolution + 1e-8
+        voltage = 60.0 * (0.1 - seen) - 3.0 * (seen - (seen if last is None else last)) / 1e-3
+        last = seen
+        state = (step @ [*state, voltage])[:2]
+
+
+def test_disturbance_of_another_length_is_refused() -> None:
+    time = grid(0.1)
+    for name, called in (("acceleration", "acceleration"), ("sensor_error", "sensor's error")):
+        with pytest.raises(InputError, match=f"time has 101 samples, the {called} 7"):
+            simulate_loop(LINEAR, Controller(kp=60.0), time, np.full(time.size, 0.1), **{name: np.zeros(7)})
+
+
 def test_continuous_loop_equals_the_damped_oscillator() -> None:
     time = grid(1.0)
     run = simulate_continuous(LINEAR, 60.0, 2.0, time, np.full(time.size, 0.1))

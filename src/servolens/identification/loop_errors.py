@@ -8,14 +8,14 @@ and Tibshirani 1993, chapter 6).
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
-from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
+from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
@@ -129,6 +129,7 @@ def drawn_loop_errors(
     """
     stream = np.random.default_rng(2)
     still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
+    loops = [replace(record, encoder_resolution=None) for record in records]  # whose rounding is part of the noise
     spectrum = spectrum_of(noise)
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
@@ -138,10 +139,8 @@ def drawn_loop_errors(
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         with suppress(ServolensError):
             return tuple(
-                simulate(plant, disturbed(record, error[:, k]), acceleration=shake[:, k]).shown(plant)
-                + error[:, k]
-                - position
-                for plant, record, error, shake, position in zip(plants, records, drawn, shakes, still, strict=True)
+                simulate(plant, record, acceleration=shake[:, k], sensor_error=error[:, k]).measured - position
+                for plant, record, error, shake, position in zip(plants, loops, drawn, shakes, still, strict=True)
             )
         return None
 

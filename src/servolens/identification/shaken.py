@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import ServolensError
-from servolens.identification.rounding import DRAWS, disturbed, drawn_noise, spectrum_of
+from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -74,11 +74,12 @@ def _measured(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and applied voltage of a shaken axis as its log would hold them."""
     if record.reference is not None and record.controller is not None:
-        moved = simulate(plant, disturbed(record, error), acceleration=shake)
-        return moved.shown(plant) + error, applied_voltage(replace(record, voltage=moved.voltage))
+        loop = replace(record, encoder_resolution=None)  # whose rounding is part of the error
+        moved = simulate(plant, loop, acceleration=shake, sensor_error=error)
+        return moved.measured, applied_voltage(replace(record, voltage=moved.voltage))
     voltage = applied_voltage(record)
-    driven = replace(record, voltage=voltage, encoder_resolution=None)
-    return simulate(plant, driven, voltage_driven=True, acceleration=shake).shown(plant) + error, voltage
+    driven = replace(record, voltage=voltage)
+    return simulate(plant, driven, voltage_driven=True, acceleration=shake, sensor_error=error).measured, voltage
 
 
 def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:

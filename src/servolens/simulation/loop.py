@@ -43,7 +43,7 @@ fast lag splits each sample; most pieces, where there is no such limit."""
 NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
 """What the rule is told where no measurement corrects the axis."""
 OBSERVED, SHAKEN = 1.0, 2.0
-"""What it is told where one does, or where an acceleration shakes the axis; see :mod:`.digital`."""
+"""What it is told where one does, or where the axis is shaken or its sensor errs; see :mod:`.digital`."""
 
 
 @final
@@ -75,6 +75,7 @@ def simulate(
     initial_velocity: float = 0.0,
     voltage_driven: bool | None = None,
     acceleration: NDArray[np.float64] | None = None,
+    sensor_error: NDArray[np.float64] | None = None,
     substeps: int | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Simulation:
@@ -95,6 +96,8 @@ def simulate(
         True: apply the logged voltage; False: close the loop; None: close it where the record allows.
     acceleration : ndarray, shape (n,), optional
         Of what shakes the axis, from each of the record's samples to the next [m/s² or rad/s²].
+    sensor_error : ndarray, shape (n,), optional
+        Of each sample, before the encoder rounds it [m or rad]; the controller answers to it.
     substeps : int, optional
         Steps a sample; None chooses them from the plant's fastest rate.
     **settings
@@ -125,6 +128,7 @@ def simulate(
             start=start,
             before=before,
             acceleration=acceleration,
+            sensor_error=sensor_error,
             substeps=substeps,
         )
     controller = record.controller
@@ -141,6 +145,7 @@ def simulate(
         resolution=record.encoder_resolution or 0.0,
         limit=record.voltage_limit,
         acceleration=None if acceleration is None else acceleration[held],
+        sensor_error=None if sensor_error is None else sensor_error[held],
         substeps=substeps,
     )
     if index is None:
@@ -160,6 +165,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     resolution: float = 0.0,
     limit: float | None = None,
     acceleration: ArrayLike | None = None,
+    sensor_error: ArrayLike | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the digital loop: sampled, zero-order hold, the controller's own derivative and integral.
@@ -181,6 +187,8 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         saturation.
     acceleration : array_like, shape (n,), optional
         Of what shakes the axis, from each sample to the next [m/s² or rad/s²].
+    sensor_error : array_like, shape (n,), optional
+        Of each sample, before the encoder rounds it [m or rad].
     substeps : int, optional
         Steps a sample.
 
@@ -196,22 +204,26 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward)
     period = sample_time_of(grid)
     law = law_settings(plant, controller, period, limit)
-    corrects, shaken = _shaking(acceleration, grid)
+    corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
     count = substeps or substeps_for(plant, period)
     return _run(plant, grid, held, as_floats(reference), settings, start, count, corrections=shaken)
 
 
 def _shaking(
-    acceleration: ArrayLike | None, time: NDArray[np.float64]
+    acceleration: ArrayLike | None, sensor_error: ArrayLike | None, time: NDArray[np.float64]
 ) -> tuple[tuple[float, float, float], NDArray[np.float64] | None]:
-    """Return the settings of an axis that is shaken, or not, and with what."""
-    if acceleration is None:
+    """Return the settings of an axis that is shaken or whose sensor errs, or not, and by what, shape (n, 2)."""
+    if acceleration is None and sensor_error is None:
         return NO_OBSERVER, None
-    shaken = as_floats(acceleration)
-    if shaken.shape != time.shape:
-        raise InputError(f"time has {time.size} samples, the acceleration {shaken.size}")
-    return (SHAKEN, *NO_OBSERVER[1:]), shaken
+    disturbed = np.zeros((time.size, 2))
+    for column, (what, given) in enumerate((("acceleration", acceleration), ("sensor's error", sensor_error))):
+        if given is not None:
+            values = as_floats(given)
+            if values.shape != time.shape:
+                raise InputError(f"time has {time.size} samples, the {what} {values.size}")
+            disturbed[:, column] = values
+    return (SHAKEN, *NO_OBSERVER[1:]), disturbed
 
 
 def simulate_trial(  # noqa: PLR0913 - as simulate_loop
@@ -259,20 +271,21 @@ def simulate_voltage(
     start: tuple[float, float] = (0.0, 0.0),
     before: float | None = None,
     acceleration: ArrayLike | None = None,
+    sensor_error: ArrayLike | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the axis under a `voltage` [V] that is held from sample to sample.
 
     Parameters
     ----------
-    plant, time, voltage, start, before, acceleration, substeps
+    plant, time, voltage, start, before, acceleration, sensor_error, substeps
         As of :func:`simulate_loop`.
     """
     plant = as_plant(plant)
     grid = as_grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = as_floats(voltage)
-    corrects, shaken = _shaking(acceleration, grid)
+    corrects, shaken = _shaking(acceleration, sensor_error, grid)
     return _run(
         plant,
         grid,

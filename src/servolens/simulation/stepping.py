@@ -85,10 +85,17 @@ def rounded(position: float, resolution: float) -> float:
 
 
 @njit(**OPTIONS)
+def erring(position: float, loop: Any, gains: Any, k: int) -> float:
+    """Return the position with the sensor's error of this sample, if it has one."""
+    error: float = gains[2 * k + 1] if loop[CORRECTS] == SHAKEN else 0.0
+    return position + error
+
+
+@njit(**OPTIONS)
 def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation: float) -> None:
     """Shake the axis, or move an observer's towards what was measured; one at rest keeps its velocity."""
     if loop[CORRECTS] == SHAKEN:
-        x[SHAKING] = gains[k]
+        x[SHAKING] = gains[2 * k]
     else:
         x[Y] += gains[3 * k] * innovation
         if x[V] != 0.0:
@@ -170,7 +177,8 @@ def run(
     an observer, the speed that a step may be wrong by, then for each state whether an observer moves it with the
     position (1), the velocity (2) or not (0). An observer has the measured position as `reference`, gives its
     prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
-    shaking; of an axis that is shaken, `gains` holds the acceleration from each sample on. Minus one is returned where
+    shaking; of an axis that is shaken, `gains`
+    holds two: the acceleration from each sample on, and the sensor's error. Minus one is returned where
     more pieces than granted would be needed; zero grants any number. Without a closed loop the input is `held`; with
     one, `held` is added to what the controller asks for. The input reaches the actuator `delay` seconds late; before
     the record the first one was applied, if it is not known.
@@ -190,7 +198,7 @@ def run(
     for k in range(n):
         output[0], output[1], output[2] = x[Y], x[V], x[Y]
         shown(x, p, output)
-        seen = rounded(output[0], resolution)
+        seen = rounded(erring(output[0], loop, gains, k), resolution)
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
             voltage = asked(k, seen, output[1], reference, measured, held, loop, derivative, integral, is_pd)
