@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from servolens import Plant, Record
+from servolens import Plant, Record, fit, lab
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
 from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, rounded
@@ -46,6 +46,43 @@ def test_rounding_of_a_fast_motion_is_white():
     together = np.sum(centred[1:] * centred[:-1]) / np.sum(centred**2)
     assert abs(together) < 0.4
     assert np.std(drawn) == pytest.approx(1.0, rel=0.01)  # of a uniform error: STEP / √12
+
+
+TRUTH = lab.Truth(gain=1.9, damping=6.0, effects={})
+
+
+def stage(noise, seed):
+    """A loop whose derivative hands the encoder's steps on to the motor; it stops where no step is."""
+    around = lab.Surroundings(noise=lab.SensorNoise(deviation=noise), encoder=2e-5)
+    levels = (0.1 + 3.1e-6 * seed, 0.03 - 1.7e-6 * seed)
+    return lab.step_record(TRUTH, kp=80, kd=5, reference=levels, seed=seed, setup=lab.Setup(surroundings=around))
+
+
+def drawn_of(record, noise):
+    axis = Plant(gain=1.9, damping=6.0)
+    run = ObservedRun(Signals.of(record, 2e-5, axis, 10.0), 0, NoiseModel.white(noise, 2e-5))
+    (drawn,) = rounded([run], [axis], [np.array([record.position[0], 0.0])])
+    return run, drawn
+
+
+@pytest.mark.parametrize("noise", [1e-6, 2e-6], ids=lambda noise: f"{noise / 2e-5:.2f} steps")
+def test_draws_miss_on_average_what_the_records_of_the_axis_miss(noise):
+    kept = []
+    for seed in range(6):
+        run, drawn = drawn_of(stage(noise, seed), noise)
+        missed = run.whiten(run.missed(Plant(gain=1.9, damping=6.0), run.start, 4))
+        usual = drawn.mean(axis=1)
+        kept.append(float(missed @ usual) / float(usual @ usual))
+    assert np.mean(kept) == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_rounding_does_to_estimates_is_taken_off_them():
+    fits = [fit((), [stage(1e-6, seed)]).quantities["damping"] for seed in range(20, 36)]
+    errors = np.array([found.value - 6.0 for found in fits])
+    assert np.sqrt(np.mean(errors**2)) < 8e-5  # left on, it makes 1.5e-4
+    shares = np.abs(errors) / [found.stderr for found in fits]
+    assert np.mean(shares < 1.96) >= 0.8
+    assert np.median(shares) > 0.2
 
 
 def test_rounding_dominates_from_half_the_variance_on():

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage
+from servolens.effects import Sensor
 from servolens.errors import NumericalError
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -26,12 +26,10 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel, Whitener
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
-    from servolens.record import Record
 
 __all__ = [
     "DOMINATES",
     "DRAWS",
-    "disturbed",
     "dominates",
     "drawn_noise",
     "is_rounded",
@@ -45,11 +43,12 @@ DOMINATES = 0.5
 
 DRAWS = 40
 """Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
-FREQUENCIES, BAND, LEAST = 1024, 5, 1e-6
-"""Frequencies of a spectrum; of them, those over which one of draws is smoothed; share of the noise below which nothing
-but rounding is left of it."""
-CORRECTED, MOST_CORRECTED = 2, 3.0
-"""Times that it is corrected, and by what factor at most: 40 draws are known to a few percent."""
+FREQUENCIES, BAND = 1024, 5
+"""Frequencies of a spectrum; of them, those over which one of draws is smoothed."""
+FEW_DRAWS, HALVINGS = 8, 6
+"""Draws of each size of the noise that is looked at, and sizes, of which each halves the interval it is sought in."""
+SHARES = 0.01, 1.0
+"""Least and largest standard deviation of quick noise, in steps of the encoder."""
 
 
 def is_rounded(noise: NoiseModel) -> bool:
@@ -100,21 +99,42 @@ def _own_spectrum(
 ) -> NDArray[np.float64]:
     """Return the spectrum of the sensor's noise as the encoder has not rounded it yet, at even frequencies up to half.
 
-    It begins with the spectrum of the noise model less what rounding adds evenly at all frequencies. An axis at rest
-    shows rounding at low frequencies only: the spectrum is corrected until draws that are rounded have the model's
-    (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+    Its quick part is white and as large as makes draws turn back as often as the records do: an encoder shows noise
+    far smaller than its step only where the axis is between two steps. What the records have more of in all is slow,
+    with the spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
     """
     shown = spectrum_of(noise)
-    own = shown - noise.rounding**2 / 12.0
-    own[own < LEAST * shown] = 0.0
-    for _ in range(CORRECTED):
-        stream, power, samples = np.random.default_rng(1), np.zeros(own.size), 0
+    turned = sum(_turns(run.whiten.position[:, None], noise.rounding) for run in runs)
+
+    def looked(share: float) -> tuple[float, NDArray[np.float64]]:
+        own, stream = np.full(shown.size, (share * noise.rounding) ** 2), np.random.default_rng(1)
+        turns, power, samples = 0.0, np.zeros(shown.size), 0
         for run, plant, position in zip(runs, plants, positions, strict=True):
-            for _, error in _drawn(run, plant, position, own, stream):
+            for whiten, error in _drawn(run, plant, position, own, stream, FEW_DRAWS):
+                turns += _turns(whiten.position[:, None], noise.rounding) / FEW_DRAWS
                 power += _power(error)
                 samples += error.size
-        own = own * np.clip(shown * samples / np.maximum(power, 1e-300), 1.0 / MOST_CORRECTED, MOST_CORRECTED)
-    return own
+        return turns, power / samples
+
+    low, high = SHARES
+    for _ in range(HALVINGS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if looked(middle)[0] < turned else (low, middle)
+    least = SHARES[0] * (high / low)  # of the lowest interval: none is seen
+    share = 0.0 if high <= least else float(np.sqrt(low * high))
+    _, drawn = looked(share)
+    slow = np.maximum(shown - drawn, 0.0)
+    lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
+    return (share * noise.rounding) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300)
+
+
+def _turns(positions: NDArray[np.float64], step: float) -> int:
+    """Return how often rounded `positions`, shape (n, k), turn back from one change to the next."""
+    found = 0
+    for changes in np.sign(np.rint(np.diff(positions, axis=0) / step)).T:
+        moving = changes[changes != 0.0]
+        found += int(np.count_nonzero(moving[1:] != moving[:-1]))
+    return found
 
 
 def _drawn(
@@ -123,28 +143,32 @@ def _drawn(
     position: NDArray[np.float64],
     spectrum: NDArray[np.float64],
     stream: np.random.Generator,
+    draws: int = DRAWS,
 ) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
     """Yield what the encoder would make of draws of noise of this `spectrum`, and the filter that whitens it.
 
     The error, shape (n,), is the position less what is shown.
     """
     step, record = run.noise.rounding, run.signals.record
-    places = stream.uniform(-0.5 * step, 0.5 * step, DRAWS)
+    places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     closed = record.reference is not None and record.controller is not None
-    own = drawn_noise(spectrum, len(record) if closed else position.size, stream)
+    own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
     def one(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if at is not None:
-            loop = replace(disturbed(record, own[:, k]), position=record.position + places[k], encoder_resolution=step)
+            loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
-                driven = replace(loop, voltage=simulate(plant, loop).voltage, encoder_resolution=None)
-                moved = simulate(plant, driven, voltage_driven=True).measured
-                return moved[at], step * np.round((moved + own[:, k]) / step)[at]
+                moved = simulate(plant, loop, sensor_error=own[:, k])
+                there = moved.position
+                if any(isinstance(effect, Sensor) for effect in plant.effects):
+                    driven = replace(loop, voltage=moved.voltage, encoder_resolution=None)
+                    there = simulate(plant, driven, voltage_driven=True).measured
+                return there[at], moved.measured[at]
             return position, step * np.round((position + own[at, k]) / step)
         return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]
 
-    for there, shown in in_parallel(one, range(DRAWS)):
+    for there, shown in in_parallel(one, range(draws)):
         yield run.whiten.of(shown), there - shown
 
 
@@ -156,30 +180,22 @@ def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:
     return np.clip(at, 0, len(signals.record) - 1)
 
 
-def disturbed(record: Record, error: NDArray[np.float64]) -> Record:
-    """Return `record` with what its controller makes of an `error` of the sensor [m or rad] as feedforward."""
-    assert record.controller is not None  # noqa: S101 - of records in closed loop
-    loop = replace(record.controller, integral_before=0.0, anti_windup="none")  # the answer to the noise alone
-    seen = replace(record, position=error, reference=np.zeros(error.size), feedforward=None, controller=loop)
-    answer = controller_voltage(seen)
-    forward = answer if record.feedforward is None else record.feedforward + answer
-    return replace(record, feedforward=forward, encoder_resolution=None)
-
-
 def spectrum_of(noise: NoiseModel) -> NDArray[np.float64]:
     """Return the spectrum of a noise model at even frequencies up to half, in variance a sample, shape (m,)."""
     response = np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES))
     return np.asarray((noise.innovation / np.maximum(response, 1e-12)) ** 2)
 
 
-def drawn_noise(spectrum: NDArray[np.float64], samples: int, stream: np.random.Generator) -> NDArray[np.float64]:
+def drawn_noise(
+    spectrum: NDArray[np.float64], samples: int, stream: np.random.Generator, draws: int = DRAWS
+) -> NDArray[np.float64]:
     """Return draws of noise of a `spectrum` at even frequencies, shape (samples, draws)."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = next_fast_len(2 * samples, real=True)
     at = np.linspace(0.0, spectrum.size - 1.0, size // 2 + 1)
     response = np.sqrt(np.interp(at, np.arange(spectrum.size), spectrum))
-    waves = rfft(stream.standard_normal((size, DRAWS)), axis=0)
+    waves = rfft(stream.standard_normal((size, draws)), axis=0)
     return np.asarray(irfft(response[:, None] * waves, size, axis=0)[:samples])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
-from servolens.identification.rounding import is_rounded, rounded
+from servolens.identification.rounding import dominates, is_rounded, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
@@ -66,16 +66,27 @@ class ScoreTest:
             column += initial.shape[1]
         sizes = np.linalg.norm(own, axis=0)
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
-        self._left = self.free_of_own(self.residual)
+        self._left = self._unusual(self.residual)
 
     @property
     def is_drawn(self) -> bool:
         """Whether chance is not that of white noise, and is drawn: rounding or shaking are part of the noise."""
         return is_rounded(self.hypothesis.noise) or self.hypothesis.noise.rate > 0.0
 
-    @cached_property
+    @property
     def drawn(self) -> NDArray[np.float64]:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
+        return self._drawn - self._usual[:, None]
+
+    @cached_property
+    def _usual(self) -> NDArray[np.float64]:
+        """What rounding leaves in the mean of all draws, shape (n,): of a loop that seeks one side of a step, not 0."""
+        if not dominates(self.hypothesis.noise):
+            return np.zeros(self.residual.size)
+        return np.asarray(np.mean(self._drawn, axis=1))
+
+    @cached_property
+    def _drawn(self) -> NDArray[np.float64]:
         draw = rounded if is_rounded(self.hypothesis.noise) else shaken
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
         found = self.free_of_own(np.concatenate(draw(self.runs, plants, self.hypothesis.starts)))
@@ -84,8 +95,11 @@ class ScoreTest:
 
     @property
     def left(self) -> NDArray[np.float64]:
-        """The whitened residual at right angles to the hypothesis' own directions, shape (n,)."""
+        """The whitened residual at right angles to the hypothesis' own directions, less what is usual, shape (n,)."""
         return self._left
+
+    def _unusual(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.free_of_own(residual) - self._usual
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
@@ -102,7 +116,7 @@ class ScoreTest:
         try:
             missed = self._missed(plant)
             columns = self._columns(plant, missed)
-            reached = self.free_of_own(self._missed_least(plant, missed))
+            reached = self._unusual(self._missed_least(plant, missed))
         except (InputError, NumericalError):
             return 0.0
         gained = float(self._left @ self._left) - float(reached @ reached)
