@@ -14,10 +14,12 @@ from servolens.diagnosis.ordering import (
     chosen_for_extension,
     distinct,
     families,
+    is_last_resort,
     parted,
     simplified,
     specialised,
     united,
+    with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.effects import Drive, catalogue, effect_class
@@ -65,31 +67,41 @@ class Explorer:
         tell: Callable[[str, float], None],
         known: Sequence[Hypothesis],
         is_enough: Callable[[Hypothesis], bool],
+        share: float,
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self.likelihood = trials.likelihood
-        self.worked = self.likelihood.work
+        self.worked, self._share = self.likelihood.work, share
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
         self.with_last_resorts = False
         self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
+        self._simpler: dict[tuple[frozenset[str], float, int], Hypothesis] = {}
 
     @property
     def left(self) -> float:
-        """Samples times substeps that may still be simulated."""
-        return max(self.effort.work - (self.likelihood.work - self.worked), 0.0)
+        """Samples times substeps that may still be simulated, of the share of the effort that is granted."""
+        return max(self._share * self.effort.work - self._spent, 0.0)
+
+    @property
+    def _spent(self) -> float:
+        return float(self.likelihood.work - self.worked)
+
+    def grant(self, share: float) -> None:
+        """Let the search take this share of the effort."""
+        self._share = share
 
     def has_more(self, work: float) -> bool:
         """Tell whether of so much `work` enough is left to look for a further effect."""
-        return self.left > self.effort.work - (1.0 - SPENT) * work
+        return self._spent < (1.0 - SPENT) * work
 
     def _allowance(self, jobs: int, kept: float = 0.0) -> float:
         """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
 
         As if a share `kept` of the effort were left in any case.
         """
-        return SHARE * max(self.left, kept * self.effort.work) / max(jobs, 1)
+        return SHARE * max(self.left, kept * self._share * self.effort.work) / max(jobs, 1)
 
     def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the way from `base` to the best of those `begun`, if one is likelier."""
@@ -98,14 +110,17 @@ class Explorer:
         if not found or found[0].total >= base.total:
             return [base]
         best = self.improved(found[0])
-        return self._steps([base], best) if best.causes else [base]
+        return self._steps([base], best) if best.causes else [best]
 
     def walked(self, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], bool]:
-        """Return `path` and further steps of one effect each, and whether `work` was spent before the end."""
+        """Return `path` and further steps of one effect each, and whether `work` was spent before the end.
+
+        Then it ends with the likeliest of all that was fitted.
+        """
         beam, steps = path[-1:], 0
         while len(path[-1].causes) < self.effort.causes:
             if not (self.has_more(work) if steps else self.left > 0.0):
-                return path, True
+                return self._to_the_likeliest(path), True
             steps += 1
             found = self.extended(beam, len(path[-1].causes))
             if not path[-1].causes and found and not self.is_enough(found[0]):
@@ -118,10 +133,19 @@ class Explorer:
             if not better or self.is_chance(path[-1], better[0]):
                 break
             best = self.improved(better[0])
+            if not best.causes:
+                return [best], False
             path = self._steps(path, best)
             further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
             beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False
+
+    def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return `path` as it leads to the likeliest of all that was fitted."""
+        best = min([path[-1], *self.judged], key=by_total)
+        if best is path[-1]:
+            return [*path]
+        return self._steps(path, best) if best.causes else [best]
 
     def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
         """Return `path` as it leads to `best`, with what was found on the way where that adds several causes."""
@@ -136,7 +160,7 @@ class Explorer:
             # what leaves no more than sensor noise is no impostor, unless what has no more parameters reaches as far
             best, *others = beam
             beam = [best, *(h for h in others if len(h.plant.values) + 1 <= len(best.plant.values))]
-        members = sorted(beam, key=lambda h: noise.is_model_error and bool(own_phases(h.plant)))
+        members = sorted(beam, key=lambda h: (is_last_resort(h), noise.is_model_error and bool(own_phases(h.plant))))
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
         for place, hypothesis in enumerate(members):
@@ -280,24 +304,36 @@ class Explorer:
             hypothesis = best
 
     def reduced(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` without the effects that do not pay for themselves."""
-        while len(hypothesis.causes) > 1:
-            without = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
-            simpler = self._judged([(plant, hypothesis) for plant in without])
+        """Return `hypothesis` without the effects that do not pay for themselves.
+
+        Beside its own noise: what was likelier for that alone names no cause.
+        """
+        while hypothesis.causes:
+            simpler = self._without_one(hypothesis)
             if not simpler or simpler[0].total >= hypothesis.total:
                 return hypothesis
             hypothesis = simpler[0]
         return hypothesis
 
+    def _without_one(self, hypothesis: Hypothesis) -> list[Hypothesis]:
+        """Return `hypothesis` without each of its effects in turn, the best first; fitted once beside a noise."""
+        noise = hypothesis.noise
+        plants = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
+        keys = [(frozenset(e.name for e in plant.effects), noise.rate, noise.order) for plant in plants]
+        new = {key: plant for key, plant in zip(keys, plants, strict=True) if key not in self._simpler}
+        for found in self._judged([(plant, hypothesis) for plant in new.values()]):
+            self._simpler[frozenset(found.causes), noise.rate, noise.order] = found
+        return sorted((self._simpler[key] for key in keys if key in self._simpler), key=by_total)
+
     def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin or its parts.
+        """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin, twin or parts.
 
         What cannot be told apart while another cause is missing often can beside it.
         """
         known = {frozenset(h.causes) for h in self.judged}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
-            plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis)]
+            plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis), *with_twins(hypothesis.plant)]
         others = {
             causes: plant
             for plant in plants

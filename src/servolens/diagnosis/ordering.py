@@ -29,10 +29,12 @@ __all__ = [
     "chosen_for_extension",
     "distinct",
     "families",
+    "is_last_resort",
     "parted",
     "simplified",
     "specialised",
     "united",
+    "with_twins",
 ]
 
 
@@ -56,6 +58,14 @@ def families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
         if not any(family & known and len(known) == len(family) for known in kept):
             kept[family] = hypothesis
     return list(kept.values())
+
+
+def is_last_resort(hypothesis: Hypothesis) -> bool:
+    """Tell whether a cause describes nearly anything of its kind.
+
+    What it leaves, an observer follows in any case; and what simpler causes leave says more of a further one.
+    """
+    return any(effect_class(name).is_last_resort for name in hypothesis.causes)
 
 
 def specialised(plant: Plant, motion: Screen) -> Iterator[Plant]:
@@ -101,6 +111,15 @@ def parted(plant: Plant) -> Iterator[Plant]:
             others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
             with suppress(InputError):  # where one of them stands already
                 yield reduce(Plant.with_effect, parts, others)
+
+
+def with_twins(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with an effect replaced by what does the same elsewhere in the loop if all between is linear."""
+    for effect in plant.effects:
+        if effect.twin and plant.effect(effect.twin) is None:
+            values = {spec.name: getattr(effect, spec.name) for spec in effect.parameters()}
+            with suppress(InputError):
+                yield plant.without_effect(effect.name).with_effect(Plant.effect_from(effect.twin, values))
 
 
 def _mean_level(friction: DryFriction, motion: Screen) -> float:

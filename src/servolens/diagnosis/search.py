@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.explorer import INDISTINCT, Explorer
-from servolens.diagnosis.ordering import best_of_each, by_total
-from servolens.effects import effect_class
+from servolens.diagnosis.ordering import best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
 
-__all__ = ["Search", "search"]
+__all__ = ["Search", "improved", "search"]
 
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
@@ -110,14 +109,34 @@ def search(
         return _searched(trials, base, effort, tell, known, is_enough)
     left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
     trials.likelihood.count(unshaken.likelihood.work)
-    likeliest = [h for h in first.judged if h.causes][: effort.judged]
-    begun = [h for h in (*first.path[1:], *likeliest, *first.singles[: effort.judged]) if not _is_last_resort(h)]
+    telling = [h for h in first.judged if h.causes and not is_last_resort(h)]
+    further = [h for h in first.singles[: effort.judged] if not is_last_resort(h)]
+    begun = [*(h for h in first.path[1:] if not is_last_resort(h)), *telling[: effort.judged], *further]
     is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
-    second = _searched(trials, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
-    likelier = min(second, first, key=lambda found: found.chosen.total)
+    shaken = trials.shaken()
+    second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
+    trials.likelihood.count(shaken.likelihood.work)
+    likelier = min(_undoubted(trials, second), first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
+
+
+def improved(
+    trials: Trials, found: Search, path: Sequence[Hypothesis], effort: Effort, is_enough: Callable[[Hypothesis], bool]
+) -> Search:
+    """Return `found` with a `path` that was fitted otherwise, the last of it reduced, exchanged and simplified anew."""
+    explorer = Explorer(trials, effort, lambda _, __: None, path, is_enough, 1.0)
+    chosen = explorer.settled(explorer.improved(path[-1]))
+    steps = (*(h for h in path if len(h.causes) < len(chosen.causes)), chosen)
+    return replace(found, path=steps, judged=best_of_each((*explorer.judged, *found.judged)))
+
+
+def _undoubted(trials: Trials, found: Search) -> Search:
+    """Return `found` with what it chose as if nothing shook the axis, if that is likelier."""
+    again = trials.likelihood.judged(found.chosen.plant, found.chosen) if found.chosen.causes else None
+    is_better = again is not None and again.total < found.chosen.total
+    return replace(found, path=(*found.path[:-1], again)) if again is not None and is_better else found
 
 
 @final
@@ -128,11 +147,6 @@ class _Budget:
     share: float = 1.0
     longer: float = 1.0
     promising: float = -math.inf
-
-
-def _is_last_resort(hypothesis: Hypothesis) -> bool:
-    """Tell whether a cause describes nearly anything of its kind: what it leaves, an observer follows in any case."""
-    return any(effect_class(name).is_last_resort for name in hypothesis.causes)
 
 
 def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
@@ -155,7 +169,7 @@ def _searched(
     What was found beside another, `begun`, is where it begins.
     """
     budget = budget or _Budget()
-    explorer = Explorer(trials, effort, tell, known, is_enough)
+    explorer = Explorer(trials, effort, tell, known, is_enough, budget.share)
     reached = explorer.path_to_the_best(base, begun)
     path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * budget.share * effort.work)
     if is_enough(path[-1]):
@@ -166,6 +180,7 @@ def _searched(
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
         is_promising = path[-1].total < budget.promising and not is_enough(path[-1])
         if early and is_promising and explorer.has_more(budget.longer * effort.work):
+            explorer.grant(budget.longer)
             path, early = explorer.walked(path, budget.longer * effort.work)
     chosen = explorer.settled(path[-1])
     path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]

@@ -113,6 +113,12 @@ class Trials:
         other.likelihood = self.likelihood.unshaken()
         return other
 
+    def shaken(self) -> Trials:
+        """Return the trials of an axis that something shakes, whatever else it lacks."""
+        other = copy(self)
+        other.likelihood = self.likelihood.shaken()
+        return other
+
     def base(self) -> Hypothesis:
         """Return gain and damping alone.
 
