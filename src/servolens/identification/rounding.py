@@ -104,14 +104,14 @@ def _own_spectrum(
     with the spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
     """
     shown = spectrum_of(noise)
-    turned = sum(_turns(run.whiten.position[:, None], noise.rounding) for run in runs)
+    turned = sum(_turns(run.whiten.position, noise.rounding) for run in runs)
 
     def looked(share: float) -> tuple[float, NDArray[np.float64]]:
         own, stream = np.full(shown.size, (share * noise.rounding) ** 2), np.random.default_rng(1)
         turns, power, samples = 0.0, np.zeros(shown.size), 0
         for run, plant, position in zip(runs, plants, positions, strict=True):
             for whiten, error in _drawn(run, plant, position, own, stream, FEW_DRAWS):
-                turns += _turns(whiten.position[:, None], noise.rounding) / FEW_DRAWS
+                turns += _turns(whiten.position, noise.rounding) / FEW_DRAWS
                 power += _power(error)
                 samples += error.size
         return turns, power / samples
@@ -120,21 +120,18 @@ def _own_spectrum(
     for _ in range(HALVINGS):
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if looked(middle)[0] < turned else (low, middle)
-    least = SHARES[0] * (high / low)  # of the lowest interval: none is seen
-    share = 0.0 if high <= least else float(np.sqrt(low * high))
+    share = 0.0 if low == SHARES[0] else float(np.sqrt(low * high))  # less than the least is none
     _, drawn = looked(share)
     slow = np.maximum(shown - drawn, 0.0)
     lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
     return (share * noise.rounding) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300)
 
 
-def _turns(positions: NDArray[np.float64], step: float) -> int:
-    """Return how often rounded `positions`, shape (n, k), turn back from one change to the next."""
-    found = 0
-    for changes in np.sign(np.rint(np.diff(positions, axis=0) / step)).T:
-        moving = changes[changes != 0.0]
-        found += int(np.count_nonzero(moving[1:] != moving[:-1]))
-    return found
+def _turns(position: NDArray[np.float64], step: float) -> int:
+    """Return how often a rounded `position`, shape (n,), turns back from one change to the next."""
+    changes = np.sign(np.rint(np.diff(position) / step))
+    changes = changes[changes != 0.0]
+    return int(np.count_nonzero(changes[1:] != changes[:-1]))
 
 
 def _drawn(
