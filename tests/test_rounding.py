@@ -7,7 +7,8 @@ from scipy.stats import chi2
 from servolens import Plant, Record, fit, lab
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
-from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, rounded
+from servolens.identification.resampling import profile
+from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, parted, rounded
 
 STEP = 1e-5
 TIME = np.arange(2000) * 1e-3
@@ -83,6 +84,37 @@ def test_what_rounding_does_to_estimates_is_taken_off_them():
     shares = np.abs(errors) / [found.stderr for found in fits]
     assert np.mean(shares < 1.96) >= 0.8
     assert np.median(shares) > 0.2
+
+
+def test_profile_beside_a_coarse_encoder_is_that_of_the_estimate():
+    found = fit((), [stage(1e-6, 25)])
+    damping = found.quantities["damping"]
+    low, high = profile(found, "damping").interval
+    assert 0.5 * (low + high) == pytest.approx(damping.value, abs=0.2 * damping.stderr)
+    assert high - low == pytest.approx(2.0 * 1.96 * damping.stderr, rel=0.1)
+
+
+def test_friction_that_is_nothing_but_rounding_ends_at_none():
+    level = fit("coulomb_friction", [stage(1e-6, 20)]).quantities["coulomb_friction.level"]
+    assert (level.value, level.stderr) == (0.0, None)
+    assert level.reason == "it ended at the end of its range"
+
+
+def test_rounding_without_a_loop_has_no_mean():
+    record = stage(1e-6, 3).with_({"reference": None})
+    run, drawn = drawn_of(record, 1e-6)
+    mean, rest = parted(run, drawn)
+    np.testing.assert_array_equal(mean, 0.0)
+    np.testing.assert_array_equal(rest, drawn)
+
+
+def test_draws_about_their_mean_are_as_large_as_a_further_one():
+    run, drawn = drawn_of(stage(1e-6, 3), 1e-6)
+    mean, rest = parted(run, drawn)
+    np.testing.assert_allclose(mean, drawn.mean(axis=1))
+    np.testing.assert_allclose(rest.mean(axis=1), 0.0, atol=1e-9)
+    further = np.std(drawn, axis=1, ddof=1) * np.sqrt(1.0 + 1.0 / DRAWS)
+    np.testing.assert_allclose(np.sqrt(np.mean(rest**2, axis=1)), further, rtol=1e-9, atol=1e-12)
 
 
 def test_rounding_dominates_from_half_the_variance_on():

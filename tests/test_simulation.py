@@ -63,8 +63,12 @@ def test_controller_answers_to_an_error_of_the_sensor_as_the_encoder_rounds_it()
 def test_disturbance_of_another_length_is_refused() -> None:
     time = grid(0.1)
     for name, called in (("acceleration", "acceleration"), ("sensor_error", "sensor's error")):
-        with pytest.raises(InputError, match=f"time has 101 samples, the {called} 7"):
-            simulate_loop(LINEAR, Controller(kp=60.0), time, np.full(time.size, 0.1), **{name: np.zeros(7)})
+        wrong, step = {name: np.zeros(107)}, np.full(time.size, 0.1)
+        record = Record(time=time, position=0.0 * time, reference=step, controller=Controller(kp=60.0))
+        with pytest.raises(InputError, match=f"time has 101 samples, the {called} 107"):
+            simulate_loop(LINEAR, Controller(kp=60.0), time, step, **wrong)
+        with pytest.raises(InputError, match=f"time has 101 samples, the {called} 107"):
+            simulate(LINEAR, record, **wrong)
 
 
 def test_continuous_loop_equals_the_damped_oscillator() -> None:

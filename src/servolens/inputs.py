@@ -63,6 +63,7 @@ ARGUMENTS = (
     "priors",
     "progress",
     "references",
+    "sensor_error",
     "spec",
     "substeps",
     "voltage_driven",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.explorer import INDISTINCT, SHARE
 from servolens.diagnosis.remainder import held_errors, remainder_of
-from servolens.diagnosis.search import Search, improved, search
+from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
@@ -26,8 +26,8 @@ __all__ = ["Decision", "decided"]
 MOST = 0.9
 """Share of the squared error that causes must take of a remainder that is immaterial, to be named."""
 AS_WELL = 6.0
-"""Difference of −2 log-likelihood, prices paid, up to which fewer parameters count more: odds of 1 to 20, as of what is
-outside a 95 % interval."""
+"""Difference of −2 log-likelihood, prices paid, up to which fewer parameters count more: odds of 1 to 20. Chosen on
+axes of the laboratory."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.3, 2.0 / 3.0
@@ -184,8 +184,8 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     again = _refitted(case, other.path, SHARE * work)
     explains = bool(again) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
-        refitted = improved(case.trials, found, again, replace(effort, work=SHARE * work), case.is_enough)
-        if case.is_enough(refitted.chosen):
+        refitted = improved_path(case.trials, found, again, replace(effort, work=SHARE * work), case.is_enough)
+        if case.is_enough(refitted.chosen) and not _is_stand_in(case, refitted.chosen):
             return Decision(case, refitted, refitted.path, ())
         return Decision(case, replace(found, path=again), again, ())
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):

@@ -77,7 +77,7 @@ class Explorer:
         self.with_last_resorts = False
         self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
-        self._simpler: dict[tuple[frozenset[str], float, int], Hypothesis] = {}
+        self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
     @property
     def left(self) -> float:
@@ -143,8 +143,9 @@ class Explorer:
     def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return `path` as it leads to the likeliest of all that was fitted."""
         best = min([path[-1], *self.judged], key=by_total)
-        if best is path[-1]:
+        if best is path[-1] or self.is_chance(path[-1], best):
             return [*path]
+        best = self.reduced(best)
         return self._steps(path, best) if best.causes else [best]
 
     def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
@@ -316,14 +317,18 @@ class Explorer:
         return hypothesis
 
     def _without_one(self, hypothesis: Hypothesis) -> list[Hypothesis]:
-        """Return `hypothesis` without each of its effects in turn, the best first; fitted once beside a noise."""
+        """Return `hypothesis` without each of its effects in turn, the best first.
+
+        What was fitted beside a noise like this, beginning from something as likely, is not fitted again.
+        """
         noise = hypothesis.noise
         plants = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
         keys = [(frozenset(e.name for e in plant.effects), noise.rate, noise.order) for plant in plants]
-        new = {key: plant for key, plant in zip(keys, plants, strict=True) if key not in self._simpler}
-        for found in self._judged([(plant, hypothesis) for plant in new.values()]):
-            self._simpler[frozenset(found.causes), noise.rate, noise.order] = found
-        return sorted((self._simpler[key] for key in keys if key in self._simpler), key=by_total)
+        least = hypothesis.total + NO_BETTER
+        new = [p for key, p in zip(keys, plants, strict=True) if self._simpler.get(key, (np.inf,))[0] > least]
+        for found in self._judged([(plant, hypothesis) for plant in new]):
+            self._simpler[frozenset(found.causes), noise.rate, noise.order] = hypothesis.total, found
+        return sorted((self._simpler[key][1] for key in keys if key in self._simpler), key=by_total)
 
     def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin, twin or parts.

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from servolens.diagnosis.explorer import INDISTINCT, Explorer
+from servolens.diagnosis.explorer import INDISTINCT, SHARE, Explorer
 from servolens.diagnosis.ordering import best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
 
-__all__ = ["Search", "improved", "search"]
+__all__ = ["Search", "improved_path", "search"]
 
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
@@ -118,25 +118,29 @@ def search(
     shaken = trials.shaken()
     second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
     trials.likelihood.count(shaken.likelihood.work)
-    likelier = min(_undoubted(trials, second), first, key=lambda found: found.chosen.total)
+    second = _without_observer(trials, second, SHARE * effort.work)
+    likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
 
 
-def improved(
+def improved_path(
     trials: Trials, found: Search, path: Sequence[Hypothesis], effort: Effort, is_enough: Callable[[Hypothesis], bool]
 ) -> Search:
     """Return `found` with a `path` that was fitted otherwise, the last of it reduced, exchanged and simplified anew."""
     explorer = Explorer(trials, effort, lambda _, __: None, path, is_enough, 1.0)
+    explorer.singles += found.singles
     chosen = explorer.settled(explorer.improved(path[-1]))
     steps = (*(h for h in path if len(h.causes) < len(chosen.causes)), chosen)
     return replace(found, path=steps, judged=best_of_each((*explorer.judged, *found.judged)))
 
 
-def _undoubted(trials: Trials, found: Search) -> Search:
-    """Return `found` with what it chose as if nothing shook the axis, if that is likelier."""
-    again = trials.likelihood.judged(found.chosen.plant, found.chosen) if found.chosen.causes else None
-    is_better = again is not None and again.total < found.chosen.total
-    return replace(found, path=(*found.path[:-1], again)) if again is not None and is_better else found
+def _without_observer(trials: Trials, found: Search, work: float) -> Search:
+    """Return `found` with what it chose fitted as if nothing shook the axis, if that is likelier."""
+    chosen = found.chosen
+    again = trials.likelihood.judged(chosen.plant, chosen, allowance=work) if chosen.causes else None
+    if again is None or again.total >= chosen.total:
+        return found
+    return replace(found, path=(*found.path[:-1], again), judged=best_of_each((*found.judged, again)))
 
 
 @final

@@ -83,7 +83,7 @@ class Likelihood:
     ) -> None:
         self.records, self._options = tuple(records), options
         self._rates, self._are_phases_own = tuple(rates), are_phases_own and len(self.records) > 1
-        self._doubts = True  # whether what seems shaken is also fitted as if it were not
+        self._asks_white = True  # whether what seems shaken is also fitted as if it were not
         self._price, self.is_admissible = price, is_admissible
         self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
         self.every = max(-(-sum(len(record) for record in records) // MOST_SAMPLES), 1)
@@ -126,9 +126,9 @@ class Likelihood:
         return other
 
     def shaken(self) -> Likelihood:
-        """Return the likelihood of an axis that no plant leaves unshaken, so far: where an observer helps, it stays."""
+        """Return the likelihood of an axis that was searched before as if nothing shook it: that is not tried again."""
         other = copy(self)
-        other._doubts, other.work = False, 0
+        other._asks_white, other.work = False, 0
         return other
 
     def count(self, simulated: int) -> None:
@@ -219,9 +219,8 @@ class Likelihood:
         noise = self._first_noise(plant, unpowered=unpowered) if like is None else like.noise
         follow = partial(self.led, iterations=iterations, unpowered=unpowered, is_rough=is_rough)
         best, left = self._agreed(follow, plant, noise, like, allowance, unpowered=unpowered)
-        if (
-            best is not None and best.noise.rate > 0.0 and self._doubts
-        ):  # or nothing shakes it, and the plant is another
+        # nothing may shake it, and the plant be another
+        if self._asks_white and best is not None and best.noise.rate > 0.0:
             other, _ = self._agreed(follow, best.plant, self.white, best, left, unpowered=unpowered)
             best = best if other is None or other.total >= best.total else other
         return best if best is not None and self.is_admissible(best.plant) else None

@@ -206,6 +206,7 @@ class ObservedRun:
         self.samples, self.instants = signals.measured.size, signals.instants
         self.sample_time = float(np.max(np.diff(signals.time)))
         self.start = signals.initial.mean
+        self._usual: NDArray[np.float64] | float = 0.0
         travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
         self.shifts = (travel, travel / max(float(signals.time[-1] - signals.time[0]), 1e-3))
         self._before = applied_before(signals.record)
@@ -238,6 +239,12 @@ class ObservedRun:
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]
 
+    def less(self, usual: NDArray[np.float64]) -> ObservedRun:
+        """Return the same run, of whose whitened difference so much is known beforehand, shape (n,)."""
+        other = copy(self)
+        other._usual = usual
+        return other
+
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> ObservedRun:
         """Return the same run, observed alike, with another log of position and applied voltage, shape (n,) each."""
         other = copy(self)
@@ -248,7 +255,7 @@ class ObservedRun:
         """Return the whitened difference, and how far the initial state is from its prior, in standard deviations."""
         initial = self.signals.initial
         away = (start - initial.mean) / initial.deviation
-        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)) - self._usual, away])
 
 
 @final

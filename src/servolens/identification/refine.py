@@ -11,7 +11,7 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.rounding import DRAWS, dominates, rounded
+from servolens.identification.rounding import DRAWS, dominates, parted, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -46,7 +46,7 @@ NEARLY = 0.9
 AT_NOISE, DOWN_TO_NOISE = 3.0, 1.05
 """Times the noise up to which a residual counts as explained; as fully so, with nothing left to search for."""
 CORRECTED = 2
-"""Times that what rounding does to the estimates is drawn: of the optimum, then of the corrected plant."""
+"""Times that what rounding leaves is drawn: of the optimum, then of the optimum beside its mean."""
 MOST_FOLLOWED = 0.1
 """Share of a sample's variance that is left at least: beyond, its residual says nothing of its noise."""
 HUBER = 2.5
@@ -110,6 +110,9 @@ class Refinement:
         and, driven by the voltage, allow for the minima nearby that explain as much.
     status : str
         One sentence.
+    usual : tuple of ndarray
+        What of the whitened residual of each run an encoder's rounding leaves on average, where that dominates: it was
+        taken off. Else empty.
     """
 
     plant: Plant
@@ -128,6 +131,7 @@ class Refinement:
     converged: bool
     is_smooth: bool
     status: str
+    usual: tuple[NDArray[np.float64], ...] = ()
 
     def plant_of(self, group: int) -> Plant:
         """Return the plant of one record, with the parameters of its own."""
@@ -239,7 +243,11 @@ def minimise_error(
     others: list[NDArray[np.float64]] = []
     if searched:
         point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
-    return _finished(problem, point, others, converged=converged and not problem.too_stiff(point, NEARLY))
+    is_optimum = converged and not problem.too_stiff(point, NEARLY)
+    if all(isinstance(run, ObservedRun) and dominates(run.noise) for run in problem.runs):
+        point, rounding = _less_rounding(problem, point)
+        return _finished(problem, point, others, converged=is_optimum, rounding=rounding)
+    return _finished(problem, point, others, converged=is_optimum)
 
 
 def minimise_likewise(plant: Plant, runs: Sequence[Run], options: FitOptions, weights: Weights) -> Refinement:
@@ -290,21 +298,54 @@ def _lowest(problem: Problem, begun: Point, *, coarse: bool, searched: bool) -> 
     return point, converged
 
 
-def _finished(problem: Problem, point: Point, others: Sequence[NDArray[np.float64]], *, converged: bool) -> Refinement:
+@final
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Rounding:
+    """What an encoder's rounding leaves of whitened residuals: their mean, the rest of each draw, both run by run.
+
+    And by how much the last correction by the mean moved the parameters: as well as that it is known.
+    """
+
+    means: tuple[NDArray[np.float64], ...]
+    drawn: tuple[NDArray[np.float64], ...]
+    moved: NDArray[np.float64]
+
+
+def _less_rounding(problem: Problem, begun: Point) -> tuple[Point, _Rounding]:
+    """Return the optimum beside the mean of what rounding leaves, drawn of the plant that is found, and the draws.
+
+    Rounding moves the estimates by more than it scatters them, for a loop seeks one side of a step (bias by the
+    parametric bootstrap: Efron and Tibshirani 1993, section 10.6). From here on the `problem` is without that mean.
+    """
+    runs = [run for run in problem.runs if isinstance(run, ObservedRun)]
+    point, before = begun, begun.values
+    for _ in range(CORRECTED):
+        before, plants = point.values, [problem.plant_at(point.values, i) for i in range(len(runs))]
+        means, drawn = zip(*map(parted, runs, rounded(runs, plants, point.starts)), strict=True)
+        problem.runs = [run.less(mean) for run, mean in zip(runs, means, strict=True)]
+        point = replace(point, cost=problem.cost(point))
+        point, _ = descend(problem, point, MOST_ITERATIONS)
+    return point, _Rounding(means=means, drawn=drawn, moved=point.values - before)
+
+
+def _finished(
+    problem: Problem,
+    point: Point,
+    others: Sequence[NDArray[np.float64]],
+    *,
+    converged: bool,
+    rounding: _Rounding | None = None,
+) -> Refinement:
     """Return the result of a search that ended at `point`; at the values of `others` as much is explained."""
     (blocks, _, information), is_smooth = linearised_widely(problem, point)
     within = (point.values > problem.low) & (point.values < problem.high)
     undetermined = within & open_directions(information)
     count = len(problem.names)
-    covariance, correlation, colour = (
-        np.full((count, count), np.nan),
-        np.full((count, count), np.nan),
-        np.full(count, np.nan),
-    )
+    covariance, correlation = (np.full((count, count), np.nan) for _ in range(2))
+    colour = np.full(count, np.nan)
     index = np.flatnonzero(within & (np.diag(information) > 0))
     if index.size:
-        inner, white, usual = _covariances(problem, point, blocks, information, index)
-        point.values[index] = np.clip(point.values[index] + usual, problem.low[index], problem.high[index])
+        inner, white = _covariances(problem, blocks, information, index, rounding)
         if not is_smooth and others:
             away = (np.array(others) - point.values)[:, index]
             inner = inner + away.T @ away / len(others)
@@ -335,47 +376,37 @@ def _finished(problem: Problem, point: Point, others: Sequence[NDArray[np.float6
         converged=converged,
         is_smooth=is_smooth,
         status="the refinement reached its optimum" if converged else "the refinement stopped before its optimum",
+        usual=() if rounding is None else rounding.means,
     )
 
 
 def _covariances(
-    problem: Problem, point: Point, blocks: list[Block], information: NDArray[np.float64], index: NDArray[np.intp]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the covariance of the parameters of this `index`, what it would be of white residuals, and a correction.
+    problem: Problem,
+    blocks: list[Block],
+    information: NDArray[np.float64],
+    index: NDArray[np.intp],
+    rounding: _Rounding | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the covariance of the parameters of this `index`, and what it would be of white residuals.
 
     In the directions that the data determine; what is not of them has no error of its own, and costs the others none.
-    An encoder's rounding moves the estimates by more than it scatters them, for a loop seeks one side of a step: the
-    correction takes that off (bias by the parametric bootstrap: Efron and Tibshirani 1993, section 10.6).
     """
     basis = determined(information[np.ix_(index, index)])
     inner = basis.T @ information[np.ix_(index, index)] @ basis
     inverse = np.asarray(np.linalg.inv(inner), dtype=np.float64)
-    scores = [_scores(block, block.jacobian[:, index] @ basis, inverse) for block in blocks]
-    known = np.zeros(point.values.size)
+    known = np.zeros(problem.free.size)
     for k, prior in problem.priors:
         known[k] = (problem.noise / prior.deviation * problem.noise) ** 2
     held = (basis.T * known[index]) @ basis
-    if all(isinstance(run, ObservedRun) and dominates(run.noise) for run in problem.runs):
-        usual, begun = np.zeros(inner.shape[0]), point.values.copy()
-        for _ in range(CORRECTED):
-            begun[index] = np.clip(point.values[index] + basis @ usual, problem.low[index], problem.high[index])
-            moved = inverse @ (_drawn_scores(problem, replace(point, values=begun), blocks, index) @ basis).T
-            before, usual = usual, np.mean(moved, axis=1)
-        robust = np.cov(moved, bias=True) * (1.0 + 1.0 / DRAWS) + inverse @ held @ inverse
-        robust += np.outer(usual - before, usual - before)  # as well as that the correction is known
+    if rounding is None:
+        scores = [_scores(block, block.jacobian[:, index] @ basis, inverse) for block in blocks]
+        robust = robust_covariance(scores, inner, held)
     else:
-        usual, robust = np.zeros(inner.shape[0]), robust_covariance(scores, inner, held)
-    return basis @ robust @ basis.T, basis @ inverse @ basis.T, basis @ usual
-
-
-def _drawn_scores(
-    problem: Problem, point: Point, blocks: Sequence[Block], index: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return the scores, shape (draws, k), of noise that the encoder rounds: of each draw, of all runs together."""
-    runs = [run for run in problem.runs if isinstance(run, ObservedRun)]
-    plants = [problem.plant_at(point.values, i) for i in range(len(runs))]
-    drawn = rounded(runs, plants, point.starts)
-    return np.asarray(sum(d.T @ b.jacobian[: d.shape[0], index] for d, b in zip(drawn, blocks, strict=True)))
+        of_runs = zip(rounding.drawn, blocks, strict=True)
+        drawn = sum(draws.T @ block.jacobian[: draws.shape[0], index] for draws, block in of_runs)
+        moved, last = inverse @ (drawn @ basis).T, basis.T @ rounding.moved[index]
+        robust = moved @ moved.T / DRAWS + inverse @ held @ inverse + np.outer(last, last)
+    return basis @ robust @ basis.T, basis @ inverse @ basis.T
 
 
 def _scores(block: Block, rows: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError, described
 from servolens.identification.fitting import runs_of
+from servolens.identification.observed import ObservedRun
 from servolens.identification.refine import minimise_error, minimise_likewise
 from servolens.identification.runs import Resampled
 from servolens.simulation.rates import substeps_for
@@ -121,7 +122,8 @@ def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
 
     Innovations are the residual whitened by the fit's noise model; they are drawn in blocks, which keep what colour is
     left (moving blocks; Künsch 1989, doi:10.1214/aos/1176347265). What an observer is corrected by stays as measured
-    (the fixed design of Gonçalves and Kilian 2004, doi:10.1016/j.jeconom.2003.10.030).
+    (the fixed design of Gonçalves and Kilian 2004, doi:10.1016/j.jeconom.2003.10.030). Where an encoder's rounding
+    dominates the noise, blocks do not know what the loop makes of it, and scatter more than the fit's error bars say.
 
     Parameters
     ----------
@@ -164,7 +166,9 @@ def _runs(fit: Fit) -> list[Run]:
         raise InputError(f"what servolens.fit returns is needed; got {described(fit)}")
     if not fit.records:
         raise InputError("this fit was read from a file, which holds no records; fit them again")
-    return runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
+    runs = runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
+    usual = fit.refinement.usual
+    return [run.less(usual[i]) if usual and isinstance(run, ObservedRun) else run for i, run in enumerate(runs)]
 
 
 def _ends(fit: Fit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:

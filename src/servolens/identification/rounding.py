@@ -30,10 +30,12 @@ if TYPE_CHECKING:
 __all__ = [
     "DOMINATES",
     "DRAWS",
+    "LOOPS",
     "dominates",
     "drawn_noise",
     "is_rounded",
     "limit_of",
+    "parted",
     "rounded",
     "spectrum_of",
 ]
@@ -49,6 +51,8 @@ FEW_DRAWS, HALVINGS = 8, 6
 """Draws of each size of the noise that is looked at, and sizes, of which each halves the interval it is sought in."""
 SHARES = 0.01, 1.0
 """Least and largest standard deviation of quick noise, in steps of the encoder."""
+LOOPS = DRAWS + (HALVINGS + 1) * FEW_DRAWS
+"""Loops that are simulated in all, of each record."""
 
 
 def is_rounded(noise: NoiseModel) -> bool:
@@ -89,6 +93,22 @@ def rounded(
         np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectrum, stream)])
         for run, plant, position in zip(runs, plants, whole, strict=True)
     ]
+
+
+def parted(run: ObservedRun | SimulatedRun, drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return the mean of a run's draws, shape (n,), and what else is in each, shape (n, draws).
+
+    As large as a further draw is about that mean. Without a loop that is simulated the mean is 0: steps lie anywhere.
+    """
+    if not _is_closed(run):
+        return np.zeros(drawn.shape[0]), drawn
+    mean, count = np.mean(drawn, axis=1), drawn.shape[1]
+    return mean, (drawn - mean[:, None]) * np.sqrt((count + 1.0) / (count - 1.0))
+
+
+def _is_closed(run: ObservedRun | SimulatedRun) -> bool:
+    record = run.signals.record
+    return record.reference is not None and record.controller is not None
 
 
 def _own_spectrum(
@@ -148,7 +168,7 @@ def _drawn(
     """
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
-    closed = record.reference is not None and record.controller is not None
+    closed = _is_closed(run)
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 

@@ -11,7 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
-from servolens.identification.rounding import dominates, is_rounded, rounded
+from servolens.identification.rounding import DRAWS, LOOPS, dominates, is_rounded, parted, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
@@ -66,7 +66,6 @@ class ScoreTest:
             column += initial.shape[1]
         sizes = np.linalg.norm(own, axis=0)
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
-        self._left = self._unusual(self.residual)
 
     @property
     def is_drawn(self) -> bool:
@@ -76,30 +75,34 @@ class ScoreTest:
     @property
     def drawn(self) -> NDArray[np.float64]:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
-        return self._drawn - self._usual[:, None]
+        return self._drawn[1]
 
     @cached_property
-    def _usual(self) -> NDArray[np.float64]:
-        """What rounding leaves in the mean of all draws, shape (n,): of a loop that seeks one side of a step, not 0."""
-        if not dominates(self.hypothesis.noise):
-            return np.zeros(self.residual.size)
-        return np.asarray(np.mean(self._drawn, axis=1))
-
-    @cached_property
-    def _drawn(self) -> NDArray[np.float64]:
-        draw = rounded if is_rounded(self.hypothesis.noise) else shaken
+    def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The mean of the draws, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
+        noise, starts = self.hypothesis.noise, self.hypothesis.starts
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        found = self.free_of_own(np.concatenate(draw(self.runs, plants, self.hypothesis.starts)))
-        self._count(2 * found.size)  # a loop, and an observer of it
-        return found
+        drawn = rounded(self.runs, plants, starts) if is_rounded(noise) else shaken(self.runs, plants, starts)
+        means = [np.zeros(draws.shape[0]) for draws in drawn]
+        if self._has_mean:
+            means, drawn = map(list, zip(*map(parted, self.runs, drawn), strict=True))
+        self._count(self.residual.size * (LOOPS if is_rounded(noise) else 2 * DRAWS))  # a loop, and an observer of it
+        return self.free_of_own(np.concatenate(means)), self.free_of_own(np.concatenate(drawn))
 
     @property
-    def left(self) -> NDArray[np.float64]:
-        """The whitened residual at right angles to the hypothesis' own directions, less what is usual, shape (n,)."""
-        return self._left
+    def _has_mean(self) -> bool:
+        """Whether rounding leaves something on average: of a loop that seeks one side of a step."""
+        noise = self.hypothesis.noise
+        return is_rounded(noise) and dominates(noise) and not noise.is_model_error
 
-    def _unusual(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self.free_of_own(residual) - self._usual
+    @cached_property
+    def left(self) -> NDArray[np.float64]:
+        """The whitened residual at right angles to the hypothesis' own directions, less the draws' mean, shape (n,)."""
+        return self._less_mean(self.residual)
+
+    def _less_mean(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
+        free = self.free_of_own(residual)
+        return free - self._drawn[0] if self._has_mean else free
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
@@ -116,10 +119,10 @@ class ScoreTest:
         try:
             missed = self._missed(plant)
             columns = self._columns(plant, missed)
-            reached = self._unusual(self._missed_least(plant, missed))
+            reached = self._less_mean(self._missed_least(plant, missed))
         except (InputError, NumericalError):
             return 0.0
-        gained = float(self._left @ self._left) - float(reached @ reached)
+        gained = float(self.left @ self.left) - float(reached @ reached)
         return float(np.fmax(self.explained(columns), gained))
 
     def free_columns(self, plant: Plant) -> NDArray[np.float64]:
@@ -187,7 +190,7 @@ class ScoreTest:
         if free.shape[1] == 0:
             return 0.0
         q, _ = np.linalg.qr(free / np.linalg.norm(free, axis=0))
-        along = q.T @ self._left
+        along = q.T @ self.left
         return float(along @ along)
 
     def _beside_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:

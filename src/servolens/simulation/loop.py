@@ -6,7 +6,7 @@ import ctypes
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
-from typing import TYPE_CHECKING, Unpack, final
+from typing import TYPE_CHECKING, TypeVar, Unpack, final
 
 import numpy as np
 
@@ -36,6 +36,8 @@ __all__ = [
     "simulate_trial",
     "simulate_voltage",
 ]
+
+Part = TypeVar("Part")
 
 PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
@@ -118,25 +120,23 @@ def simulate(
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
     plant = plant_in(plant, record)
+    _shaking(acceleration, sensor_error, record.time)
     start = (float(record.position[0]), initial_velocity)
     if driven:
-        before = record.voltage_before
         return simulate_voltage(
             plant,
             record.time,
             _given(record.voltage),
             start=start,
-            before=before,
+            before=record.voltage_before,
             acceleration=acceleration,
             sensor_error=sensor_error,
             substeps=substeps,
         )
-    controller = record.controller
-    assert controller is not None  # noqa: S101 - can_close
     grid, held, index = without_gaps(record.time)
     result = simulate_loop(
         plant,
-        controller,
+        _given(record.controller),
         grid,
         _given(record.reference)[held],
         feedforward=None if record.feedforward is None else record.feedforward[held],
@@ -440,6 +440,6 @@ def _run(  # noqa: PLR0913 - as it is compiled
     return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 
-def _given(signal: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    assert signal is not None  # noqa: S101 - the caller checked
-    return signal
+def _given(part: Part | None) -> Part:
+    assert part is not None  # noqa: S101 - the caller checked
+    return part

@@ -177,11 +177,10 @@ def run(
     an observer, the speed that a step may be wrong by, then for each state whether an observer moves it with the
     position (1), the velocity (2) or not (0). An observer has the measured position as `reference`, gives its
     prediction from the samples before as `measured`, and `gains` holds three a sample: of position, velocity and
-    shaking; of an axis that is shaken, `gains`
-    holds two: the acceleration from each sample on, and the sensor's error. Minus one is returned where
-    more pieces than granted would be needed; zero grants any number. Without a closed loop the input is `held`; with
-    one, `held` is added to what the controller asks for. The input reaches the actuator `delay` seconds late; before
-    the record the first one was applied, if it is not known.
+    shaking; of an axis that is shaken, `gains` holds two: the acceleration from each sample on, and the sensor's
+    error. Minus one is returned where more pieces than granted would be needed; zero grants any number. Without a
+    closed loop the input is `held`; with one, `held` is added to what the controller asks for. The input reaches the
+    actuator `delay` seconds late; before the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size = STATES + ns + 2 * nz
