@@ -172,11 +172,12 @@ class Case:
         return self.is_enough(hypothesis) and self.burst(hypothesis) is None
 
     def burst(self, hypothesis: Hypothesis) -> Burst | None:
-        """Return the strongest burst of what shakes the axis beside `hypothesis`; None where it is steady, or nothing.
+        """Return the strongest burst of what `hypothesis` takes for shaking or slow noise; None where that is steady.
 
         Of a hypothesis that leaves nothing that depends on the inputs: the noise that it claims must be noise.
         """
-        if hypothesis.noise.rate == 0.0 or not self.is_enough(hypothesis):
+        noise = hypothesis.noise
+        if (noise.rate == 0.0 and noise.order == 0) or not self.is_enough(hypothesis):
             return None
         likelihood = self.likelihood
         return _once(self._bursts, hypothesis, lambda h: burst_of(ScoreTest(likelihood, likelihood.whitened_well(h))))

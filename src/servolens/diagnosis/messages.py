@@ -52,7 +52,8 @@ def said(
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
-        told += [_shaken(case, remainder), *_bursts(case, chosen)]
+        told.append(_shaken(case, remainder))
+    told += _bursts(case, chosen)
     in_loop = case.noise_in_loop(chosen)
     if in_loop > MOVES * gains.noise:
         told.append(_noise_in_loop(case, in_loop, gains.noise))
@@ -108,8 +109,9 @@ def _shaken(case: Case, remainder: Remainder) -> Finding:
 def _bursts(case: Case, chosen: Hypothesis) -> Iterator[Finding]:
     burst = case.burst(chosen)
     if burst is not None:
+        what = "what shakes the axis" if chosen.noise.rate > 0.0 else "the slow noise of the position"
         message = (
-            f"what shakes the axis comes in bursts, the strongest {readable(burst.time, 's')} into"
+            f"{what} comes in bursts, the strongest {readable(burst.time, 's')} into"
             f" {case.records[burst.record].name}: look for knocks, for a contact or friction that comes and goes, and"
             " for counts that the encoder loses."
         )

@@ -11,7 +11,7 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.rounding import DRAWS, dominates, parted, rounded
+from servolens.identification.rounding import DRAWS, has_mean, parted, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -244,7 +244,7 @@ def minimise_error(
     if searched:
         point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
     is_optimum = converged and not problem.too_stiff(point, NEARLY)
-    if all(isinstance(run, ObservedRun) and dominates(run.noise) for run in problem.runs):
+    if all(isinstance(run, ObservedRun) and has_mean(run.noise) for run in problem.runs):
         point, rounding = _less_rounding(problem, point)
         return _finished(problem, point, others, converged=is_optimum, rounding=rounding)
     return _finished(problem, point, others, converged=is_optimum)

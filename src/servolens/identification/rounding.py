@@ -33,6 +33,7 @@ __all__ = [
     "LOOPS",
     "dominates",
     "drawn_noise",
+    "has_mean",
     "is_rounded",
     "limit_of",
     "parted",
@@ -63,6 +64,11 @@ def is_rounded(noise: NoiseModel) -> bool:
 def dominates(noise: NoiseModel) -> bool:
     """Tell whether rounding is most of the noise."""
     return noise.share > DOMINATES
+
+
+def has_mean(noise: NoiseModel) -> bool:
+    """Tell whether rounding leaves something of simulations on average: of a loop that seeks one side of a step."""
+    return is_rounded(noise) and dominates(noise) and not noise.is_model_error
 
 
 def rounded(

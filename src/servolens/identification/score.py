@@ -11,7 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
-from servolens.identification.rounding import DRAWS, LOOPS, dominates, is_rounded, parted, rounded
+from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, parted, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
@@ -81,19 +81,16 @@ class ScoreTest:
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The mean of the draws, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
         noise, starts = self.hypothesis.noise, self.hypothesis.starts
+        if not self.is_drawn:
+            white = np.random.default_rng(4).standard_normal((self.residual.size, DRAWS))
+            return np.zeros(self.residual.size), self.free_of_own(white)
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
         drawn = rounded(self.runs, plants, starts) if is_rounded(noise) else shaken(self.runs, plants, starts)
         means = [np.zeros(draws.shape[0]) for draws in drawn]
-        if self._has_mean:
+        if has_mean(noise):
             means, drawn = map(list, zip(*map(parted, self.runs, drawn), strict=True))
         self._count(self.residual.size * (LOOPS if is_rounded(noise) else 2 * DRAWS))  # a loop, and an observer of it
         return self.free_of_own(np.concatenate(means)), self.free_of_own(np.concatenate(drawn))
-
-    @property
-    def _has_mean(self) -> bool:
-        """Whether rounding leaves something on average: of a loop that seeks one side of a step."""
-        noise = self.hypothesis.noise
-        return is_rounded(noise) and dominates(noise) and not noise.is_model_error
 
     @cached_property
     def left(self) -> NDArray[np.float64]:
@@ -102,7 +99,7 @@ class ScoreTest:
 
     def _less_mean(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         free = self.free_of_own(residual)
-        return free - self._drawn[0] if self._has_mean else free
+        return free - self._drawn[0] if has_mean(self.hypothesis.noise) else free
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""

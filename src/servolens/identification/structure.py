@@ -37,9 +37,9 @@ __all__ = [
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
-TESTS = 5
-"""Among which the familywise error rate is shared: forces, changes of the reference, ringing, rest against motion,
-bursts."""
+TESTS = 8
+"""Among which the familywise error rate is shared: forces, changes of the reference, and ringing, of each all together
+and the strongest; rest against motion; bursts."""
 BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
 """Samples of a block: a few, as many as a fast loop remembers, and a slow one; blocks of a third that is compared."""
 SMALL = 1e-3
@@ -62,9 +62,10 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     The whitened residual is regressed on instruments, at right angles to what the hypothesis itself explains: what
     forces over velocity, position, voltage, and time, and products of two of these, would do to it, each along the
     simulation of the loop from the reference, which knows nothing of the noise; changes of the reference itself over
-    lags from a few samples to half a record; and lightly damped modes that the reference sets ringing. The explained
-    sum of squares is χ², beyond what a structure of the tolerated size adds to it, or what draws of the noise explain,
-    if that is more. Then motion is compared with rest.
+    lags from a few samples to half a record; and lightly damped modes that the reference sets ringing. The sum of
+    squares that all of a kind explain is χ², beyond what a structure of the tolerated size adds to it, or what draws of
+    the noise explain, if that is more. What one instrument alone explains is compared with chance as well: one force
+    that is missing is lost among so many. Then motion is compared with rest.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11): without a reference products are left out.
     """
@@ -90,21 +91,44 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
 
 
 def statistics(test: ScoreTest) -> list[tuple[float, float]]:
-    """Return what forces, the reference, and ringing explain of the residual's squares, each with its limit."""
-    from scipy.stats import ncx2
-
+    """Return what forces, the reference, and ringing explain, with limits: of each kind all, then the strongest."""
     found = []
     for columns in (forced(test), _instruments(test), _ringing(test)):
-        basis = _basis(test, columns)
-        if basis.shape[1]:
-            tolerated = TOLERATED**2 * test.left.size
-            limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], tolerated))
-            if test.is_drawn:
-                drawn = basis.T @ test.drawn
-                limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
-            along = basis.T @ test.left
-            found.append((float(along @ along), limit))
+        directions = _unit(test.free_of_own(columns), columns)
+        if directions.shape[1]:
+            found += [_of_all(test, directions), _of_strongest(test, directions)]
     return found
+
+
+def _of_all(test: ScoreTest, directions: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the sum of squares that the `directions` explain, and its limit."""
+    from scipy.stats import ncx2
+
+    basis = _basis(directions)
+    tolerated = TOLERATED**2 * test.left.size
+    limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], tolerated))
+    if test.is_drawn:
+        drawn = basis.T @ test.drawn
+        limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
+    along = basis.T @ test.left
+    return float(along @ along), limit
+
+
+def _of_strongest(test: ScoreTest, directions: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the largest square that one of the `directions` explains, by what chance explains of it, and its limit.
+
+    Of so many (Bonferroni); by Student's t where draws tell what chance explains. It needs no tolerance: in as many
+    samples as are compared it sees nothing much smaller than the tolerated structure.
+    """
+    from scipy.stats import norm, t
+
+    level, spread = 0.5 * FALSE_ALARM / TESTS / directions.shape[1], np.ones(directions.shape[1])
+    limit = float(norm.isf(level))
+    if test.is_drawn:
+        drawn = directions.T @ test.drawn
+        spread = np.maximum(np.sqrt(np.mean(drawn**2, axis=1)), 1.0)
+        limit = float(t.isf(level, drawn.shape[1]))
+    return float(np.max((directions.T @ test.left / spread) ** 2)), limit**2
 
 
 def _differs_in_motion(test: ScoreTest) -> bool:
@@ -191,24 +215,23 @@ def is_chance(columns: NDArray[np.float64], own: NDArray[np.float64], residual: 
     from scipy.stats import ncx2
 
     basis, _ = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))
-    free = columns - basis @ (basis.T @ columns)
-    sizes = np.linalg.norm(free, axis=0)
-    free = free[:, sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
-    if free.shape[1] == 0:
+    directions = _unit(columns - basis @ (basis.T @ columns), columns)
+    if directions.shape[1] == 0:
         return True
-    left, singular, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=False)
-    along = left[:, singular > 1e-4 * singular[0]].T @ (residual - basis @ (basis.T @ residual))
+    along = _basis(directions).T @ (residual - basis @ (basis.T @ residual))
     return float(along @ along) <= float(ncx2.isf(FALSE_ALARM, along.size, TOLERATED**2 * residual.size))
 
 
-def _basis(test: ScoreTest, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an orthonormal basis of the columns, at right angles to what the hypothesis explains itself."""
-    free = test.free_of_own(columns)
+def _unit(free: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what is `free` of the `columns`, each of length 1, without those of which nothing is."""
     sizes = np.linalg.norm(free, axis=0)
-    free = free[:, sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)]
-    if free.shape[1] == 0:
-        return free
-    left, singular, _ = np.linalg.svd(free / np.linalg.norm(free, axis=0), full_matrices=False)
+    is_more = sizes > 1e-6 * np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.asarray(free[:, is_more] / sizes[is_more])
+
+
+def _basis(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of the directions."""
+    left, singular, _ = np.linalg.svd(directions, full_matrices=False)
     return np.asarray(left[:, singular > 1e-4 * singular[0]])
 
 

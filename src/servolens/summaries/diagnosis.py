@@ -255,12 +255,15 @@ def _healthy(diagnosis: Diagnosis) -> str:
     several = len(diagnosis.experiments) > 1
     noise = length(diagnosis.noise_floor, diagnosis.plant.length_unit)
     these, they = ("these records", "they") if several else ("this record", "it")
+    explained = f"gain and damping explain how {these} depend{'' if several else 's'} on the reference"
+    in_bursts = _has(diagnosis, "bursts")
     if _has(diagnosis, "shaken_axis"):
-        bursts = " in bursts" if _has(diagnosis, "bursts") else ""
+        bursts = " in bursts" if in_bursts else ""
         return (
-            f"gain and damping explain how {these} depend{'' if several else 's'} on the reference; in addition"
-            f" something shakes the axis{bursts}, and the sensor's noise is {noise} (r.m.s.)."
+            f"{explained}; in addition something shakes the axis{bursts}, and the sensor's noise is {noise} (r.m.s.)."
         )
+    if in_bursts:
+        return f"{explained}; the noise of the position, {noise} (r.m.s.), comes in bursts."
     return (
         f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
         " could show."
