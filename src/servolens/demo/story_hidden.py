@@ -39,7 +39,7 @@ def hidden_sentence(axis: HiddenAxis) -> str:
     hidden = " and ".join(spoken(name) for name in campaign.truth.effects)
     return (
         f"The laboratory drew an axis, hid {hidden} in it, and logged {len(campaign.records)} runs to learn from and"
-        f" {len(campaign.heldout)} to test with. What follows is what `servolens tune` makes of such records; it is not"
+        f" {len(campaign.heldout)} to test with. What follows is what servolens tune makes of such records; it is not"
         " told what was hidden."
     )
 

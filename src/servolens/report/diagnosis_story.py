@@ -110,7 +110,7 @@ def _gains_to_try(diagnosis: Diagnosis) -> list[Section]:
         return []
     said = (
         "The model in simulation, with the largest kp of the records to begin with and a settling time that it can"
-        " reach: what it says of gains, not what the axis will do. A diagnosis recommends no gain; `servolens tune`"
+        " reach: what it says of gains, not what the axis will do. A diagnosis recommends no gain; servolens tune"
         " does, and says how far it can be trusted."
     )
     return [Section(key="try", title="Try gains", blocks=(said, playground("gain", diagnosis.model, design)))]
