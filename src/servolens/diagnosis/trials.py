@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -22,7 +23,7 @@ from servolens.identification.starting import Screen, seen_in
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from servolens.effects import Effect
+    from servolens.effects import Effect, Seen
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.options import Prior
     from servolens.identification.ranking import Proposals
@@ -95,8 +96,9 @@ class Trials:
             records,
             replace(self.bare, gain=known),
             FitOptions(priors=priors, bounds={name: _range(prior) for name, prior in priors.items()}),
-            price=lambda plant: sum(self.price(type(effect)) for effect in plant.effects),
-            is_admissible=self._is_admissible,
+            # neither refers to the trials: they would hold each other in memory
+            price=partial(_entry_prices, candidates),
+            is_admissible=partial(_is_admissible, priors, self.seen),
         )
         self.standing = _standing_command(records)
         self._proposals: dict[str, Proposals] = {}
@@ -136,28 +138,9 @@ class Trials:
                 return found
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
-    def _is_admissible(self, plant: Plant) -> bool:
-        """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
-
-        A drive with a loop of its own sets the gain, which no bound of the fit holds then.
-        """
-        values = dict(zip(plant.parameters, plant.values, strict=True))
-        known = ((values[name], *_range(prior)) for name, prior in self.priors.items() if name in values)
-        agrees = all(low <= value <= high for value, low, high in known)
-        return agrees and all(e.is_whole(self.seen) and not e.absent for e in plant.effects)
-
     def price(self, cls: type[Effect]) -> float:
-        """Return by how much −2 log-likelihood must fall for an effect to enter.
-
-        The quantile of χ² with as many degrees of freedom as the effect has parameters (Wilks 1938), at the familywise
-        error rate shared evenly among the candidates (Bonferroni); for an effect of many parameters the Bayesian
-        information criterion asks for more (Schwarz 1978).
-        """
-        from scipy.stats import chi2
-
-        free = max(len(cls.parameters()), 1)
-        entry = float(chi2.isf(FALSE_ALARM / max(self.candidates, 1), free))
-        return max(entry, free * float(np.log(self.likelihood.counted)))
+        """Return by how much −2 log-likelihood must fall for an effect to enter."""
+        return _entry_price(cls, self.candidates, self.likelihood.counted)
 
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.
@@ -248,6 +231,35 @@ class Trials:
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
+
+
+def _entry_price(cls: type[Effect], candidates: int, samples: float) -> float:
+    """Return by how much −2 log-likelihood must fall for an effect to enter.
+
+    The quantile of χ² with as many degrees of freedom as the effect has parameters (Wilks 1938), at the familywise
+    error rate shared evenly among the candidates (Bonferroni); for an effect of many parameters the Bayesian
+    information criterion asks for more (Schwarz 1978).
+    """
+    from scipy.stats import chi2
+
+    free = max(len(cls.parameters()), 1)
+    entry = float(chi2.isf(FALSE_ALARM / max(candidates, 1), free))
+    return max(entry, free * float(np.log(samples)))
+
+
+def _entry_prices(candidates: int, plant: Plant, samples: float) -> float:
+    return sum(_entry_price(type(effect), candidates, samples) for effect in plant.effects)
+
+
+def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> bool:
+    """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
+
+    A drive with a loop of its own sets the gain, which no bound of the fit holds then.
+    """
+    values = dict(zip(plant.parameters, plant.values, strict=True))
+    known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in values)
+    agrees = all(low <= value <= high for value, low, high in known)
+    return agrees and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
 
 
 def _of_each_shape(starts: Sequence[Start]) -> list[Start]:

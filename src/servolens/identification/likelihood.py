@@ -61,7 +61,7 @@ class Likelihood:
     options : FitOptions
         What is held, what each record has of its own, and priors, as far as a plant has such parameters.
     price : callable, optional
-        Of a plant: what its effects add to −2 log-likelihood.
+        Of a plant and the number of samples: what its effects add to −2 log-likelihood.
     is_admissible : callable, optional
         Tells whether a plant may be the answer.
     rates : sequence of float
@@ -76,7 +76,7 @@ class Likelihood:
         plant: Plant,
         options: FitOptions,
         *,
-        price: Callable[[Plant], float] = lambda _: 0.0,
+        price: Callable[[Plant, float], float] = lambda _plant, _samples: 0.0,
         is_admissible: Callable[[Plant], bool] = lambda _: True,
         rates: Sequence[float] = RATES,
         are_phases_own: bool = True,
@@ -155,7 +155,7 @@ class Likelihood:
     def price(self, plant: Plant) -> float:
         """Return what the effects of `plant` add to −2 log-likelihood, phases of each record's own included."""
         phases = (len(self.signals) - 1) * len(own_phases(plant))
-        return self._price(plant) + phases * float(np.log(self.counted))
+        return self._price(plant, max(self.samples, 2.0)) + phases * float(np.log(self.counted))
 
     def weighed_by(self, noise: NoiseModel) -> float | None:
         """Return the least deviation of the residual by which priors are weighed; None where `noise` whitens it.

@@ -32,9 +32,10 @@ def demo_summary(results: Mapping[str, Any], folder: str) -> Summary:
     return Summary(
         title="Demo on the virtual cart",
         sentences=(
-            f"A virtual copy of a paper's cart, which the page names, is measured with the paper's {len(table['gains'])}"
-            " pairs of gains. Each model, linear (Lm) or with varying damping (NLm), is identified from one of these"
-            f" runs; averaged over all, it misses this share of the step: {'; '.join(averages)}.",
+            "A virtual copy of a paper's cart, which the page names, is measured with the paper's"
+            f" {len(table['gains'])} pairs of gains. Each model, linear (Lm) or with varying damping (NLm), is"
+            " identified from one of these runs; averaged over all, it misses this share of the step:"
+            f" {'; '.join(averages)}.",
             f"The page: {folder}/report.html; its numbers: {folder}/results.json.",
         ),
         tables=(_designs(results["design"]["sampled"]),),
