@@ -79,3 +79,11 @@ def test_no_cause_is_named_that_makes_simulations_miss_more_where_knocks_remain(
     campaign = lab.hidden_campaign(741961, foreign="random_knocks")
     found = diagnose(campaign.records, heldout=campaign.heldout)
     assert (found.verdict, found.causes) == ("unexplained", ())
+
+
+def test_counts_that_an_encoder_loses_are_no_slow_noise():
+    campaign = lab.hidden_campaign(741395, foreign="missed_counts", world="white")
+    found = diagnose(campaign.records, heldout=campaign.heldout)
+    assert found.verdict in ("unexplained", "partly_explained")
+    (burst,) = [finding.message for finding in found.findings if finding.code == "bursts"]
+    assert burst.startswith("the slow noise of the position comes in bursts")

@@ -389,6 +389,14 @@ def test_what_swings_nearby_has_another_phase_in_every_record():
     assert "No simulation can predict that phase" in verdict_sentence(diagnosis)
 
 
+def test_another_phase_does_not_speak_against_a_record_held_out():
+    campaign = lab.hidden_campaign(701721, effects=["periodic_disturbance"], world="white")
+    found = diagnose(campaign.records, heldout=campaign.heldout)
+    assert found.verdict == "explained"
+    assert "heldout_contradicts" not in {finding.code for finding in found.findings}
+    assert "leaves no more than the noise" in " ".join(str(found.summary()).split())
+
+
 def test_held_out_record_of_another_axis_is_no_sign_of_health():
     near = steps_of(lab.LM1, [(40, 0), (80, 0)])
     stranger = lab.step_record(lab.Truth(gain=1.2, damping=9.0), 60, noise=1e-5, seed=1)

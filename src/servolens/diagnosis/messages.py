@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.logs import apart, beyond
+from servolens.diagnosis.remainder import held_errors, train_errors
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.model_evidence import Remainder
     from servolens.record import Record
 
-__all__ = ["missed_by_far", "said", "strangers"]
+__all__ = ["missed_by_far", "said"]
 
 FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
@@ -41,7 +42,7 @@ def said(
     case: Case, decision: Decision, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
-    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *strangers(case, gains)]
+    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
     ripple = case.ripple_beside(chosen)
     if ripple:
         lines = " and ".join(f"{f:g}" for f in ripple.frequencies)
@@ -138,23 +139,28 @@ def _unpowered(case: Case) -> Finding:
     return Finding(code="unpowered_before", severity="note", message=message)
 
 
-def missed_by_far(case: Case, gains: Gains) -> Iterator[tuple[Record, float]]:
-    """Yield each held-out record that is missed by far more than those that were fitted, and by how much (r.m.s.)."""
-    for record, error in zip(case.heldout, gains.held[-1], strict=False):
+def missed_by_far(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[tuple[Record, float]]:
+    """Yield each held-out record that is missed by far more than those that were fitted, and by how much (r.m.s.).
+
+    Each with the phases of its own, if any: another one says nothing of the axis.
+    """
+    limit = FARTHER * max(pooled(train_errors(case, chosen, gains)), gains.noise)
+    for record, error in zip(case.heldout, held_errors(case, chosen, gains), strict=False):
         size = pooled([error])
-        if size > FARTHER * max(gains.train(-1), gains.noise):
+        if size > limit:
             yield record, size
 
 
-def strangers(case: Case, gains: Gains) -> Iterator[Finding]:
+def _strangers(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding]:
     """Yield a finding for each held-out record that is missed by far, and that is no extrapolation."""
     known = {finding.record for finding in beyond(case.records, case.heldout)}
-    for record, size in missed_by_far(case, gains):
+    for record, size in missed_by_far(case, chosen, gains):
         if record.name not in known:
             unit = record.length_unit
             message = (
                 f"held out, the simulation misses it by {readable(size, unit)} (r.m.s.), the records that were fitted"
-                f" by {readable(gains.train(-1), unit)}; is it of the same axis, load and units?"
+                f" by {readable(pooled(train_errors(case, chosen, gains)), unit)}; is it of the same axis, load and"
+                " units?"
             )
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)
 

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "unexplained_acceleration"]
+__all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "train_errors", "unexplained_acceleration"]
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     """Return what `chosen`, the last of `gains`, misses of the training records."""
-    trained, noise = _trained(case, chosen, gains), gains.noise
+    trained, noise = train_errors(case, chosen, gains), gains.noise
     error, travel = pooled(trained), case.travel
     push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
     missed, lasts = unexplained_acceleration(
@@ -79,7 +79,7 @@ def evidence_of(
     )
 
 
-def _trained(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
+def train_errors(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
     """Return the residuals of the training records, each with the phases of its own."""
     if not own_phases(chosen.plant):
         return gains.trained[-1]

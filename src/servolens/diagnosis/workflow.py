@@ -10,14 +10,14 @@ import numpy as np
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import decided
 from servolens.diagnosis.effort import EFFORT
-from servolens.diagnosis.errors import residual
+from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
-from servolens.diagnosis.remainder import evidence_of, remainder_of
+from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
@@ -194,7 +194,8 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     What comes in bursts is no noise that a model claims, whether or not it depends on the inputs.
     """
     chosen = path[-1]
-    fails = any(missed_by_far(case, gains)) and gains.tested(-1) > MATERIAL * case.travel
+    is_far = any(missed_by_far(case, chosen, gains))
+    fails = is_far and pooled(held_errors(case, chosen, gains)) > MATERIAL * case.travel
     if case.explains(chosen) and not fails:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"

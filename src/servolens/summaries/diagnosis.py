@@ -242,8 +242,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
     if any(effect.phase_per_record for effect in diagnosis.plant.effects) and not errors[1] < errors[0]:
         times = number(diagnosis.remainder.times_noise or 1.0, 2)
+        left = "no more than the noise" if times == "1" else f"{times} times the noise"
         return (
-            f"{start}; {'they leave' if len(causes) > 1 else 'it leaves'} {times} times the noise, {noise} (r.m.s.),"
+            f"{start}; {'they leave' if len(causes) > 1 else 'it leaves'} {left}, {noise} (r.m.s.),"
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
