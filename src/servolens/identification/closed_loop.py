@@ -14,13 +14,14 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
+from servolens.identification.instruments import forces_along
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import InitialState
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.runs import ClosedLoop
 from servolens.identification.smoothing import speed_of
-from servolens.identification.structure import forces_along, is_chance
+from servolens.identification.structure import is_chance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
