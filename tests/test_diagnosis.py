@@ -389,6 +389,13 @@ def test_what_swings_nearby_has_another_phase_in_every_record():
     assert "No simulation can predict that phase" in verdict_sentence(diagnosis)
 
 
+def test_readings_that_are_late_while_the_input_is_on_time_are_noise():
+    campaign = lab.hidden_campaign(742196, foreign="sample_jitter", world="white")
+    found = diagnose(campaign.records, heldout=campaign.heldout)
+    assert (found.verdict, found.causes) == ("healthy", ())
+    assert found.noise_floor > 10.0 * campaign.floor
+
+
 def test_another_phase_does_not_speak_against_a_record_held_out():
     campaign = lab.hidden_campaign(701721, effects=["periodic_disturbance"], world="white")
     found = diagnose(campaign.records, heldout=campaign.heldout)

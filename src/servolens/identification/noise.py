@@ -70,7 +70,8 @@ class NoiseModel:
     corner : float
         Above which what shakes the axis fades [rad/s].
     gain, damping : float
-        Of the axis, about: with them its velocity errs after a late input, and forgets it.
+        Of the axis, about: with them its velocity errs after a late input, and forgets it. A gain of 0 where the input
+        is on time, and the reading alone late.
     discount : float
         Samples that count as one. Errors of a model that is not the axis are no noise: they go on for as long as the
         loop remembers, and the likelihood is tempered by it (Miller and Dunson 2019,

@@ -59,7 +59,7 @@ class NoiseTrials:
         self.unpowered = unpowered
         self.best: tuple[NoiseModel, float] | None = None
         self._left: list[NDArray[np.float64]] | None = None
-        self._seen: dict[tuple[float, float, float, int], float] = {}
+        self._seen: dict[tuple[float, ...], float] = {}
 
     def shaken(self, noise: NoiseModel, rate: float) -> NoiseModel:
         """Return `noise` of an axis that is shaken, at a `rate` in units of the loops' own."""
@@ -71,6 +71,7 @@ class NoiseTrials:
         Rate and corner of the shaking that is likeliest are improved in turn, by factors, until neither gets likelier:
         beside white noise of the sensor, for a filter would whiten what an observer that is too slow leaves, and so
         hide the better one. The noise is coloured at the end, where that is likelier.
+        Of an axis whose instants move the input may be as late as the reading, or on time.
         Without any `rates` only that of the noise is looked at beside which the starts were fitted.
         """
         likelihood = self.likelihood
@@ -80,7 +81,8 @@ class NoiseTrials:
         if self._left is not None:
             jitter, floor = instants(self._left, [signals.speed for signals in likelihood.signals])
             if jitter > 0.0:
-                noise = self._likeliest(noise, [replace(noise, jitter=jitter, floor=min(floor, noise.floor))])
+                late = replace(noise, jitter=jitter, floor=min(floor, noise.floor))
+                noise = self._likeliest(noise, [late, replace(late, gain=0.0)])
         found = [self.shaken(noise, rate) for rate in rates if rate > 0.0]
         if self.like.rate > 0.0:
             found = [replace(noise, rate=self.like.rate, corner=self.like.corner)]
@@ -103,7 +105,7 @@ class NoiseTrials:
         Where the axis is shaken, without one unless `is_coloured`.
         """
         order = MOST_ORDER if is_coloured or noise.rate == 0.0 else 0
-        key = (noise.rate, noise.corner, noise.jitter, order)
+        key = (noise.rate, noise.corner, noise.jitter, noise.gain, order)
         if key not in self._seen:
             self._seen[key] = self._look(noise, order)
         return self._seen[key]

@@ -172,7 +172,7 @@ def clock_error(noise: NoiseModel, signals: Signals) -> float:
     """
     read = noise.jitter**2 * float(np.mean(signals.speed**2))
     controller = signals.record.controller
-    if controller is None or noise.jitter == 0.0:
+    if controller is None or noise.jitter == 0.0 or noise.gain == 0.0:
         return float(np.sqrt(read))
     kicks = (noise.jitter * noise.gain) ** 2 * float(np.sum(np.diff(signals.voltage) ** 2))
     density = kicks / float(signals.time[-1] - signals.time[0])
