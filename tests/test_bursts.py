@@ -81,9 +81,23 @@ def test_no_cause_is_named_that_makes_simulations_miss_more_where_knocks_remain(
     assert (found.verdict, found.causes) == ("unexplained", ())
 
 
-def test_counts_that_an_encoder_loses_are_no_slow_noise():
+@pytest.mark.parametrize("in_bursts", [False, True])
+def test_slow_noise_has_to_be_as_strong_all_the_time(in_bursts):
+    stream, records = np.random.default_rng(11), []
+    for kp in (40, 80):
+        run = lab.step_record(lab.LM1, kp, noise=1e-5, seed=kp)
+        pushed = 2e-4 * stream.standard_normal(len(run)) * (stream.random(len(run)) < 0.02 if in_bursts else 0.15)
+        records.append(replace(run, position=run.position + lfilter([1.0], [1.0, -0.95], pushed)))
+    found = diagnose(records)
+    told = [finding.message for finding in found.findings if finding.code == "bursts"]
+    assert found.causes == ()
+    assert found.verdict == ("unexplained" if in_bursts else "healthy")
+    assert [message.startswith("the slow noise of the position comes in bursts") for message in told] == [
+        True
+    ] * in_bursts
+
+
+def test_counts_that_an_encoder_loses_are_no_noise():
     campaign = lab.hidden_campaign(741395, foreign="missed_counts", world="white")
     found = diagnose(campaign.records, heldout=campaign.heldout)
     assert found.verdict in ("unexplained", "partly_explained")
-    (burst,) = [finding.message for finding in found.findings if finding.code == "bursts"]
-    assert burst.startswith("the slow noise of the position comes in bursts")

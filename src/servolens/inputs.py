@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from servolens.campaign import read_records
 from servolens.effects import Effect, check_effect, effect_class
+from servolens.encoder import with_seen_encoder
 from servolens.errors import InputError, described, names_like
 from servolens.model import Model, read_model
 from servolens.plant import Plant
@@ -124,7 +125,7 @@ def as_records(
     Returns
     -------
     tuple of Record
-        In the order given, all in the same units.
+        In the order given, all in the same units, with the encoder's step that they show where none states one.
 
     Raises
     ------
@@ -152,7 +153,7 @@ def as_records(
         kinds = sorted({getattr(record, unit) for record in found})
         if len(kinds) > 1:
             raise InputError(f"records in {' and '.join(kinds)} cannot be used together; convert one of them")
-    return tuple(found)
+    return with_seen_encoder(found)
 
 
 def as_record(source: Records, settings: RecordSettings | Mapping[str, Any] | None = None) -> Record:
@@ -170,8 +171,8 @@ def as_groups(
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
     """Return the records to be fitted, and those held out, of which there may be none; see :func:`as_records`."""
     train, tests = as_records(records, settings), as_records(heldout, settings, least=0)
-    as_records((*train, *tests))  # of one axis, too
-    return train, tests
+    both = as_records((*train, *tests))  # of one axis, too
+    return both[: len(train)], both[len(train) :]
 
 
 def as_model(source: Plants) -> Model:

@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from servolens.control_arithmetic import Answer
     from servolens.findings import Finding
 
-__all__ = ["Controller", "Record"]
+__all__ = ["RESTS", "Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
+RESTS = 20
+"""Samples without a change after which a reference sets out anew."""
 
 
 @final
@@ -162,6 +164,19 @@ class Record:
             return float(np.ptp(self.position))
         first = float(self.position[0])
         return max(float(self.reference.max()), first) - min(float(self.reference.min()), first)
+
+    @property
+    def largest_step(self) -> float:
+        """Largest way that the reference goes from one rest to the next [m or rad], the first from where the axis is.
+
+        Without a reference the position's range.
+        """
+        if self.reference is None:
+            return self.step_size
+        edges = self.edges()
+        moves = np.split(edges, np.flatnonzero(np.diff(edges) > RESTS) + 1) if edges.size else []
+        ways = [float(np.ptp(self.reference[move[0] - 1 : move[-1] + 1])) for move in moves]
+        return max(abs(float(self.reference[0] - self.position[0])), *ways, 0.0)
 
     def slice(self, start: float, end: float) -> Record:
         """Return the samples with ``start <= time <= end`` [s].

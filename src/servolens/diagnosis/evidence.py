@@ -10,6 +10,7 @@ import numpy as np
 from servolens.decoding import read_fields
 from servolens.identification.segments import applied_voltage
 from servolens.identification.smoothing import smooth
+from servolens.record import RESTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,8 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["Instrument", "Share", "error_shares", "since_step"]
 
 BINS = 12
-WINDOW, STILL = 41, 20
-"""Samples of a smoothed velocity; samples without a change after which a reference sets out anew."""
+WINDOW = 41
+"""Samples of a smoothed velocity."""
 
 
 @final
@@ -145,7 +146,7 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
 def since_step(record: Record) -> NDArray[np.float64]:
     """Return the time since the reference last began to change, or since the record's beginning [s]."""
     edges = record.edges()
-    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-STILL) > STILL])))
+    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-RESTS) > RESTS])))
     last = edges[np.searchsorted(edges, np.arange(len(record)), side="right") - 1]
     return np.asarray(record.time - record.time[last])
 

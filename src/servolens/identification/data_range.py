@@ -25,7 +25,7 @@ def data_range(records: Sequence[Record]) -> DataRange:
     return DataRange(
         voltage=max(float(np.abs(voltage).max()) for voltage in asked),
         speed=max(top_speed(record) for record in records),
-        step=max(record.step_size for record in records),
+        step=max(record.largest_step for record in records),
         kp=max((abs(loop.kp) for loop in loops), default=None),
         kd=max((abs(loop.kd) for loop in loops), default=None),
     )

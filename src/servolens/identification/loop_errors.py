@@ -15,7 +15,7 @@ import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
-from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
+from servolens.identification.rounding import DRAWS, drawn_noise, is_rounded, spectrum_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
@@ -120,7 +120,8 @@ def drawn_loop_errors(
     """Return draws of what simulations in closed loop miss of the records if `plants` are the axis.
 
     The loop answers to the noise, and to what shakes the axis; the simulation that is compared with the record knows
-    neither. Draws in which the loop diverges are left out.
+    neither. Rounding that is part of the noise is done in the loop, which begins anywhere within a step. Draws in which
+    the loop diverges are left out.
 
     Returns
     -------
@@ -129,18 +130,23 @@ def drawn_loop_errors(
     """
     stream = np.random.default_rng(2)
     still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
-    loops = [replace(record, encoder_resolution=None) for record in records]  # whose rounding is part of the noise
-    spectrum = spectrum_of(noise)
+    step = noise.rounding if is_rounded(noise) else 0.0
+    spectrum = spectrum_of(noise) * (1.0 - noise.share if step > 0.0 else 1.0)
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]
     shakes = [shaking(noise, record, stream) for record in records]
+    places = step * stream.uniform(-0.5, 0.5, (len(records), DRAWS))
 
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
+        loops = [
+            replace(record, position=record.position + place, encoder_resolution=step or None)
+            for record, place in zip(records, places[:, k], strict=True)
+        ]
         with suppress(ServolensError):
             return tuple(
-                simulate(plant, record, acceleration=shake[:, k], sensor_error=error[:, k]).measured - position
-                for plant, record, error, shake, position in zip(plants, loops, drawn, shakes, still, strict=True)
+                simulate(plant, loop, acceleration=shake[:, k], sensor_error=error[:, k]).measured - position
+                for plant, loop, error, shake, position in zip(plants, loops, drawn, shakes, still, strict=True)
             )
         return None
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.encoder import white_noise
 from servolens.findings import Finding
-from servolens.quality.sampling import white_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.encoder import FEWEST_SAMPLES, quantisation_step, share_on_grid, small_moves, white_noise
 from servolens.findings import Finding
 
 if TYPE_CHECKING:
@@ -17,10 +18,8 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed", "white_noise"]
+__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed"]
 
-FEWEST_SAMPLES = 20
-"""Five samples for each of the four unknowns of the smallest model."""
 SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
 MEDIAN, CHANGED = 7, 0.25
@@ -119,27 +118,6 @@ def _cycles(intervals: NDArray[np.float64], sample_time: float) -> NDArray[np.fl
     return np.where(np.abs(local - sample_time) > CHANGED * sample_time, local, usual)
 
 
-def quantisation_step(position: NDArray[np.float64]) -> float | None:
-    """Return the step in which the position moves, or None if its small movements share none.
-
-    The smallest movements are tried as the step: nearly all movements of up to ten steps must be whole multiples of
-    it within 0.15, where 0.3 of them would be by chance. At least twenty must be seen.
-    """
-    moves = _moves(position)
-    if moves.size < FEWEST_SAMPLES:
-        return None
-    few = np.partition(moves, FEWEST_SAMPLES - 1)[:FEWEST_SAMPLES]
-    for candidate in (float(few[-1]), float(few.min())):
-        small = moves[moves < 4.5 * candidate]
-        counts = np.rint(small / candidate)
-        if not counts.any():
-            continue
-        step = float(np.sum(counts * small) / np.sum(counts**2))
-        if _share_on_grid(moves[moves < 10.5 * step], step, 0.15) >= 0.98:
-            return step
-    return None
-
-
 def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield findings about the clock and the sensor."""
     if len(record) < FEWEST_SAMPLES:
@@ -197,40 +175,7 @@ def _contradicts(position: NDArray[np.float64], stated: float, seen: float | Non
     """Tell whether small movements are no multiples of the stated step; a log may round finer than a quarter of it."""
     if seen is not None and seen > 1.5 * stated:
         return True
-    moves = _moves(position)
+    moves = small_moves(position)
     small = moves[moves < 4.5 * stated]
     rounding = 1.1 * seen / stated if seen is not None and seen < 0.25 * stated else 0.0
-    return small.size >= FEWEST_SAMPLES and _share_on_grid(small, stated, max(0.15, rounding)) < 0.9
-
-
-def _share_on_grid(moves: NDArray[np.float64], step: float, tolerance: float) -> float:
-    if moves.size < FEWEST_SAMPLES:
-        return 0.0
-    counts = moves / step
-    return float(np.mean(np.abs(counts - np.rint(counts)) <= tolerance))
-
-
-def _moves(position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the sizes of movements from sample to sample, those within rounding left out."""
-    moves = np.abs(np.diff(position))
-    moves = moves[moves > 16 * np.spacing(np.max(np.abs(position)))]
-    return np.asarray(moves)
-
-
-def white_noise(position: NDArray[np.float64], step: float | None = None) -> float:
-    """Return the standard deviation of the white noise in `position`, 0 where there are too few samples [m or rad].
-
-    Of a position that moves in a `step`, the differences are whole steps, and so would be their median: each is spread
-    evenly over the half steps beside it before, and the variance of that is taken off after (Sheppard's correction).
-    """
-    if position.size < FEWEST_SAMPLES:
-        return 0.0
-    differences = np.abs(np.diff(position, 3))
-    if step is None:
-        return float(1.4826 * np.median(differences) / np.sqrt(20.0))
-    counts = np.sort(np.rint(differences / step))
-    middle = counts[counts.size // 2]
-    first, end = int(np.searchsorted(counts, middle, "left")), int(np.searchsorted(counts, middle, "right"))
-    low, high = max(middle - 0.5, 0.0), middle + 0.5
-    median = low + (high - low) * (0.5 * counts.size - first) / (end - first)
-    return float(step * np.sqrt(max((1.4826 * median) ** 2 - 1.0 / 12.0, 0.0) / 20.0))
+    return small.size >= FEWEST_SAMPLES and share_on_grid(small, stated, max(0.15, rounding)) < 0.9

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 import numpy as np
 
 from servolens.control_law import controller_voltage
+from servolens.encoder import quantisation_step
 from servolens.errors import InputError
 from servolens.quality.law import GAINS, PARAMETERS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
-from servolens.quality.sampling import quantisation_step
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

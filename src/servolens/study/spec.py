@@ -112,7 +112,7 @@ def _loop_of(record: Record) -> dict[str, Any]:
 
 def _step_of(records: Sequence[Record]) -> dict[str, float]:
     """Return the largest step, to three digits as its owner may have set it."""
-    step = max((record.step_size for record in records), default=0.0)
+    step = max((record.largest_step for record in records), default=0.0)
     return {"reference": float(f"{step:.3g}")} if step > 0 else {}
 
 
