@@ -320,7 +320,7 @@ def test_force_along_what_sets_no_state_has_no_law(rubbing, goes_with):
         ),
         ("damping", "speed", 0.9996, "rises with the speed (r = 0.999)"),
         ("force", "position", 0.5, "the missing force correlates with the position (r = 0.50)"),
-        ("force", "constant", -0.9, "the missing force is constant (r = −0.90)"),
+        ("force", "constant", -0.9, "the missing force is about the same everywhere"),
     ],
 )
 def test_instrument_is_told_in_a_sentence(varies, goes_with, correlation, tells):

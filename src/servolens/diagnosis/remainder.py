@@ -32,13 +32,13 @@ __all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "train_err
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
-    """Return what `chosen`, the last of `gains`, misses of the training records."""
-    trained, noise = train_errors(case, chosen, gains), gains.noise
-    error, travel = pooled(trained), case.travel
-    push = max(float(np.abs(applied_voltage(record)).max()) for record in case.records) * abs(chosen.plant.gain)
-    missed, lasts = unexplained_acceleration(
-        chosen.plant, case.records, trained, rate=case.likelihood.rate, noise=noise
-    )
+    """Return what `chosen`, the last of `gains`, misses of the training records, or of others if that is more."""
+    noise, travel = gains.noise, case.travel
+    groups = [(case.records, train_errors(case, chosen, gains)), (case.heldout, held_errors(case, chosen, gains))]
+    records, errors = max(groups if case.heldout else groups[:1], key=lambda group: pooled(group[1]))
+    error = pooled(errors)
+    push = max(float(np.abs(applied_voltage(record)).max()) for record in records) * abs(chosen.plant.gain)
+    missed, lasts = unexplained_acceleration(chosen.plant, records, errors, rate=case.likelihood.rate, noise=noise)
     is_finite = bool(np.isfinite(error))
     rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if is_finite else error
     in_loop = case.noise_in_loop(chosen)

@@ -95,11 +95,14 @@ class Candidate:
         What is left in the training records driven by their voltage [m or rad].
     likelihood : float
         By how much it lowers −2 log-likelihood, its price paid; negative where it does not pay.
+    shaken : bool
+        Whether it is likeliest beside something that shakes the axis; then an observer follows most of what is left.
     """
 
     effects: tuple[str, ...]
     error: float
     likelihood: float = 0.0
+    shaken: bool = False
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Candidate:
@@ -267,7 +270,8 @@ class Diagnosis(Result):
                 for g in self.gains
             ],
             "candidates": [
-                {"effects": list(c.effects), "rms_error": c.error, "likelihood": c.likelihood} for c in self.candidates
+                {"effects": list(c.effects), "rms_error": c.error, "likelihood": c.likelihood, "shaken": c.shaken}
+                for c in self.candidates
             ],
             "linear_model": self.linear.to_json(),
             "model": self.model.to_json(),

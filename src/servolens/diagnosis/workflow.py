@@ -202,7 +202,12 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
 
 
 def _candidates(case: Case, found: Search) -> tuple[Candidate, ...]:
-    """Return what each single effect leaves, driven by the voltage beside its own noise."""
+    """Return what each single effect leaves, driven by the voltage beside its own noise, the likeliest first."""
+    tried = [*found.singles, *(h for h in found.judged if len(h.causes) == 1)]
+    best = {h.causes: h for h in sorted(tried, key=lambda h: -h.total)}
     return tuple(
-        Candidate(effects=h.causes, error=h.noise.spread, likelihood=case.base.total - h.total) for h in found.singles
+        Candidate(
+            effects=h.causes, error=h.noise.spread, likelihood=case.base.total - h.total, shaken=h.noise.rate > 0.0
+        )
+        for h in sorted(best.values(), key=lambda h: h.total)
     )

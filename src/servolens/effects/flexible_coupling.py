@@ -65,6 +65,10 @@ class FlexibleCoupling(Transmission):
         """See :meth:`servolens.effects.kinds.Transmission.share`."""
         return p.load_ratio
 
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`. Beyond half the sampling rate no log shows it ring."""
+        return self.frequency * seen.sample_time < 0.5
+
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[FlexibleCoupling]:
         """See :meth:`servolens.effects.base.Effect.starts`."""

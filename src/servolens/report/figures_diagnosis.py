@@ -214,7 +214,9 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw what single effects leave, and the answer."""
     chosen = {cause.effect for cause in diagnosis.causes}
     best: dict[str, Candidate] = {}
-    for candidate in sorted(diagnosis.candidates, key=lambda candidate: candidate.error):
+    # what an observer of a shaken axis leaves is no simulation's error
+    simulated = [candidate for candidate in diagnosis.candidates if not candidate.shaken] or diagnosis.candidates
+    for candidate in sorted(simulated, key=lambda candidate: candidate.error):
         best.setdefault(candidate.effects[-1], candidate)
     shown = [*best.items()][:MOST_CANDIDATES]
     rows = [(capital(spoken(name)), c.error, name in chosen) for name, c in shown]

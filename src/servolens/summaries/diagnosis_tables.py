@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.diagnosis.errors import KEPT
 from servolens.diagnosis.logs import BEYOND
 from servolens.summaries.names import spoken
-from servolens.summaries.wording import capital, minus, number, plus_minus, scale, undetermined, unit
+from servolens.summaries.wording import capital, number, plus_minus, scale, undetermined, unit
 from servolens.summary import Table
 
 if TYPE_CHECKING:
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["candidates_table", "data_kinds", "kinds_sentence", "parameters_table", "records_table"]
 
+NO_SIMULATION = "shaken"
+"""Stands for the error of what is likeliest beside something that shakes the axis: an observer follows most of it."""
 CANDIDATES = 5
 FITTED, HELD_OUT, LEFT_OUT, ITS_END = "fitted", "held out", "left out", "its end"
 
@@ -85,19 +87,21 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
     rows = [
         (
             capital(" and ".join(spoken(name) for name in candidate.effects)),
-            number(factor * candidate.error, 3),
-            number(candidate.error / floor, 3),
-            minus(number(candidate.likelihood, 3)),
+            NO_SIMULATION if candidate.shaken else number(factor * candidate.error, 3),
+            NO_SIMULATION if candidate.shaken else number(candidate.error / floor, 3),
+            number(candidate.likelihood, 3) if candidate.likelihood > 0.0 else "none",
         )
         for candidate in best
     ]
+    shaken = any(candidate.shaken for candidate in best)
     return Table(
         title="Best single effects beside gain and damping",
         columns=("Effect", f"Leaves [{length}]", "Times the noise", "Log-likelihood gain"),
         rows=tuple(rows),
         note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
         " for each effect; not held out. Gain: increase of twice the log-likelihood, less a penalty for each parameter;"
-        " the most likely effect comes first. What seems to shake the axis beside an effect is not in what it leaves.",
+        " none where gain and damping alone are as likely, if need be beside something that shakes the axis."
+        + (f" {NO_SIMULATION}: likeliest beside something that shakes the axis." if shaken else ""),
     )
 
 

@@ -69,7 +69,7 @@ def instrument_sentence(instrument: Instrument | None) -> str:
         )
     start, how_much = "Model-free check:", f"(r = {correlation(instrument)})"
     if instrument.goes_with == "constant":
-        return f"{start} the missing force is constant {how_much}."
+        return f"{start} the missing force is about the same everywhere."
     quantity = QUANTITIES[instrument.goes_with]
     if instrument.varies == "force":
         return f"{start} the missing force correlates with the {quantity} {how_much}."
@@ -106,7 +106,8 @@ def _range(share: Share) -> str:
     """Return a range of a measured quantity as people say it."""
     factor, unit_ = prefixed([share.low, share.high], share.unit)
     low, high = (minus(number(factor * end, 2)) for end in (share.low, share.high))
-    from_start, to_end = share.low <= share.bins[0][0], share.high >= share.bins[-1][1]
+    is_next_to_none = share.quantity == "speed" and share.low < 0.01 * share.high
+    from_start, to_end = share.low <= share.bins[0][0] or is_next_to_none, share.high >= share.bins[-1][1]
     if share.quantity == "direction":
         return _way(share)
     if share.quantity == "time_since_step":

@@ -50,15 +50,16 @@ def spoken_parameter(name: str) -> str:
 def cause_phrase(cause: Cause) -> str:
     """Return a cause with its parameters but for a phase: name and value ± error, each with its unit.
 
-    Without the values that the data do not determine; of many parameters none.
+    Without the values that the data do not determine, or with which a part of it is absent; of many parameters none.
     """
     phase = cause.kind.wave[1] if cause.kind.wave else ""
-    known = {name: quantity for name, quantity in cause.quantities.items() if name != phase}
+    all_known = {name: quantity for name, quantity in cause.quantities.items() if name != phase}
+    known = {name: q for name, q in all_known.items() if q.value != cause.kind.absent_at.get(name)} or all_known
     if len(known) >= MANY:
         return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
     is_told = {name: q.reason != UNDETERMINED for name, q in known.items()}
     told = {name: value_and_error(q) for name, q in known.items() if is_told[name] or not any(is_told.values())}
-    if len(known) == 1:
+    if len(all_known) == 1 and told:
         return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
     named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
     unknown = [spoken_parameter(name) for name in known if name not in told]
