@@ -156,7 +156,9 @@ def drawn_loop_errors(
 class _Shares:
     """Which shares of a squared error follow the inputs."""
 
-    def __init__(self, plants: Sequence[Plant], records: Sequence[Record], rate: float) -> None:
+    def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float) -> None:
+        # in an encoder's steps no small change of a parameter is seen
+        records = [replace(record, encoder_resolution=None) for record in measured]
         runs = [simulate(plant, record) for plant, record in zip(plants, records, strict=True)]
         shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
         self._own = _spanned(_sensitivities(plants, records, shown))
