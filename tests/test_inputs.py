@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_type_hints
 
@@ -357,3 +358,22 @@ def test_a_misspelt_name_of_the_package_or_of_a_parameter_is_answered_with_the_r
 def test_a_result_of_servolens_in_place_of_a_log_is_said(model_file):
     with pytest.raises(InputError, match=r"is a result that servolens wrote \(servolens.model/1\); give the log"):
         as_records(str(model_file))
+
+
+@pytest.mark.parametrize(("noise", "seen"), [(2e-6, True), (2e-4, False)])
+def test_coarse_encoder_is_seen_where_no_record_states_it(noise, seen):
+    runs = [lab.step_record(lab.LM1, kp, encoder=1e-4, noise=noise, seed=kp) for kp in (40, 80)]
+    silent = [replace(run, encoder_resolution=None) for run in runs]
+    steps = [record.encoder_resolution for record in as_records(silent)]
+    assert steps == ([pytest.approx(1e-4, rel=1e-3)] * 2 if seen else [None, None])
+    train, held = as_groups(silent[:1], silent[1:])
+    assert train[0].encoder_resolution == (pytest.approx(held[0].encoder_resolution) if seen else None)
+    assert [record.encoder_resolution for record in as_records([runs[0], silent[1]])] == [1e-4, 1e-4]
+
+
+def test_rounding_of_a_coarse_encoder_is_no_second_cause_where_it_is_not_stated():
+    axis = lab.Truth(gain=2.0, damping=12.0, effects={"coulomb_friction": {"level": 0.4}})
+    runs = [lab.step_record(axis, kp, encoder=1e-4, noise=1e-5, seed=kp) for kp in (60, 90, 120)]
+    found = servolens.diagnose([replace(run, encoder_resolution=None) for run in runs[:2]], heldout=runs[2])
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["coulomb_friction"])
+    assert found.causes[0].quantities["level"].value == pytest.approx(0.4, rel=0.01)

@@ -165,3 +165,23 @@ def test_what_was_applied_before_holds_for_the_first_sample_only():
     record = Record(time=[0, 1, 2, 3], position=[0, 0, 1, 2], voltage=[0, 5, 5, 5], voltage_before=1.0)
     assert record.slice(0, 2).voltage_before == 1.0
     assert record.slice(1, 3).voltage_before is None
+
+
+@pytest.mark.parametrize(
+    ("levels", "largest"),
+    [((0.0, 0.6, 1.0, -0.2), 1.2), ((0.0, 0.6, 1.0, 0.4, -0.2), 0.6), ((0.5,), 0.5), ((0.0, 0.0), 0.0)],
+)
+def test_largest_step_is_that_from_one_rest_to_the_next(levels, largest):
+    reference = np.repeat(levels, 50).astype(float)
+    time = 1e-3 * np.arange(reference.size)
+    made = Record(time=time, position=0.0 * time, reference=reference, controller=Controller(kp=1.0))
+    assert made.largest_step == pytest.approx(largest)
+
+
+def test_largest_step_of_a_trajectory_is_all_its_way():
+    time = 1e-3 * np.arange(1000)
+    ramp = 0.3 * np.clip((time - 0.1) / 0.5, 0.0, 1.0)
+    made = Record(time=time, position=0.0 * time, reference=ramp, controller=Controller(kp=1.0))
+    assert made.largest_step == pytest.approx(0.3)
+    without = Record(time=time, position=ramp, voltage=0.0 * time)
+    assert without.largest_step == pytest.approx(0.3)

@@ -265,6 +265,11 @@ def test_kp_that_no_record_states_must_be_given(cart):
     assert suggested_spec([blind], cart.model.plant) is None
 
 
+def test_step_of_a_spec_is_the_largest_that_a_staircase_makes():
+    stairs = lab.step_record(lab.LM1, 60, reference=(0.06, 0.1, 0.04, -0.02), duration=1.0)
+    assert completed_spec([stairs], {"settling_time": 0.5}).reference == pytest.approx(0.06)
+
+
 def test_suggested_spec_can_be_met(cart):
     spec = suggested_spec(cart.records, cart.model.plant)
     assert spec.kp == 80.0
