@@ -136,6 +136,8 @@ def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
     assert ("mains_ripple" in codes(diagnosis)) == (world == "hum")
     floor = campaign.floor if world != "shaken" else campaign.noise  # what shakes the axis is no noise of its sensor
     assert diagnosis.noise_floor == pytest.approx(floor, rel=0.2)
+    if world == "shaken":
+        assert diagnosis.remainder.acceleration_rms == pytest.approx(campaign.surroundings.shaking.deviation, rel=0.2)
 
 
 def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():

@@ -91,7 +91,7 @@ def test_a_loop_that_raises_an_unmodelled_resonance_is_not_green():
     model = known(records)
     light = gain_light(model, spec)
     assert light.light in ("amber", "red")
-    assert "the model may be wrong by" in light.sentence
+    assert "the model's error may be" in light.sentence
     assert "log a record with a kd nearer to it (largest so far: 0.5)" in light.sentence
     assert gain_light(known(steps({})), spec).light == "green"
 

@@ -159,10 +159,11 @@ def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
     known = "" if evidence.range.kd is None else f" (largest so far: {evidence.range.kd:.3g})"
     return Extrapolation(
         float(ratios[worst]),
-        f"An extrapolation: at {error.frequency[worst]:.3g} Hz the model may be wrong by {share:g} %,"
-        f" and {spec.free} = {gain:.3g} makes {ratios[worst]:.3g} times as much of that as the records prove to be"
-        f" stable{f' (more than {FAR:g} times)' if ratios[worst] > FAR else ''}; log a record with a {spec.free} nearer"
-        f" to it{known}.",
+        f"An extrapolation: the records do not show that the loop is stable with {spec.free} = {gain:.3g}: near"
+        f" {error.frequency[worst]:.3g} Hz the model's error may be {share:g} %, and the loop answers there"
+        f" {ratios[worst]:.3g} times as strongly as is known to be safe"
+        f"{f' (more than {FAR:g} times)' if ratios[worst] > FAR else ''}; log a record with a {spec.free} nearer to"
+        f" it{known}.",
     )
 
 

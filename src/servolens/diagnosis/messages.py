@@ -96,7 +96,8 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
 
 def _shaken(case: Case, remainder: Remainder) -> Finding:
     size, lasts = remainder.acceleration_rms, remainder.correlation_time
-    independent = sum(record.duration for record in case.records) / max(lasts, 1e-9)  # of e^(−t/τ) squared: T/τ
+    lasts *= float(np.sqrt(np.pi))  # the integral of the squared correlation
+    independent = sum(record.duration for record in case.records) / max(lasts, 1e-9)
     told = readable(size, f"{case.records[0].length_unit}/s^2", size * float(np.sqrt(0.5 / max(independent, 1.0))))
     message = (
         f"something shakes the axis irregularly, by about {told} (r.m.s.),"

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.errors import Gains
     from servolens.findings import Finding
     from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -45,6 +46,9 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     if is_finite and in_loop > noise:  # no force has to make up for what the noise does
         missed *= float(np.sqrt(max(error**2 - in_loop**2, 0.0))) / max(rms, 1e-300)
     missed = missed if is_finite else error
+    depends = not case.is_enough(chosen)
+    if chosen.noise.rate > 0.0 and not depends:  # simulations miss what the loops make of it; the noise model knows it
+        missed, lasts = _shaking(chosen.noise, case.records[0].sample_time)
     return Remainder(
         rms=rms,
         times_noise=error / noise if noise > 0.0 else None,
@@ -52,9 +56,19 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
         acceleration_rms=missed,
         correlation_time=lasts,
         of_motor=missed / max(push, 1e-300),
-        depends_on_inputs=not case.is_enough(chosen),
+        depends_on_inputs=depends,
         material=rms > MATERIAL * travel,
     )
+
+
+def _shaking(noise: NoiseModel, sample_time: float) -> tuple[float, float]:
+    """Return what shakes an axis, r.m.s. [m/s² or rad/s²], and its correlation time [s].
+
+    That of the correlation exp(−τ²/2T²) with as much at low frequencies, which a loop answers to, as that of the first
+    order has, whose integral is 2/corner.
+    """
+    _, power = noise.shaking(sample_time)
+    return noise.spread * float(np.sqrt(power)), float(np.sqrt(2.0 / np.pi)) / noise.corner
 
 
 def evidence_of(
