@@ -35,7 +35,7 @@ from servolens.identification.score import ScoreTest
 from servolens.model import Quantity
 from servolens.record import Controller, Record
 from servolens.results import to_text
-from servolens.simulation import simulate_voltage
+from servolens.simulation import simulate, simulate_voltage
 from servolens.summaries import diagnosis_summary
 from servolens.summaries.diagnosis import verdict_sentence
 
@@ -87,10 +87,11 @@ def test_remainder_of_what_is_explained_is_immaterial(rubbing):
     campaign, diagnosis = rubbing
     rest = diagnosis.remainder
     assert (rest.depends_on_inputs, rest.material) == (False, False)
-    error = diagnosis.extended.rms_error  # where a noisy loop sticks is chance: more than the noise alone
+    of = diagnosis.extended
+    error = of.heldout_rms_error if rest.heldout else of.rms_error  # where a noisy loop sticks is chance: more than the noise alone
     assert rest.times_noise == pytest.approx(error / diagnosis.noise_floor)
     assert np.hypot(rest.rms, diagnosis.noise_floor) == pytest.approx(error)
-    travel = max(np.ptp(record.position) for record in campaign.records)
+    travel = max(np.ptp(record.position) for record in (campaign.heldout if rest.heldout else campaign.records))
     assert rest.of_travel == pytest.approx(rest.rms / travel)
     assert rest.acceleration_rms < 0.1 * campaign.truth.effects["coulomb_friction"]["level"]
 
@@ -349,9 +350,20 @@ def test_diagnosis_survives_json(rubbing):
     assert data["model"]["effects"][0]["effect"] == "coulomb_friction"
     assert set(data["remainder"]) == {
         "rms", "times_noise", "of_travel", "acceleration_rms", "correlation_time", "of_motor", "depends_on_inputs",
-        "material",
+        "material", "heldout",
     }  # fmt: skip
     assert isinstance(diagnosis.plant, Plant)
+
+
+def test_records_with_and_without_a_feedforward_are_diagnosed_together():
+    runs = [lab.step_record(lab.LM1, kp, 0.2, noise=1e-5, seed=kp) for kp in (60, 90)]
+    time = runs[0].time
+    pushed = 0.2 * np.sin(6.0 * time) * (time > 0.2)
+    noise = 1e-5 * np.random.default_rng(5).standard_normal(time.size)
+    axis = Plant(gain=lab.LM1.gain, damping=lab.LM1.damping)
+    moved = simulate(axis, replace(runs[0], feedforward=pushed), sensor_error=noise)
+    fed = replace(runs[0], feedforward=pushed, position=moved.measured, voltage=moved.voltage, name="fed")
+    assert diagnose([fed, runs[1]]).verdict == "healthy"
 
 
 def test_prior_on_what_no_plant_has_is_refused():

@@ -21,6 +21,7 @@ from servolens import (
     Model,
     PDSpec,
     Plant,
+    Record,
     assess,
     bootstrap,
     check,
@@ -369,6 +370,32 @@ def test_coarse_encoder_is_seen_where_no_record_states_it(noise, seen):
     train, held = as_groups(silent[:1], silent[1:])
     assert train[0].encoder_resolution == (pytest.approx(held[0].encoder_resolution) if seen else None)
     assert [record.encoder_resolution for record in as_records([runs[0], silent[1]])] == [1e-4, 1e-4]
+
+
+def rounded(record, step):
+    return replace(record, position=step * np.round(record.position / step), encoder_resolution=None)
+
+
+def test_a_step_that_not_all_records_show_is_no_encoders():
+    """A log that was rounded when it was written says nothing of the noise of the others."""
+    runs = [lab.step_record(lab.LM1, kp, encoder=0, noise=1e-5, seed=kp) for kp in (40, 80, 120)]
+    assert [r.encoder_resolution for r in as_records([runs[0], rounded(runs[1], 1e-3)])] == [None, None]
+    train, held = as_groups(runs[:2], rounded(runs[2], 1e-3))
+    assert [r.encoder_resolution for r in train] == [None, None]
+    assert held[0].encoder_resolution == pytest.approx(1e-3, rel=1e-3)
+    train, held = as_groups([rounded(run, 1e-3) for run in runs[:2]], runs[2])
+    assert ([r.encoder_resolution for r in train], held[0].encoder_resolution) == (
+        [pytest.approx(1e-3, rel=1e-3)] * 2,
+        None,
+    )
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7, 3e-6])
+def test_constant_speed_is_no_encoder(noise):
+    time = 1e-3 * np.arange(2000)
+    path = 0.1 * np.abs((time + 0.25) % 1.0 - 0.5) + noise * np.random.default_rng(1).standard_normal(2000)
+    record = Record(time=time, position=path, voltage=np.ones(2000), length_unit="m", command_unit="V")
+    assert as_records(record)[0].encoder_resolution is None
 
 
 def test_rounding_of_a_coarse_encoder_is_no_second_cause_where_it_is_not_stated():

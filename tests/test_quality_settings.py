@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,3 +167,18 @@ def test_axis_at_its_voltage_limit_is_in_no_other_unit(limit, reference):
     for duration in (0.3, 0.5, 0.8):
         record = lab.step_record(axis, kp=60, noise=1e-5, seed=1, reference=reference, duration=duration)
         assert not {"wrong_sign", "units_contradict"} & set(told(record.with_({"voltage": None})))
+
+
+@pytest.mark.parametrize("step", [1e-4, 1e-3])
+def test_a_position_that_was_rounded_when_it_was_written_contradicts_no_stated_gain(step):
+    """The rounding does what another filter or other gains would: neither has anything to be corrected."""
+    run = lab.step_record(lab.LM1, 60, 0.5, noise=1e-5, encoder=0, seed=1)
+    rounded = replace(run, position=step * np.round(run.position / step), voltage=np.round(run.voltage, 3))
+    said = {finding.code for finding in check(rounded)}
+    assert not said & {"gains_contradict_log", "settings_contradict_log", "law_contradicts_log", "sample_shift"}
+
+
+def test_wrong_gains_beside_a_coarse_encoder_are_told():
+    run = lab.step_record(lab.LM1, 60, 0.5, noise=1e-5, encoder=1e-4, seed=1)
+    stated = replace(run, controller=replace(run.controller, kd=0.4))
+    assert "gains_contradict_log" in {finding.code for finding in check(stated)}

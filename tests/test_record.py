@@ -185,3 +185,11 @@ def test_largest_step_of_a_trajectory_is_all_its_way():
     assert made.largest_step == pytest.approx(0.3)
     without = Record(time=time, position=ramp, voltage=0.0 * time)
     assert without.largest_step == pytest.approx(0.3)
+
+
+def test_largest_step_of_a_slow_ramp_in_counts_is_all_its_way():
+    time = 1e-3 * np.arange(5000)
+    ramp = 2e-3 * np.clip(time - 0.5, 0.0, 3.5)
+    counts = 1e-4 * np.round(ramp / 1e-4)  # one for 50 samples each
+    made = Record(time=time, position=ramp, reference=counts, controller=Controller(kp=1.0))
+    assert made.largest_step == pytest.approx(7e-3)

@@ -28,23 +28,31 @@ FEWEST_SAMPLES = 20
 DITHERED = 0.5
 """Standard deviation of white noise, in steps, from which on rounding is but more white noise (B. Widrow and I. Kollár,
 *Quantization Noise*, 2008)."""
+MOST_STEPS, OFF_GRID, ON_GRID = 10.5, 0.15, 0.98
+"""Movements up to ten steps tell of a step; how far from a whole number of steps one may be; share of them that are
+none farther."""
 
 
-def with_seen_encoder(records: Sequence[Record]) -> tuple[Record, ...]:
+def with_seen_encoder(records: Sequence[Record], known: Sequence[Record] = ()) -> tuple[Record, ...]:
     """Return records of one axis, each with the encoder's step: as others state it, or as their positions show it.
 
-    Only where rounding is more than white noise is that looked for. What moves in steps is the sensor's, not the log's.
+    Only where rounding is more than white noise is that looked for, and only where all records move in that step: their
+    noise is one. A log that was rounded when it was written looks like a coarse encoder, and is taken for one.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Of one axis.
+    known : sequence of Record
+        Others of the same axis, whose step is theirs if they move in it.
     """
-    steps = [record.encoder_resolution for record in records if record.encoder_resolution is not None]
-    if len(steps) == len(records):
-        return tuple(records)
-    steps = steps or [step for record in records if (step := _coarse_step(record.position)) is not None]
-    if not steps:
-        return tuple(records)
-    return tuple(
-        replace(record, encoder_resolution=max(steps)) if record.encoder_resolution is None else record
-        for record in records
-    )
+    stated = [record.encoder_resolution for record in (*known, *records) if record.encoder_resolution is not None]
+    unstated = [record for record in records if record.encoder_resolution is None]
+    for seen in (stated, [s for record in unstated if (s := _coarse_step(record.position)) is not None]):
+        step = max(seen, default=0.0)
+        if step > 0.0 and all(_moves_in(record.position, step) for record in unstated):
+            return tuple(replace(r, encoder_resolution=step) if r.encoder_resolution is None else r for r in records)
+    return tuple(records)
 
 
 def _coarse_step(position: NDArray[np.float64]) -> float | None:
@@ -52,11 +60,19 @@ def _coarse_step(position: NDArray[np.float64]) -> float | None:
     return None if step is None or white_noise(position, step) > DITHERED * step else step
 
 
+def _moves_in(position: NDArray[np.float64], step: float) -> bool:
+    """Tell whether the small movements are multiples of a `step`; so few that nothing tells may be."""
+    moves = small_moves(position)
+    small = moves[moves < MOST_STEPS * step]
+    return small.size < FEWEST_SAMPLES or share_on_grid(small, step, OFF_GRID) >= ON_GRID
+
+
 def quantisation_step(position: NDArray[np.float64]) -> float | None:
     """Return the step in which the position moves, or None if its small movements share none.
 
     The smallest movements are tried as the step: nearly all movements of up to ten steps must be whole multiples of
-    it within 0.15, where 0.3 of them would be by chance. At least twenty must be seen.
+    it within 0.15, where 0.3 of them would be by chance. At least twenty must be seen. How many steps a movement is
+    must change as often: at a constant speed without noise all movements are alike, and none is a step.
     """
     moves = small_moves(position)
     if moves.size < FEWEST_SAMPLES:
@@ -68,7 +84,8 @@ def quantisation_step(position: NDArray[np.float64]) -> float | None:
         if not counts.any():
             continue
         step = float(np.sum(counts * small) / np.sum(counts**2))
-        if share_on_grid(moves[moves < 10.5 * step], step, 0.15) >= 0.98:
+        changes = np.count_nonzero(np.diff(np.rint(np.diff(position) / step)))
+        if changes >= FEWEST_SAMPLES and share_on_grid(moves[moves < MOST_STEPS * step], step, OFF_GRID) >= ON_GRID:
             return step
     return None
 

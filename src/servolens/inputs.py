@@ -149,11 +149,15 @@ def as_records(
             found += [_record(one, known, len(given) > 1, len(found) + i) for i, one in enumerate(some, 1)]
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
+    _check_units(found)
+    return with_seen_encoder(found)
+
+
+def _check_units(records: Sequence[Record]) -> None:
     for unit in ("length_unit", "command_unit"):
-        kinds = sorted({getattr(record, unit) for record in found})
+        kinds = sorted({getattr(record, unit) for record in records})
         if len(kinds) > 1:
             raise InputError(f"records in {' and '.join(kinds)} cannot be used together; convert one of them")
-    return with_seen_encoder(found)
 
 
 def as_record(source: Records, settings: RecordSettings | Mapping[str, Any] | None = None) -> Record:
@@ -171,8 +175,8 @@ def as_groups(
 ) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
     """Return the records to be fitted, and those held out, of which there may be none; see :func:`as_records`."""
     train, tests = as_records(records, settings), as_records(heldout, settings, least=0)
-    both = as_records((*train, *tests))  # of one axis, too
-    return both[: len(train)], both[len(train) :]
+    _check_units((*train, *tests))  # of one axis, too
+    return train, with_seen_encoder(tests, train)
 
 
 def as_model(source: Plants) -> Model:

@@ -43,6 +43,8 @@ class Remainder:
         Whether it depends on reference, feedforward or a column of the catalogue; else it is noise or shaking.
     material : bool
         Whether `of_travel` exceeds half a percent.
+    heldout : bool
+        Whether these are errors on records that were held out, which miss more than those that were fitted.
     """
 
     rms: float
@@ -53,6 +55,7 @@ class Remainder:
     of_motor: float
     depends_on_inputs: bool
     material: bool
+    heldout: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
@@ -74,6 +77,7 @@ class Remainder:
             of_motor=size("of_motor"),
             depends_on_inputs=bool(data["depends_on_inputs"]),
             material=bool(data["material"]),
+            heldout=bool(data.get("heldout", False)),
         )
 
 

@@ -22,12 +22,13 @@ if TYPE_CHECKING:
     from servolens.control_arithmetic import Answer
     from servolens.findings import Finding
 
-__all__ = ["RESTS", "Controller", "Record"]
+__all__ = ["Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
-RESTS = 20
-"""Samples without a change after which a reference sets out anew."""
+RESTS, FASTEST_STAIRS = 20, 50
+"""Samples without a change after which a reference sets out anew, and how often it may at most in a record: a slow ramp
+that is logged in small steps rests shorter."""
 
 
 @final
@@ -173,9 +174,7 @@ class Record:
         """
         if self.reference is None:
             return self.step_size
-        edges = self.edges()
-        moves = np.split(edges, np.flatnonzero(np.diff(edges) > RESTS) + 1) if edges.size else []
-        ways = [float(np.ptp(self.reference[move[0] - 1 : move[-1] + 1])) for move in moves]
+        ways = [float(np.ptp(self.reference[move[0] - 1 : move[-1] + 1])) for move in self.moves()]
         return max(abs(float(self.reference[0] - self.position[0])), *ways, 0.0)
 
     def slice(self, start: float, end: float) -> Record:
@@ -199,6 +198,12 @@ class Record:
         if self.reference is None:
             return np.empty(0, dtype=np.intp)
         return np.flatnonzero(np.diff(self.reference)) + 1
+
+    def moves(self) -> list[NDArray[np.intp]]:
+        """Return the edges of each motion of the reference from one rest to the next."""
+        edges = self.edges()
+        rests = np.diff(edges) > max(RESTS, len(self) // FASTEST_STAIRS)
+        return np.split(edges, np.flatnonzero(rests) + 1) if edges.size else []
 
     def steps(self) -> tuple[Record, ...]:
         """Split at the reference's edges into single steps, each from its edge to the next.

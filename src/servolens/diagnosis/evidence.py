@@ -10,7 +10,6 @@ import numpy as np
 from servolens.decoding import read_fields
 from servolens.identification.segments import applied_voltage
 from servolens.identification.smoothing import smooth
-from servolens.record import RESTS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -145,8 +144,7 @@ def _quantities(records: Sequence[Record]) -> list[tuple[str, str, NDArray[np.fl
 
 def since_step(record: Record) -> NDArray[np.float64]:
     """Return the time since the reference last began to change, or since the record's beginning [s]."""
-    edges = record.edges()
-    edges = np.unique(np.concatenate(([0], edges[np.diff(edges, prepend=-RESTS) > RESTS])))
+    edges = np.unique([0, *(move[0] for move in record.moves())])
     last = edges[np.searchsorted(edges, np.arange(len(record)), side="right") - 1]
     return np.asarray(record.time - record.time[last])
 

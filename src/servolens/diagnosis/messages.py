@@ -86,7 +86,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
         slow = gains.noise * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
         told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
     if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
-        told += f"; the encoder's rounding to {readable(noise.rounding, unit)} dominates"
+        told += f"; rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, dominates"
     groups = repeats(case.records)
     if groups:
         spread = readable(spread_of(case.records, groups), unit)

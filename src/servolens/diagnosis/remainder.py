@@ -33,11 +33,16 @@ __all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "train_err
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
-    """Return what `chosen`, the last of `gains`, misses of the training records, or of others if that is more."""
-    noise, travel = gains.noise, case.travel
-    groups = [(case.records, train_errors(case, chosen, gains)), (case.heldout, held_errors(case, chosen, gains))]
-    records, errors = max(groups if case.heldout else groups[:1], key=lambda group: pooled(group[1]))
-    error = pooled(errors)
+    """Return what `chosen`, the last of `gains`, misses of the training records, or of others if that is more.
+
+    More of their own travel. What shakes an axis, and whether the inputs tell of what is left, is of those that were
+    fitted.
+    """
+    noise = gains.noise
+    trained = case.records, train_errors(case, chosen, gains)
+    groups = [trained, (case.heldout, held_errors(case, chosen, gains))] if case.heldout else [trained]
+    records, errors = max(groups, key=lambda group: pooled(group[1]) / _travel(group[0]))
+    error, travel = pooled(errors), _travel(records)
     push = max(float(np.abs(applied_voltage(record)).max()) for record in records) * abs(chosen.plant.gain)
     missed, lasts = unexplained_acceleration(chosen.plant, records, errors, rate=case.likelihood.rate, noise=noise)
     is_finite = bool(np.isfinite(error))
@@ -52,13 +57,18 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     return Remainder(
         rms=rms,
         times_noise=error / noise if noise > 0.0 else None,
-        of_travel=rms / max(travel, 1e-300),
+        of_travel=rms / travel,
         acceleration_rms=missed,
         correlation_time=lasts,
         of_motor=missed / max(push, 1e-300),
         depends_on_inputs=depends,
         material=rms > MATERIAL * travel,
+        heldout=records is not case.records,
     )
+
+
+def _travel(records: Sequence[Record]) -> float:
+    return max(1e-300, *(float(np.ptp(record.position)) for record in records))
 
 
 def _shaking(noise: NoiseModel, sample_time: float) -> tuple[float, float]:

@@ -196,7 +196,8 @@ def _ringing(test: ScoreTest) -> NDArray[np.float64]:
         poles = np.exp(test.rate * RINGING * (1j - RINGING_DAMPING) * step)
         rung = [lfilter([1.0], [1.0, -pole], np.asarray(kick, dtype=complex)) for kick in kicks for pole in poles]
         parts.append(run.whiten(np.column_stack([part for one in rung for part in (one.real, one.imag)])))
-    return np.concatenate(parts)
+    most = max(part.shape[1] for part in parts)  # a record without a feedforward has that of no change
+    return np.concatenate([np.pad(part, ((0, 0), (0, most - part.shape[1]))) for part in parts])
 
 
 def _lagged(signal: NDArray[np.float64]) -> list[NDArray[np.float64]]:

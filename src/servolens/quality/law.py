@@ -25,7 +25,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["GAINS", "PARAMETERS", "LawFit", "controller_of", "remembered", "rms", "tick_phase", "voltage_of"]
+__all__ = [
+    "GAINS",
+    "PARAMETERS",
+    "LawFit",
+    "controller_of",
+    "felt_rounding",
+    "remembered",
+    "rms",
+    "tick_phase",
+    "voltage_of",
+]
 
 GAINS = ("kp", "kd")
 PARAMETERS = (*GAINS, "setpoint_weight", "ki", "integral_before", "velocity_feedforward", "integral_rate")
@@ -158,6 +168,14 @@ def voltage_of(record: Record) -> Array:
 def controller_of(record: Record) -> Controller:
     """Return the stated controller, or one of which only the settings count."""
     return record.controller or Controller(kp=1.0)
+
+
+def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:
+    """Return the voltage, r.m.s., that the law makes of a position rounded to a `step`, as white noise."""
+    if controller.derivative == "velocity":
+        return step / math.sqrt(12.0) * abs(controller.kp)
+    slope = math.sqrt(2.0) * controller.kd * controller.derivative_filter / controller.derivative_window / sample_time
+    return step / math.sqrt(12.0) * math.hypot(controller.kp, slope)
 
 
 def remembered(controller: Controller, record: Record) -> int:

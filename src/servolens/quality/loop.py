@@ -13,9 +13,9 @@ from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.beginning import initial_motion
-from servolens.quality.law import GAINS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
+from servolens.quality.law import GAINS, LawFit, controller_of, felt_rounding, remembered, rms, tick_phase, voltage_of
 from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
-from servolens.quality.settings import UNITS, find_alternative
+from servolens.quality.settings import BETTER, UNITS, find_alternative
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -109,12 +109,13 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     misfit = fit.left(found) / scale
     stated = record.controller
     wrong = 0.0 if stated is None else rms((fit.asked(found) - fit.asked(_with_gains(found, stated)))[judged])
+    rounding = felt_rounding(stated or found, seen.step or 0.0, record.sample_time) / scale
     return LoopFit(
         kp=found.kp,
         kd=found.kd,
         misfit=misfit,
         difference=wrong / scale,
-        rounding=abs(found.kp) * (seen.step or 0.0) / math.sqrt(12.0) / scale,
+        rounding=rounding if misfit > BETTER * rounding else 0.0,  # else the loop saw what the log holds
         limits=limits,
         at_limit=_count_at_limit(voltage_of(aligned), fit.missed(found), limits),
         alternative=other,

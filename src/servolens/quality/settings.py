@@ -16,7 +16,17 @@ import numpy as np
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step
 from servolens.errors import InputError
-from servolens.quality.law import GAINS, PARAMETERS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
+from servolens.quality.law import (
+    GAINS,
+    PARAMETERS,
+    LawFit,
+    controller_of,
+    felt_rounding,
+    remembered,
+    rms,
+    tick_phase,
+    voltage_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -27,7 +37,7 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.bool_]
 
-__all__ = ["HOLDS", "UNITS", "Alternative", "explanation", "find_alternative"]
+__all__ = ["BETTER", "HOLDS", "UNITS", "Alternative", "explanation", "find_alternative"]
 
 Column = Literal["voltage", "position", "reference"]
 COLUMNS: tuple[Column, ...] = ("voltage", "position", "reference")
@@ -137,7 +147,9 @@ def find_alternative(record: Record, used: Rows) -> Alternative | None:
     """Return the simplest explanation of the logged voltage; None if the law holds, or none explains it.
 
     It must leave at most a tenth of what is unexplained, or no more than the rounding of the voltage, and hardly more
-    than any other leaves. The simplest changes least of what is stated. None, too, if only kp and kd are to change.
+    than any other leaves. Where a position that was rounded when it was written explains as much, it must leave no more
+    than the rounding of the voltage. The simplest changes least of what is stated. None, too, if only kp and kd are to
+    change.
 
     Parameters
     ----------
@@ -160,11 +172,13 @@ def find_alternative(record: Record, used: Rows) -> Alternative | None:
     before = rms(stated[rows]) / size if size > 0.0 else 0.0
     if not max(HOLDS, rounding) < before < math.inf:
         return None
+    may_be_rounded = record.controller is not None and before * size <= AS_WELL * _felt(part)
+    exact = max(rounding, EXACT) if may_be_rounded else math.inf
     others = fit.share_left(gains_fit := fit.fitted(GAINS))
     cases = chain(_rescaled(), _shifts()) if others <= EXACT else _cases(part, rows)
     both = (stated, fit.missed(gains_fit))
     tried = [one for case in cases if (one := _tried(part, case, rows)) and _explains(one, fit, both, free, rounding)]
-    bound = AS_WELL * min([others, *(one.left for one in tried)]) + EXACT
+    bound = min(AS_WELL * min([others, *(one.left for one in tried)]) + EXACT, exact)
     tried = [one for one in tried if one.left <= bound]
     if others <= bound:
         tried.append(_Tried(_Case(), fit, others))
@@ -199,6 +213,11 @@ def _rounding(record: Record) -> float:
     """Return the rounding of the logged voltage, as a share of it."""
     voltage = voltage_of(record)
     return (quantisation_step(voltage) or 0.0) / math.sqrt(12.0) / rms(voltage)
+
+
+def _felt(record: Record) -> float:
+    """Return the voltage that the stated law makes of the position's rounding, if the log shows one."""
+    return felt_rounding(controller_of(record), quantisation_step(record.position) or 0.0, record.sample_time)
 
 
 def explanation(record: Record) -> tuple[str, ...]:

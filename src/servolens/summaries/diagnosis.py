@@ -308,12 +308,13 @@ def _left(diagnosis: Diagnosis) -> list[str]:
             "What is left depends on the inputs, but is smaller than the noise: only many samples together show it."
         ]
     size = f"{percent(100 * rest.of_travel)} of the travel, {length(rest.rms, unit_)} (r.m.s.) beyond the noise"
+    size += " in the records held out" if rest.heldout else ""
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
         if any(_has(diagnosis, code) for code in OF_THE_LOOP):
             told = f"In addition the simulation misses {size}, with the loop as the logs state it. {worth}"
         else:
-            told = f"In addition the simulation misses {size}, which does not depend on the reference. {worth}"
+            told = f"In addition the simulation misses {size}. It does not depend on what drives the axis. {worth}"
         return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
