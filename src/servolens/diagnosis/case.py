@@ -24,6 +24,7 @@ from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
 from servolens.identification.structure import depends_on_inputs
+from servolens.model_evidence import MATERIAL
 from servolens.processors import in_parallel
 from servolens.simulation.rates import substeps_for
 
@@ -186,7 +187,9 @@ class Case:
         """Ask the innovations; and the loops where the noise may have taken up what the model lacks.
 
         An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process:
-        what they leave is whitened as well as can be.
+        what they leave is whitened as well as can be. Noise that moves the axis by a material part of its travel has to
+        be shown, which only a loop that can be simulated can do; where there is none, simulations that miss as much
+        may lack anything.
         """
         noise = hypothesis.noise
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
@@ -197,14 +200,17 @@ class Case:
                 return True
         except NumericalError:  # what cannot be asked is not shown
             return True
-        if not closed or (noise.rate == 0.0 and noise.order == 0):
+        if closed and noise.rate == 0.0 and noise.order == 0:
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
+        is_material = pooled(errors) > MATERIAL * self.travel
+        if not closed:
+            return is_material
         ripple = self.ripple_beside(hypothesis)
         ripples = [ripple.at(i, record.time) for i, record in enumerate(self.records)]
         found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
-        return found.depends or (noise.rate > 0.0 and not found.is_seen)
+        return found.depends or ((noise.rate > 0.0 or is_material) and not found.is_seen)
 
     def noise_in_loop(self, hypothesis: Hypothesis) -> float:
         """Return what the sensor's noise makes simulations in closed loop miss if `hypothesis` is the axis, r.m.s.

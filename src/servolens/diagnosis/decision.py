@@ -131,8 +131,9 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     They must be likelier beside it than beside the one before. Where they would not tell the two apart, as of a limit
     that they do not reach, those fitted decide. Where something is left that nothing explains, what is likelier from
     sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
-    wrong cause does: there the simulation of all records, to which neither was fitted, must not miss more than that of
-    any simpler model, either, of those with the same waves: whose phases no simulation foretells.
+    wrong cause does, and a filter of slow noise whiten it: there the simulation of all records, to which neither was
+    fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
+    simulation foretells.
     """
     simpler, richer = path[-2:]
     only_training, not_simulated = (
@@ -144,7 +145,7 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
             return only_training
         if not case.explains(richer) and _misses_more(case, simpler, richer):
             return not_simulated
-    if richer.noise.rate == 0.0:
+    if richer.noise.rate == 0.0 and richer.noise.order == 0:
         return ""
     alike = [h for h in path if own_phases(h.plant) == own_phases(richer.plant)]
     gains = case.gains(alike)

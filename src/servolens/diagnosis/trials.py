@@ -37,6 +37,8 @@ STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
+HOLDS = 2.0
+"""Times the largest acceleration by the motor from which on dry friction holds the axis: that moves it, and stops it."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it: once in 16 000 of normal ones."""
 
@@ -254,12 +256,21 @@ def _entry_prices(candidates: int, plant: Plant, samples: float) -> float:
 def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> bool:
     """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
 
-    A drive with a loop of its own sets the gain, which no bound of the fit holds then.
+    A drive with a loop of its own sets the gain, which no bound of the fit holds then. Dry friction stronger than twice
+    all that pushes the axis, once to move it and once to stop it, would hold it.
     """
     values = dict(zip(plant.parameters, plant.values, strict=True))
     known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in values)
     agrees = all(low <= value <= high for value, low, high in known)
-    return agrees and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
+    holds = HOLDS * abs(plant.gain) * seen.command
+    moves = all(max(_forces(effect), default=0.0) <= holds for effect in plant.effects)
+    return agrees and moves and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
+
+
+def _forces(effect: Effect) -> list[float]:
+    """Return the levels of a dry friction, or of none."""
+    names = [spec.name for spec in effect.parameters() if spec.unit == "{x}/s^2"]
+    return [getattr(effect, name) for name in names] if isinstance(effect, DryFriction) else []
 
 
 def _of_each_shape(starts: Sequence[Start]) -> list[Start]:

@@ -51,3 +51,7 @@ class GainDrift(Actuator):
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for change in (0.1, -0.1):
             yield within(cls, rate=change / max(seen.duration, 1e-9))
+
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`: what more than doubles the gain, or turns it, is none."""
+        return abs(self.rate) * seen.duration <= 1.0

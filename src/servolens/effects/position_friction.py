@@ -64,4 +64,4 @@ class PositionFriction(DryFriction):
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
-        return self.width <= seen.travel
+        return self.width <= seen.travel and seen.low <= self.centre <= seen.high

@@ -83,7 +83,8 @@ def loop_error(
     of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
     doi:10.1080/01621459.1965.10480811); and what runs that repeat each other have in common, if there are any. What
     knows nothing of the inputs is as large at rest as in motion, and another in each run. Where nothing shakes the
-    axis, the first of these is asked alone: an encoder's rounding differs at rest.
+    axis, the first of these is asked alone: an encoder's rounding differs at rest. An error that is material must be no
+    larger than those of the draws, either.
 
     Parameters
     ----------
@@ -104,14 +105,29 @@ def loop_error(
         return LoopError(depends=True, is_seen=True)
     shares = _Shares(plants, records, rate)
     asked = slice(None) if noise.rate > 0.0 else slice(1)
-    drawn = np.array([shares.of(draw)[asked] for draw in drawn_loop_errors(plants, records, noise, ripples)])
-    if len(drawn) < DRAWS // 2:
+    draws = drawn_loop_errors(plants, records, noise, ripples)
+    if len(draws) < DRAWS // 2:
         return LoopError(depends=True, is_seen=True)
+    drawn = np.array([shares.of(draw)[asked] for draw in draws])
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
     found = np.array(shares.of(errors)[asked])
-    size = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    size = _size(errors)
     is_material = size > MATERIAL * max(float(np.ptp(record.position)) for record in records)
-    return LoopError(bool(np.any(found > limits)), bool(limits[0] < (MATTERS if is_material else VISIBLE)))
+    depends = bool(np.any(found > limits)) or (is_material and size > _largest([_size(draw) for draw in draws]))
+    return LoopError(depends, bool(limits[0] < (MATTERS if is_material else VISIBLE)))
+
+
+def _size(errors: Errors) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def _largest(sizes: Sequence[float]) -> float:
+    """Return the size that chance exceeds in one false alarm, of draws whose logarithms are normal."""
+    from scipy.stats import t
+
+    logs = np.log(np.maximum(sizes, 1e-300))
+    wide = float(t.isf(FALSE_ALARM, logs.size - 1)) * np.sqrt(1.0 + 1.0 / logs.size)
+    return float(np.exp(np.mean(logs) + wide * np.std(logs, ddof=1)))
 
 
 def drawn_loop_errors(

@@ -177,7 +177,9 @@ def clock_error(noise: NoiseModel, signals: Signals) -> float:
     kicks = (noise.jitter * noise.gain) ** 2 * float(np.sum(np.diff(signals.voltage) ** 2))
     density = kicks / float(signals.time[-1] - signals.time[0])
     stiffness, damping = noise.gain * controller.kp, noise.damping + noise.gain * controller.kd
-    return float(np.sqrt(read + max(density / (2.0 * stiffness * damping), 0.0)))
+    if not stiffness * damping > 0.0:  # nothing calls it back
+        return float(np.sqrt(read))
+    return float(np.sqrt(read + density / (2.0 * stiffness * damping)))
 
 
 @final

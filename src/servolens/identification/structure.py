@@ -12,6 +12,7 @@ from servolens.identification.instruments import instruments, noise_free
 from servolens.identification.loop_errors import loop_error
 from servolens.identification.rounding import dominates, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest
+from servolens.model_evidence import MATERIAL
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def depends_on_inputs(test: ScoreTest) -> bool:
 def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     """Tell whether what an observer follows knows nothing of the inputs: then its fit is the best there is.
 
-    Asked are its innovations, and the loop simulated from the reference, which no observer corrects.
+    Asked are its innovations, and the loop simulated from the reference, which no observer corrects. Where there is no
+    loop to simulate it is believed as long as it is immaterial.
     """
     try:
         if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
@@ -73,6 +75,8 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
         return False
     shown = [run.shown(plant) for run, plant in zip(simulated, plants, strict=True)]
     errors = [seen - record.position for seen, record in zip(shown, likelihood.records, strict=True)]
+    if any(record.reference is None or record.controller is None for record in likelihood.records):
+        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= MATERIAL * likelihood.travel
     return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise
 
 

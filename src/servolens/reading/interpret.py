@@ -163,8 +163,12 @@ def _with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
         return table
     count = table.columns[0].values.size
     time = Column("time", value * parsed.factor * np.arange(count, dtype=np.float64), "s")
-    kept = tuple(column for column in table.columns if column.name.strip().lower() not in ("time", "t", "x_value"))
-    return Table((time, *kept), table.name, table.comments, table.properties, table.has_names)
+    # a number names the column of the file: the clock takes the place of that which is there, or comes last
+    logged = [column.name.strip().lower() in ("time", "t", "x_value") for column in table.columns]
+    columns = tuple(time if is_time else column for column, is_time in zip(table.columns, logged, strict=True))
+    if sum(logged) != 1:
+        columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
+    return Table(columns, table.name, table.comments, table.properties, table.has_names)
 
 
 def _constant_gains(tables: Sequence[Table], at: int, stated: Mapping[str, object]) -> dict[str, str]:
