@@ -88,7 +88,9 @@ def test_remainder_of_what_is_explained_is_immaterial(rubbing):
     rest = diagnosis.remainder
     assert (rest.depends_on_inputs, rest.material) == (False, False)
     of = diagnosis.extended
-    error = of.heldout_rms_error if rest.heldout else of.rms_error  # where a noisy loop sticks is chance: more than the noise alone
+    error = (
+        of.heldout_rms_error if rest.heldout else of.rms_error
+    )  # where a noisy loop sticks is chance: more than the noise alone
     assert rest.times_noise == pytest.approx(error / diagnosis.noise_floor)
     assert np.hypot(rest.rms, diagnosis.noise_floor) == pytest.approx(error)
     travel = max(np.ptp(record.position) for record in (campaign.heldout if rest.heldout else campaign.records))

@@ -96,7 +96,8 @@ class Candidate:
     likelihood : float
         By how much it lowers −2 log-likelihood, its price paid; negative where it does not pay.
     shaken : bool
-        Whether it is likeliest beside something that shakes the axis; then an observer follows most of what is left.
+        Whether it is likeliest beside something that shakes the axis; then `error` is that of a simulation as
+        `predict` has it, shaking included.
     """
 
     effects: tuple[str, ...]

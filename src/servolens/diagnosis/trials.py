@@ -38,7 +38,7 @@ STANDS = 0.01
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
 HOLDS = 2.0
-"""Times the largest acceleration by the motor from which on dry friction holds the axis: that moves it, and stops it."""
+"""Times the motor's largest acceleration from which on dry friction holds the axis: that moves it, and stops it."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it: once in 16 000 of normal ones."""
 

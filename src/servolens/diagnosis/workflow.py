@@ -21,6 +21,7 @@ from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
+from servolens.findings import Finding
 from servolens.identification.fitted import fitted
 from servolens.identification.options import as_priors
 from servolens.inputs import as_groups
@@ -29,15 +30,15 @@ from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
-    from servolens.findings import Finding
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.options import Priors
     from servolens.inputs import Records, RecordSettings
+    from servolens.model import Model
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
@@ -120,12 +121,13 @@ def _diagnosed(
     progress("Comparing errors with and without the causes", 90, 100)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     gains = case.gains(path, [fit.plant for fit in fits])
-    verdict = "unexplained" if decision.contradiction is not None else _verdict(case, path, gains)
+    powerless = [*_powerless(fits[-1].model)]
+    verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
-    told = (*findings, *decision.findings, *fits[-1].findings)
+    told = (*findings, *powerless, *decision.findings, *fits[-1].findings)
     told = (*told, *said(case, decision, path[-1], gains, verdict, remainder))
     model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
@@ -201,13 +203,37 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     return "partly_explained" if chosen.causes else "unexplained"
 
 
+def _powerless(model: Model) -> Iterator[Finding]:
+    """Yield a finding where nothing shows that the command moves the axis: the gain may as well be 0."""
+    gain = model.quantities["gain"]
+    ends = gain.interval
+    if ends is not None and ends[0] <= 0.0 <= ends[1]:
+        message = (
+            "nothing in the records shows that the command moves the axis: its gain may be anything between"
+            f" {ends[0]:.2g} and {ends[1]:.2g} {gain.unit}. Check that the right column is read as the command, its"
+            " unit and sign, and that the drive was on."
+        )
+        yield Finding(code="gain_not_shown", severity="warning", message=message)
+
+
 def _candidates(case: Case, found: Search) -> tuple[Candidate, ...]:
-    """Return what each single effect leaves, driven by the voltage beside its own noise, the likeliest first."""
+    """Return what each single effect leaves, the likeliest first.
+
+    Driven by the voltage beside its own noise; where an observer follows a shaken axis, of a simulation as `predict`
+    has it.
+    """
     tried = [*found.singles, *(h for h in found.judged if len(h.causes) == 1)]
     best = {h.causes: h for h in sorted(tried, key=lambda h: -h.total)}
     return tuple(
         Candidate(
-            effects=h.causes, error=h.noise.spread, likelihood=case.base.total - h.total, shaken=h.noise.rate > 0.0
+            effects=h.causes,
+            error=_simulated_error(case, h) if h.noise.rate > 0.0 else h.noise.spread,
+            likelihood=case.base.total - h.total,
+            shaken=h.noise.rate > 0.0,
         )
         for h in sorted(best.values(), key=lambda h: h.total)
     )
+
+
+def _simulated_error(case: Case, hypothesis: Hypothesis) -> float:
+    return pooled([residual(hypothesis.plant_of(i), record) for i, record in enumerate(case.records)])

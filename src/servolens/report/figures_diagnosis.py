@@ -214,11 +214,10 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     """Draw what single effects leave, and the answer."""
     chosen = {cause.effect for cause in diagnosis.causes}
     best: dict[str, Candidate] = {}
-    # what an observer of a shaken axis leaves is no simulation's error
-    simulated = [candidate for candidate in diagnosis.candidates if not candidate.shaken] or diagnosis.candidates
-    for candidate in sorted(simulated, key=lambda candidate: candidate.error):
+    for candidate in sorted(diagnosis.candidates, key=lambda candidate: candidate.error):
         best.setdefault(candidate.effects[-1], candidate)
-    shown = [*best.items()][:MOST_CANDIDATES]
+    order = [name for name in best if name not in chosen][: MOST_CANDIDATES - len(chosen & set(best))]
+    shown = [(name, candidate) for name, candidate in best.items() if name in chosen or name in order]
     rows = [(capital(spoken(name)), c.error, name in chosen) for name, c in shown]
     rows = [row for row in rows if np.isfinite(row[1]) and row[1] > 0]
     names, errors, answers = zip(*rows, strict=True)
@@ -237,7 +236,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     caption += _answer_told(chosen)
     if len(chosen) == 1 and not rows[0][2]:
         caption += " It explains the most for its number of parameters; others may leave a smaller error."
-    rest = len(best) - MOST_CANDIDATES
+    rest = len(best) - len(shown)
     if rest > 0:
         caption += f" {rest} more effects leave more."
     caption += " Not held out. Driven by the logged voltage, with the noise estimated anew for each effect."

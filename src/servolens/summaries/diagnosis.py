@@ -161,7 +161,8 @@ def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     if 0 < samples <= FEW_SAMPLES:
         seconds = number(sum(record.duration for record in diagnosis.records), 2)
         told.append(
-            f"{samples} samples in {seconds} s show little: before you trust this, log whole moves, up to rest."
+            f"{samples} samples in {seconds} s show little: before you trust this, log faster, and more whole moves up"
+            " to rest."
         )
     return told
 
@@ -276,6 +277,9 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     if contradiction:
         told = unit(contradiction[0].message)
         return told if told.endswith((".", "?")) else f"{told}."
+    for finding in diagnosis.findings:
+        if finding.code == "gain_not_shown":
+            return unit(finding.message)
     if not diagnosis.remainder.depends_on_inputs and _has(diagnosis, "bursts"):
         return _healthy(diagnosis)
     where = where_phrase(diagnosis.where)

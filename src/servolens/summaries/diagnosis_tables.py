@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["candidates_table", "data_kinds", "kinds_sentence", "parameters_table", "records_table"]
 
-NO_SIMULATION = "shaken"
-"""Stands for the error of what is likeliest beside something that shakes the axis: an observer follows most of it."""
+OF_SHAKEN = " *"
+"""Marks the error of what is likeliest beside something that shakes the axis: it is in it."""
 CANDIDATES = 5
 FITTED, HELD_OUT, LEFT_OUT, ITS_END = "fitted", "held out", "left out", "its end"
 
@@ -87,8 +87,8 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
     rows = [
         (
             capital(" and ".join(spoken(name) for name in candidate.effects)),
-            NO_SIMULATION if candidate.shaken else number(factor * candidate.error, 3),
-            NO_SIMULATION if candidate.shaken else number(candidate.error / floor, 3),
+            number(factor * candidate.error, 3) + (OF_SHAKEN if candidate.shaken else ""),
+            number(candidate.error / floor, 3),
             number(candidate.likelihood, 3) if candidate.likelihood > 0.0 else "none",
         )
         for candidate in best
@@ -96,12 +96,12 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
     shaken = any(candidate.shaken for candidate in best)
     return Table(
         title="Best single effects beside gain and damping",
-        columns=("Effect", f"Leaves [{length}]", "Times the noise", "Log-likelihood gain"),
+        columns=("Effect", f"Leaves [{length}]", "Times the noise", "Evidence"),
         rows=tuple(rows),
         note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
-        " for each effect; not held out. Gain: increase of twice the log-likelihood, less a penalty for each parameter;"
-        " none where gain and damping alone are as likely, if need be beside something that shakes the axis."
-        + (f" {NO_SIMULATION}: likeliest beside something that shakes the axis." if shaken else ""),
+        " for each effect; not held out. Evidence: increase of twice the log-likelihood, less a penalty for each"
+        " parameter; none where gain and damping alone are as likely, if need be beside something that shakes the axis."
+        + (" *: likeliest beside something that shakes the axis, which is part of the error." if shaken else ""),
     )
 
 
