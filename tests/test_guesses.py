@@ -259,3 +259,28 @@ def test_wrong_options_of_convert_are_refused(tmp_path, monkeypatch, options, pa
     done = run("convert", log, *options)
     assert done.exit_code == 2
     assert part in done.output
+
+
+def test_columns_by_number_are_those_of_the_file_beside_a_stated_sample_time(tmp_path):
+    path = table(tmp_path / "log.csv", **{"Channel 1": R, "Channel 2": Y, "Channel 3": R - Y, "Channel 4": U})
+    out = tmp_path / "log.toml"
+    stated = ("--columns", "reference,position,-,voltage", "--setting", "sample_time=1 ms", "--unit", "position=m")
+    units = ("--unit", "reference=m", "--unit", "voltage=V", "--record-kp", "60", "--record-kd", "4")
+    assert run("convert", path, *stated, *units, "--out", out).exit_code == 0
+    record = read_records(out)[0]
+    assert record.position == pytest.approx(Y)
+    assert record.reference == pytest.approx(R)
+    assert record.voltage == pytest.approx(U)
+
+
+def test_a_supply_is_asked_about_where_the_axis_turns_round_and_may_be_left_out(tmp_path):
+    supply = 12.0 - 0.1 * np.abs(U) / np.abs(U).max()
+    path = table(tmp_path / "log.csv", time=T, position=Y, reference=R, input_volts=supply)
+    asked = run("check", path, "--record-kp", "60", "--record-kd", "4")
+    assert asked.exit_code == 2
+    said = " ".join(asked.output.split())
+    assert "hardly varies, as the voltage of a supply while the axis turns round" in said
+    assert "--column voltage=input_volts or --column voltage=- if no command was logged" in said
+    gains = {"kp": "60", "kd": "4"}
+    assert read_record(path, columns={"voltage": "-"}, settings=gains).voltage is None
+    assert run("check", path, "--record-kp", "60", "--record-kd", "4", "--column", "voltage=-").exit_code == 0

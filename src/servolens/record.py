@@ -342,10 +342,11 @@ def _is_frozen(array: NDArray[np.float64]) -> bool:
 def _check_time(time: NDArray[np.float64], steps: NDArray[np.float64], record: str) -> None:
     if steps.min() <= 0:
         k = int(np.argmax(steps <= 0)) + 1
-        verb = "repeats" if time[k] == time[k - 1] else "lies before"
-        raise InputError(
-            f"{record}: time must increase; sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
-        )
+        same = time[k] == time[k - 1]
+        verb = "repeats" if same else "lies before"
+        remedy = "; if the stamps were rounded, state the sample_time instead" if same else ""
+        met = f"sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
+        raise InputError(f"{record}: time must increase; {met}{remedy}")
 
 
 def _check_enabled(enabled: NDArray[np.float64] | None, record: str) -> None:

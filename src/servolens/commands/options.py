@@ -111,7 +111,8 @@ def _ordered(value: str) -> dict[str, str]:
     given = [name for name in names if name in SIGNALS]
     if len(set(given)) < len(given):
         raise click.BadParameter("a signal stands twice; keep one")
-    return {name: str(k) for k, name in enumerate(names, start=1) if name in SIGNALS}
+    absent = dict.fromkeys((name for name in SIGNALS if name not in ("time", "position")), "-")
+    return absent | {name: str(k) for k, name in enumerate(names, start=1) if name in SIGNALS}
 
 
 def _keyed(value: str) -> tuple[str, str]:

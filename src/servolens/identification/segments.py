@@ -38,6 +38,8 @@ __all__ = [
 ]
 
 FEWEST_SAMPLES = 12
+LOST = 1.5
+"""Times the usual interval from which on samples are lost between two."""
 FEWEST_STROKES = 12
 """Reversals from which on a record without steps is a trajectory."""
 SLOW, SHORTEST_PART, STANDING = 0.02, 30, 0.6
@@ -93,9 +95,8 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
         If the axis moves in none of them.
     """
     found: list[Segment] = []
-    names = []
+    records = tuple(records)
     for record in records:
-        names.append(record.name)
         voltage = applied_voltage(record)
         noise = noise_level(record)
         step, sample_time = record.step_size, _sample_time(record)
@@ -119,11 +120,17 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
                     )
                 )
     if not found:
-        raise InputError(
-            f"{', '.join(names) or 'no record'}: the axis does not move more than its noise; "
-            "log a step that moves it by many encoder steps"
-        )
+        raise InputError(f"{', '.join(r.name for r in records) or 'no record'}: {_too_little(records)}")
     return tuple(found)
+
+
+def _too_little(records: Sequence[Record]) -> str:
+    """Say why no motion can be fitted."""
+    if any(float(np.ptp(record.position)) > NO_REST * noise_level(record) for record in records):
+        return (
+            f"no motion goes on for {FEWEST_SAMPLES} samples without a gap, as a fit needs; log faster, or longer moves"
+        )
+    return "the axis does not move more than its noise; log a step that moves it by many encoder steps"
 
 
 def moving_parts(segments: Sequence[Segment]) -> tuple[Segment, ...]:
@@ -193,7 +200,8 @@ def noise_level(record: Record) -> float:
 
     At least that of the stated encoder, resolution/√12.
     """
-    return max(white_noise(record.position), (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
+    noise = white_noise(record.position, record.time)
+    return max(noise, (record.encoder_resolution or 0.0) / float(np.sqrt(12.0)))
 
 
 def begins_with_its_step(record: Record) -> bool:
@@ -229,9 +237,17 @@ def _at_rest(step: Record) -> float:
     return float(np.std(end - np.polyval(np.polyfit(time, end, 1), time)))
 
 
-def white_noise(signal: NDArray[np.float64]) -> float:
-    """Return the standard deviation of white noise on a smooth `signal`, from third differences of 10⁵ samples."""
+def white_noise(signal: NDArray[np.float64], time: NDArray[np.float64] | None = None) -> float:
+    """Return the standard deviation of white noise on a smooth `signal`, from third differences of 10⁵ samples.
+
+    Where the `time` is given [s], of samples between which none is lost.
+    """
     third = np.diff(signal[:100_000], 3)
+    if time is not None and third.size:
+        intervals = np.diff(time[:100_000])
+        longest = np.max(np.lib.stride_tricks.sliding_window_view(intervals, 3), axis=1)
+        whole = third[longest <= LOST * float(np.median(intervals))]
+        third = whole if whole.size >= FEWEST_SAMPLES else third
     return float(np.sqrt(np.mean(third**2) / 20.0)) if third.size else 0.0
 
 
@@ -245,7 +261,7 @@ def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
     cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
-    gaps = (np.flatnonzero(np.diff(record.time) > 1.5 * sample_time) + 1).tolist()
+    gaps = (np.flatnonzero(np.diff(record.time) > LOST * sample_time) + 1).tolist()
     return [(first, stop, first not in cuts) for first, stop in pairwise(sorted({*cuts, *gaps, len(record)}))]
 
 

@@ -22,6 +22,9 @@ __all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings
 
 SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
+GRID, COMMON = 0.01, 0.1
+"""Share of their grid by which rounded time stamps are off it, for a text rounds them too; share of the intervals from
+which on both lengths are common."""
 MEDIAN, CHANGED = 7, 0.25
 """Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
 SPAN, STEPS = 12.0, 3.0
@@ -129,6 +132,15 @@ def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 
 def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield gaps, and jitter where it displaces the moving axis by more than the sensor's own error."""
+    rounded = _rounded(record.time)
+    if rounded is not None:
+        grid, true = rounded
+        message = (
+            f"the time stamps are rounded to {1e3 * grid:.3g} ms, and samples are {1e3 * true:.4g} ms apart on average;"
+            f' state that: --setting "sample_time={1e3 * true:.4g} ms".'
+        )
+        yield Finding(code="rounded_stamps", severity="warning", message=message)
+        return
     if seen.gaps:
         where = record.time[seen.first_gap]
         places = "one place" if seen.gaps == 1 else f"{seen.gaps} places"
@@ -151,6 +163,23 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
             f" {moved:.2g} {record.length_unit} at top speed; log with the controller's clock."
         )
         yield Finding(code="jitter", severity="warning", message=message)
+
+
+def _rounded(time: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return to what regular time stamps are rounded, and how far apart they are [s]; None where they are not.
+
+    Rounded, their intervals have two lengths, both common, and they are hardly farther from a regular clock than the
+    rounding; lost samples are rare, or lead farther away.
+    """
+    intervals = np.diff(time)
+    low, high = float(intervals.min()), float(intervals.max())
+    grid, true = high - low, float(time[-1] - time[0]) / intervals.size
+    if grid <= CHANGED * low:
+        return None
+    are_two = np.all(np.minimum(intervals - low, high - intervals) < GRID * grid)
+    are_common = COMMON < np.mean(high - intervals < GRID * grid) < 1.0 - COMMON
+    is_regular = np.ptp(time - true * np.arange(time.size)) <= 2.0 * grid
+    return (grid, true) if are_two and are_common and is_regular else None
 
 
 def _encoder(record: Record, seen: Sampling) -> Iterator[Finding]:

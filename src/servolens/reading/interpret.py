@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
-from servolens.reading.roles import Choice, check_mapping, choose
+from servolens.reading.roles import NAMED, Choice, check_mapping, choose
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
 from servolens.reading.table import Column, Table
 from servolens.reading.words import allows
@@ -36,6 +36,7 @@ _INTERVALS = {
     "sampletime[ms]": "ms",
 }
 """What preambles call the sample time, and its unit where none stands there."""
+BY_CALLER = "unit given by you"
 
 
 @final
@@ -203,7 +204,7 @@ def _units(
     found: dict[str, tuple[str | None, str]] = {}
     for signal, choice in chosen.items():
         if signal in stated:
-            found[signal] = stated[signal], "unit given by you"
+            found[signal] = stated[signal], BY_CALLER
         elif choice.unit is not None and (choice.meaning.where in SURE_UNITS or allows(signal, choice.unit)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
@@ -228,7 +229,7 @@ def _unstated(
         return _length(choice, found.get("reference" if signal == "position" else "position"), settings)
     if signal == "voltage" and not choice.is_stated:
         return command_unit(choice)
-    if signal == "velocity" and not choice.is_stated:
+    if signal == "velocity" and (not choice.is_stated or choice.evidence == NAMED):
         return velocity_unit(choice, chosen, {key: text for key, (text, _) in found.items()})
     return None, ""
 
@@ -237,6 +238,10 @@ def _length(
     choice: Choice, other: tuple[str | None, str] | None, settings: Mapping[str, object]
 ) -> tuple[str | None, str]:
     """Return the unit of a position or a reference that states none."""
+    if choice.evidence == NAMED and other is not None and other[1] == BY_CALLER:
+        return other[0], "the unit of what belongs to it"
+    if choice.evidence == NAMED and not _states_length(settings):
+        length_unit(choice, other[0] if other else None)  # asks where metres are not plausible
     if choice.is_stated or settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
         return None, ""
     if _states_length(settings):

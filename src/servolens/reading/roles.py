@@ -16,6 +16,8 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from servolens.reading.table import Column, Table
 
 __all__ = ["Choice", "check_mapping", "choose", "offer"]
@@ -26,6 +28,11 @@ COMMAND_KINDS = ("", "voltage", "duty", "output", "force", "torque", "current")
 """Commands in the order in which they are taken: the one nearest to the amplifier's voltage first."""
 SAG = 0.1
 """Relative range below which a voltage beside other commands is a supply's: those are regulated to a few per cent."""
+LOADED, TURNS = 0.3, 0.2
+"""Relative range below which a voltage is that of a loaded supply where the axis turns round, by this share of its
+travel: a command that turns it round does not stay so near to its mean."""
+NONE, NAMED = "-", "named by you"
+"""Stands for a signal that is in no column; how the column of another is known."""
 SAME = 1e-6
 """Relative difference up to which two columns are one quantity in two units: logs print six digits and more."""
 DERIVATIVE = 0.98
@@ -81,7 +88,7 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     tables : sequence of Table
         Of the file.
     columns : mapping, optional
-        Signal to a column's name or number.
+        Signal to a column's name or number, or to ``-`` where it is in no column.
 
     Raises
     ------
@@ -90,9 +97,11 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
         the same signal: then with both readings.
     """
     mapping = check_mapping(columns, "columns")
+    absent = {signal for signal, name in mapping.items() if name.strip() == NONE}
+    mapping = {signal: name for signal, name in mapping.items() if signal not in absent}
     found = _candidates(tables)
     chosen: dict[str, Choice] = {}
-    for signal in SIGNALS:
+    for signal in sorted(set(SIGNALS) - absent, key=SIGNALS.index):
         choice = _mapped(mapping[signal], signal, found) if signal in mapping else _named(signal, found)
         if choice is not None:
             chosen[signal] = choice
@@ -100,9 +109,9 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
         raise InputError(_nameless(tables))
     for symbols in (False, True):
         for signal in ORDER:
-            if signal not in chosen and (choice := _pick(signal, found, chosen, symbols)):
+            if signal not in (*chosen, *absent) and (choice := _pick(signal, found, chosen, symbols)):
                 chosen[signal] = choice
-    _decide(found, chosen)
+    _decide(found, chosen, absent)
     if "time" not in chosen and "position" in chosen and (clock := _clock(found, chosen["position"])):
         chosen["time"] = clock
     _check_supply(chosen, found, mapping)
@@ -156,7 +165,7 @@ def _mapped(name: str, signal: str, found: Sequence[Choice]) -> Choice:
         hits = [found[int(name) - 1]]
     if not hits:
         raise InputError(f"no column named {quote(name)} for {signal}; {offer(found)}")
-    return _single(hits, name).because("named by you", is_stated=True)
+    return _single(hits, name).because(NAMED, is_stated=True)
 
 
 def _named(signal: str, found: Sequence[Choice]) -> Choice | None:
@@ -231,22 +240,33 @@ def _is_supply(choice: Choice) -> bool:
 
 
 def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping: Mapping[str, str]) -> None:
-    """Ask about a voltage that hardly varies while another command does: it may be the supply's."""
+    """Ask about a voltage that hardly varies while another command does, or the axis turns round: a supply's."""
     choice = chosen.get("voltage")
-    if choice is None or "voltage" in mapping or not _is_supply(choice):
+    if choice is None or "voltage" in mapping or choice.meaning.kind != "voltage":
         return
+    turns = "position" in chosen and _turns(chosen["position"].column.values) and not _varies(choice, LOADED)
     others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
-    if others:
+    if turns or (others and _is_supply(choice)):
+        other = f", and {quote(others[0].address)} may be the command" if others else " while the axis turns round"
+        instead = _typed(others[0].address) if others else f"{NONE} if no command was logged"
         raise InputError(
-            f"column {quote(choice.address)} hardly varies, as the voltage of a supply, and {quote(others[0].address)}"
-            f" may be the command; say --column voltage={_typed(choice.address)} or --column"
-            f" voltage={_typed(others[0].address)}"
+            f"column {quote(choice.address)} hardly varies, as the voltage of a supply{other}; say --column"
+            f" voltage={_typed(choice.address)} or --column voltage={instead}"
         )
 
 
-def _varies(choice: Choice) -> bool:
+def _turns(position: NDArray[np.float64]) -> bool:
+    """Tell whether a position goes both ways by a fair share of its range."""
+    if position.dtype.kind not in "iuf" or not position.size or not np.isfinite(position).all():
+        return False  # asked about later
+    up = np.max(position - np.minimum.accumulate(position))
+    down = np.max(np.maximum.accumulate(position) - position)
+    return bool(min(up, down) > TURNS * np.ptp(position))
+
+
+def _varies(choice: Choice, least: float = SAG) -> bool:
     values = choice.column.values
-    return bool(values.size and np.isfinite(values).all() and np.ptp(values) > SAG * abs(float(np.mean(values))))
+    return bool(values.size and np.isfinite(values).all() and np.ptp(values) > least * abs(float(np.mean(values))))
 
 
 def _near(left: Sequence[Choice], position: Choice) -> list[Choice]:
@@ -292,7 +312,7 @@ def _same(one: Choice, other: Choice) -> bool:
     return bool(np.max(np.abs((a - a[0]) - scale * (b - b[0]))) < SAME * spread)
 
 
-def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
+def _decide(found: Sequence[Choice], chosen: dict[str, Choice], absent: set[str]) -> None:
     """Give columns whose names mean two things the one that is left, or the one that the numbers show."""
     for choice in found:
         roles = choice.meaning.roles
@@ -300,7 +320,7 @@ def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
             continue
         if "position" in chosen and choice.table != chosen["position"].table:
             continue
-        open_roles = [role for role in roles if role not in chosen]
+        open_roles = [role for role in roles if role not in (*chosen, *absent)]
         why = f"the name {quote(choice.address)} and nothing else that could be it"
         if "velocity" in roles and "position" in chosen and "time" in chosen:
             r = _correlation(choice, chosen["position"], chosen["time"])
@@ -309,7 +329,7 @@ def _decide(found: Sequence[Choice], chosen: dict[str, Choice]) -> None:
             elif r < DERIVATIVE / 2:
                 open_roles = [role for role in open_roles if role != "velocity"]
                 why = f"the name {quote(choice.address)}, and it is not the derivative of the position (r = {r:.2f})"
-        open_roles = [role for role in open_roles if role not in chosen]
+        open_roles = [role for role in open_roles if role not in (*chosen, *absent)]
         if len(open_roles) > 1:
             readings = " or ".join(f"--column {role}={_typed(choice.address)}" for role in open_roles)
             raise InputError(f"column {quote(choice.address)} may be {' or '.join(open_roles)}; say {readings}")
