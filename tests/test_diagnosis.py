@@ -368,6 +368,44 @@ def test_records_with_and_without_a_feedforward_are_diagnosed_together():
     assert diagnose([fed, runs[1]]).verdict == "healthy"
 
 
+@pytest.mark.parametrize("effects", [{}, {"coulomb_friction": {"level": 0.3}}])
+def test_logs_without_noise_are_judged_by_what_simulations_can_tell(effects):
+    truth = lab.Truth(gain=2.0, damping=12.0, effects=effects)
+    runs = [lab.step_record(truth, kp, 0.3, noise=0.0, encoder=0.0, seed=kp) for kp in (60, 100)]
+    found = diagnose(runs[:1], heldout=runs[1:])
+    assert (found.verdict, [cause.effect for cause in found.causes]) == (
+        "explained" if effects else "healthy",
+        list(effects),
+    )
+
+
+def unlooped(run, position):
+    """Return a log of a drive whose loop is not known."""
+    return replace(run, position=position, controller=None)
+
+
+def test_command_that_does_not_move_the_axis_explains_nothing():
+    """As of an unsigned current, or a column that was taken for another."""
+    random = np.random.default_rng(4)
+    runs = [lab.step_record(lab.LM1, kp, 0.2, duration=1.0, sample_time=5e-3, seed=kp) for kp in (60, 90)]
+    logs = [unlooped(run, np.interp(run.time, np.linspace(0, 1, 9), random.uniform(0, 0.1, 9))) for run in runs]
+    found = diagnose(logs, effort="quick")
+    assert (found.verdict, found.causes) == ("unexplained", ())
+    assert "gain_not_shown" in codes(found)
+    assert "nothing in the records shows that the command moves the axis" in verdict_sentence(found)
+
+
+def test_axis_whose_simulation_misses_a_material_part_is_not_healthy_where_no_loop_is_known():
+    """An observer of a shaken axis would follow it, and its innovations in so few samples show nothing."""
+    run = lab.step_record(lab.LM1, 60, 0.5, duration=1.5, sample_time=1e-2, noise=1e-4, seed=2)
+    random = np.random.default_rng(7)
+    push = np.cumsum(random.standard_normal(run.time.size)) * 0.05
+    moved = simulate(Plant(gain=lab.LM1.gain, damping=lab.LM1.damping), run, acceleration=push)
+    found = diagnose(replace(unlooped(run, moved.position), voltage=moved.voltage), effort="quick")
+    assert found.remainder.material
+    assert found.verdict in ("unexplained", "partly_explained")
+
+
 def test_prior_on_what_no_plant_has_is_refused():
     record = lab.step_record(lab.LM1, 60.0, 0.0, noise=1e-5, seed=1)
     with pytest.raises(InputError, match="a prior on 'level' is not possible"):

@@ -45,7 +45,8 @@ def test_signals_are_read_only_copies():
         ({"reference": [0, np.inf, 0, 3]}, "record: reference must be finite; sample 1 is inf"),
         (
             {"time": [0, 0.1, 0.1, 0.3]},
-            "record: time must increase; sample 2 (0.1 s) repeats sample 1 (0.1 s); if the stamps were rounded, state the sample_time instead",
+            "record: time must increase; sample 2 (0.1 s) repeats sample 1 (0.1 s)"
+            "; if the stamps were rounded, state the sample_time instead",
         ),
         (
             {"time": [0, 0.2, 0.1, 0.3]},

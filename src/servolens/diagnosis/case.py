@@ -112,7 +112,10 @@ class Case:
 
         All together may simulate about so many samples times substeps as `work` says.
         """
-        begun = [start for plant in plants for start in (plant, plant.scaled(self.base.plant.gain / plant.gain))]
+        begun = list(plants)
+        for plant in plants:
+            with suppress(InputError, ZeroDivisionError):  # a gain that is next to nothing makes no such axis
+                begun.append(plant.scaled(self.base.plant.gain / plant.gain))
         share = work / max(len(begun), 1)
         fits = in_parallel(partial(self.likelihood.judged, iterations=SOME, allowance=share), begun)
         return [h for h in fits if h is not None]
@@ -192,6 +195,8 @@ class Case:
         may lack anything.
         """
         noise = hypothesis.noise
+        if noise.rate == 0.0 and noise.spread <= noise.least:
+            return False
         closed = all(record.reference is not None and record.controller is not None for record in self.records)
         is_rough = noise.rate > 0.0 or dominates(noise)
         asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis

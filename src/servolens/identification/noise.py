@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["MOST_ORDER", "NoiseModel", "Whitener", "burg", "instants"]
+__all__ = ["EXACT", "MOST_ORDER", "NoiseModel", "Whitener", "burg", "instants"]
 
 SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
@@ -38,6 +38,8 @@ NEGLIGIBLE = 2e-5
 BELOW_NYQUIST, DISTINCT = 0.9, 1e-3
 """Share of half the sampling rate up to which a line of the mains can be told from its alias; ratio of singular values
 below which waves look the same."""
+EXACT = 1e-6
+"""Share of the travel that no sensor of a servo tells apart, and few simulations: of logs that were simulated."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 
@@ -78,6 +80,8 @@ class NoiseModel:
         doi:10.1080/01621459.2018.1469995).
     floor : float
         Standard deviation of its white part and the rounding, from the highest frequencies [m or rad].
+    least : float
+        Standard deviation below which nothing is told apart: what simulations are off by [m or rad].
     lines : tuple of float
         Frequencies of the mains that the sensor shows, in each record with an amplitude and a phase of its own [Hz].
     is_fitted : bool
@@ -93,6 +97,7 @@ class NoiseModel:
     share: float
     spread: float
     floor: float
+    least: float = 0.0
     jitter: float = 0.0
     corner: float = 0.0
     gain: float = 0.0
@@ -227,6 +232,9 @@ class NoiseModel:
             others = [(parameters, filters, scales), *slow_filters(weighed, MOST_ORDER)]
             parameters, filters, scales = min(others, key=lambda o: 2.0 * samples * np.log(o[2][-1]) + price * o[0])
         spread = float(np.sqrt(sum(float(w @ w) for w in weighed) / samples))
+        if spread <= self.least:
+            parameters, filters, scales = 0, (np.ones(1),), np.zeros(1)
+        scales = np.maximum(scales, self.least)
         return replace(self, filters=filters, scales=scales, parameters=parameters, spread=spread, is_fitted=True)
 
 
