@@ -284,3 +284,12 @@ def test_a_supply_is_asked_about_where_the_axis_turns_round_and_may_be_left_out(
     gains = {"kp": "60", "kd": "4"}
     assert read_record(path, columns={"voltage": "-"}, settings=gains).voltage is None
     assert run("check", path, "--record-kp", "60", "--record-kd", "4", "--column", "voltage=-").exit_code == 0
+
+
+def test_counts_are_whole_numbers_whatever_the_name_implies(tmp_path):
+    """A servo's protocol counts its goal_position; a program that logs it may have converted it."""
+    path = table(tmp_path / "log.csv", time=T, position=Y, goal_position=R)
+    assert read_record(path, settings={"kp": "60", "kd": "4"}).reference == pytest.approx(R)
+    asked = run("check", table(tmp_path / "counts.csv", time=T, position=Y, goal_position=np.round(1e4 * R)))
+    assert asked.exit_code == 2
+    assert "encoder counts" in " ".join(asked.output.split())

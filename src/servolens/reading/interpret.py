@@ -13,7 +13,7 @@ from servolens.reading.guess import Guess
 from servolens.reading.roles import NAMED, Choice, check_mapping, choose
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
 from servolens.reading.table import Column, Table
-from servolens.reading.words import allows
+from servolens.reading.words import BY_PROTOCOL, allows
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _units(
     for signal, choice in chosen.items():
         if signal in stated:
             found[signal] = stated[signal], BY_CALLER
-        elif choice.unit is not None and (choice.meaning.where in SURE_UNITS or allows(signal, choice.unit)):
+        elif choice.unit is not None and (choice.meaning.where in SURE_UNITS or _may_be(choice, signal)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:
@@ -213,6 +213,13 @@ def _units(
             if unit is not None:
                 found[signal] = unit
     return found
+
+
+def _may_be(choice: Choice, signal: str) -> bool:
+    """Tell whether a column may be in the unit that its name implies: a servo's protocol counts in whole numbers."""
+    values = choice.column.values
+    is_whole = values.dtype.kind in "iuf" and bool(np.array_equal(values, np.round(values)))
+    return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or is_whole)
 
 
 def _unstated(

@@ -12,7 +12,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["Meaning", "allows", "meaning", "unit_behind"]
+__all__ = ["BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
@@ -107,6 +107,7 @@ _UNITS = {
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
 """Units at a heading's end, in small letters."""
+BY_PROTOCOL = "which servos of that protocol count in"
 _CONVENTIONS = (
     (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
     (re.compile(r"(.*[._])?vel_estimate"), "rev/s", "which ODrive counts in"),
@@ -115,7 +116,7 @@ _CONVENTIONS = (
     (
         re.compile(r"(.*[._ ])?(present|goal)[_ ]position([._ ]\w+)?"),
         "counts",
-        "which servos of that protocol count in",
+        BY_PROTOCOL,
     ),
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
