@@ -257,15 +257,15 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
     """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
 
     A drive with a loop of its own sets the gain, which no bound of the fit holds then. Dry friction stronger than twice
-    all that pushes the axis, once to move it and once to stop it, would hold it; and beside a time constant shorter
-    than a sample, which nothing shows, an effect stands for something else.
+    all that pushes the axis, once to move it and once to stop it, would hold it; and of a drive whose
+    own loop is beside a time constant shorter than a sample nothing is seen.
     """
     values = dict(zip(plant.parameters, plant.values, strict=True))
     known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in values)
     agrees = all(low <= value <= high for value, low, high in known)
     holds = HOLDS * abs(plant.gain) * seen.command
     moves = all(max(_forces(effect), default=0.0) <= holds for effect in plant.effects)
-    is_seen = not plant.effects or plant.damping * seen.sample_time <= 1.0
+    is_seen = plant.damping * seen.sample_time <= 1.0 or not any(isinstance(e, Drive) for e in plant.effects)
     return agrees and moves and is_seen and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
 
 

@@ -121,7 +121,7 @@ def _diagnosed(
     progress("Comparing errors with and without the causes", 90, 100)
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in (path[0], path[-1])][: len(path)]
     gains = case.gains(path, [fit.plant for fit in fits])
-    powerless = [*_powerless(fits[-1].model)]
+    powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
     if verdict in ("unexplained", "healthy"):
         path, fits = path[:1], fits[:1]
@@ -203,15 +203,19 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     return "partly_explained" if chosen.causes else "unexplained"
 
 
-def _powerless(model: Model) -> Iterator[Finding]:
-    """Yield a finding where nothing shows that the command moves the axis: the gain may as well be 0."""
-    gain = model.quantities["gain"]
-    ends = gain.interval
-    if ends is not None and ends[0] <= 0.0 <= ends[1]:
+def _powerless(models: Sequence[Model]) -> Iterator[Finding]:
+    """Yield a finding where nothing shows that the command moves the axis: the gain may as well be 0.
+
+    Without the causes and with them: a limit of the force alone leaves a gain undetermined that is large.
+    """
+    gains = [model.quantities["gain"] for model in models]
+    ends = [gain.interval for gain in gains]
+    if all(end is not None and end[0] <= 0.0 <= end[1] for end in ends) and ends[0] is not None:
+        low, high = ends[0]
         message = (
             "nothing in the records shows that the command moves the axis: its gain may be anything between"
-            f" {ends[0]:.2g} and {ends[1]:.2g} {gain.unit}. Check that the right column is read as the command, its"
-            " unit and sign, and that the drive was on."
+            f" {low:.2g} and {high:.2g} {gains[0].unit}. Check that the right column is read as the command, its unit"
+            " and sign, and that the drive was on."
         )
         yield Finding(code="gain_not_shown", severity="warning", message=message)
 

@@ -27,12 +27,13 @@ def check_summary(qualities: Sequence[RecordQuality], *, length_unit: str = "m")
         Of the records.
     """
     unfit = [quality.name for quality in qualities if not quality.usable]
-    warnings = sum(finding.severity == "warning" for quality in qualities for finding in quality.findings)
+    findings = [finding for quality in qualities for finding in quality.findings]
+    warnings = len({finding.message for finding in findings if finding.severity == "warning"})  # told once for all
     return Summary(
         title="Check",
         sentences=(_verdict(len(qualities), unfit), *_counted(warnings)),
         tables=(_table(qualities, length_unit),),
-        findings=tuple(finding for quality in qualities for finding in quality.findings),
+        findings=tuple(findings),
     )
 
 
