@@ -591,3 +591,15 @@ def test_load_in_contact_neither_rings_nor_floats():
     np.testing.assert_allclose(np.roots([1.0, damper, spring]), [-CONTACT_RATE] * 2, rtol=1e-6)
     inside = Instant(x=0.0, v=0.0, t=0.0, u=0.0, gain=1.0, damping=0.0, states=(0.0, 0.7))
     assert evaluated((Backlash,), inside, (0.1, 0.3))["rates"][1] == pytest.approx(-LOAD_DRAG * 0.7)
+
+
+def test_an_effect_that_the_records_cannot_show_is_not_whole():
+    seen = effects.Seen(
+        low=0.0, high=1.0, usual=(0.0, 1.0), speed=1.0, command=1.0, gain=1.0, damping=1.0, sample_time=1e-3,
+        duration=10.0, noise=1e-5,
+    )  # fmt: skip
+    assert effects.GainDrift(rate=0.05).is_whole(seen)
+    assert not effects.GainDrift(rate=0.2).is_whole(seen)
+    assert not effects.GainDrift(rate=-0.2).is_whole(seen)
+    assert effects.PositionFriction(level=1.0, centre=0.9, width=0.1).is_whole(seen)
+    assert not effects.PositionFriction(level=1.0, centre=1.1, width=0.1).is_whole(seen)

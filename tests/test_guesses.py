@@ -286,6 +286,42 @@ def test_a_supply_is_asked_about_where_the_axis_turns_round_and_may_be_left_out(
     assert run("check", path, "--record-kp", "60", "--record-kd", "4", "--column", "voltage=-").exit_code == 0
 
 
+@pytest.mark.parametrize("scale", [{"counts_per_unit": 40000}, {"counts_per_rev": 4000}])
+def test_columns_in_counts_may_be_named(tmp_path, scale):
+    path = table(tmp_path / "log.csv", t=T, enc=np.round(4e4 * Y), ref=np.round(4e4 * R), u=U)
+    columns = {"position": "enc", "reference": "ref", "voltage": "u"}
+    record = read_record(path, columns=columns, settings={"kp": 60, "kd": 4, **scale})
+    unit = 4e4 if "counts_per_unit" in scale else 4000 / (2 * np.pi)
+    assert record.position == pytest.approx(np.round(4e4 * Y) / unit, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "voltage"),
+    [("u_volts", 0.0 * U), ("voltage [V]", 5.0 + 0.5 * np.sin(40.0 * T)), ("u_volts", U)],
+)
+def test_no_supply_is_suspected_of_a_free_motion_or_of_what_is_called_the_voltage(tmp_path, name, voltage):
+    path = table(tmp_path / "log.csv", **{"time": T, "position": Y, "reference": R, name: voltage})
+    assert read_record(path, settings={"kp": "60 V/m"}).voltage == pytest.approx(voltage)
+
+
+def test_a_signal_that_is_said_to_be_missing_stays_so_in_the_campaign(tmp_path):
+    path = table(tmp_path / "log.csv", time=T, position=Y, reference=R, input_volts=12.0 + 0.01 * np.sin(T))
+    stated = ("--record-kp", "60", "--record-kd", "4", "--column", "voltage=-")
+    assert run("convert", path, *stated, "--out", tmp_path / "a.toml").exit_code == 0
+    assert read_records(tmp_path / "a.toml")[0].voltage is None
+
+
+def test_the_answer_to_rounded_time_stamps_can_be_given(tmp_path):
+    time = np.arange(T.size) * 2.5
+    path = table(tmp_path / "log.csv", **{"time [ms]": np.floor(time), "position": Y, "reference": R, "voltage": U})
+    told = " ".join(run("check", path, "--record-kp", "60", "--record-kd", "4").output.split())
+    assert "the time stamps come in steps of 1 ms, as if rounded" in told
+    assert '--setting "sample_time=2.5 ms"' in told
+    assert "samples are lost" not in told
+    record = read_record(path, settings={"sample_time": "2.5 ms", "kp": 60, "kd": 4})
+    assert record.time == pytest.approx(1e-3 * time)
+
+
 def test_counts_are_whole_numbers_whatever_the_name_implies(tmp_path):
     """A servo's protocol counts its goal_position; a program that logs it may have converted it."""
     path = table(tmp_path / "log.csv", time=T, position=Y, goal_position=R)

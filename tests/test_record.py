@@ -194,3 +194,11 @@ def test_largest_step_of_a_slow_ramp_in_counts_is_all_its_way():
     counts = 1e-4 * np.round(ramp / 1e-4)  # one for 50 samples each
     made = Record(time=time, position=ramp, reference=counts, controller=Controller(kp=1.0))
     assert made.largest_step == pytest.approx(7e-3)
+
+
+def test_steps_of_a_staircase_are_steps_however_long_the_record():
+    levels = 0.02 * np.array([0, 1, 2, 3, 4, 5, 4, 3, 2, 1] * 6)
+    reference = np.repeat(levels, 750)
+    time = 2e-3 * np.arange(reference.size)
+    made = Record(time=time, position=0.0 * time, reference=reference, controller=Controller(kp=1.0))
+    assert made.largest_step == pytest.approx(0.02)

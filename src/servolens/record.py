@@ -26,9 +26,9 @@ __all__ = ["Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
-RESTS, FASTEST_STAIRS = 20, 50
-"""Samples without a change after which a reference sets out anew, and how often it may at most in a record: a slow ramp
-that is logged in small steps rests shorter."""
+RESTS, STAIRS = 20, 20
+"""Samples without a change after which a reference sets out anew; steps of less than this part of its range, one after
+the other to the same side, are a slow ramp as a log with few digits shows it."""
 
 
 @final
@@ -202,8 +202,13 @@ class Record:
     def moves(self) -> list[NDArray[np.intp]]:
         """Return the edges of each motion of the reference from one rest to the next."""
         edges = self.edges()
-        rests = np.diff(edges) > max(RESTS, len(self) // FASTEST_STAIRS)
-        return np.split(edges, np.flatnonzero(rests) + 1) if edges.size else []
+        if self.reference is None or not edges.size:
+            return []
+        rests = np.diff(edges) > RESTS
+        rises = np.diff(self.reference)[edges - 1]
+        small = np.abs(rises) < float(np.ptp(self.reference)) / STAIRS
+        is_ramp = small[1:] & small[:-1] & (rises[1:] * rises[:-1] > 0.0)
+        return np.split(edges, np.flatnonzero(rests & ~is_ramp) + 1)
 
     def steps(self) -> tuple[Record, ...]:
         """Split at the reference's edges into single steps, each from its edge to the next.

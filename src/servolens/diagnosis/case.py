@@ -209,7 +209,8 @@ class Case:
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
-        is_material = pooled(errors) > MATERIAL * self.travel
+        own = noise.spread if noise.rate == 0.0 and noise.order == 0 else self.likelihood.white.spread
+        is_material = pooled(errors) > float(np.hypot(own, MATERIAL * self.travel))  # beyond the sensor's noise
         if not closed:
             return is_material
         ripple = self.ripple_beside(hypothesis)

@@ -41,12 +41,13 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     noise = gains.noise
     trained = case.records, train_errors(case, chosen, gains)
     groups = [trained, (case.heldout, held_errors(case, chosen, gains))] if case.heldout else [trained]
-    records, errors = max(groups, key=lambda group: pooled(group[1]) / _travel(group[0]))
-    error, travel = pooled(errors), _travel(records)
-    push = max(float(np.abs(applied_voltage(record)).max()) for record in records) * abs(chosen.plant.gain)
+    records, errors = max(groups, key=lambda group: _beyond(pooled(group[1]), noise) / _travel(case, group[0]))
+    error, travel = pooled(errors), _travel(case, records)
+    commands = (float(np.abs(applied_voltage(record)).max()) for record in (*case.records, *case.heldout))
+    push = max(commands) * abs(chosen.plant.gain)
     missed, lasts = unexplained_acceleration(chosen.plant, records, errors, rate=case.likelihood.rate, noise=noise)
     is_finite = bool(np.isfinite(error))
-    rms = float(np.sqrt(max(error**2 - noise**2, 0.0))) if is_finite else error
+    rms = _beyond(error, noise)
     in_loop = case.noise_in_loop(chosen)
     if is_finite and in_loop > noise:  # no force has to make up for what the noise does
         missed *= float(np.sqrt(max(error**2 - in_loop**2, 0.0))) / max(rms, 1e-300)
@@ -67,8 +68,13 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     )
 
 
-def _travel(records: Sequence[Record]) -> float:
-    return max(1e-300, *(float(np.ptp(record.position)) for record in records))
+def _beyond(error: float, noise: float) -> float:
+    return float(np.sqrt(max(error**2 - noise**2, 0.0))) if np.isfinite(error) else error
+
+
+def _travel(case: Case, records: Sequence[Record]) -> float:
+    """Return the largest range of the position, that of the records that were fitted at least [m or rad]."""
+    return max(case.travel, 1e-300, *(float(np.ptp(record.position)) for record in records))
 
 
 def _shaking(noise: NoiseModel, sample_time: float) -> tuple[float, float]:

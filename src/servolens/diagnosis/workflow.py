@@ -240,4 +240,5 @@ def _candidates(case: Case, found: Search) -> tuple[Candidate, ...]:
 
 
 def _simulated_error(case: Case, hypothesis: Hypothesis) -> float:
-    return pooled([residual(hypothesis.plant_of(i), record) for i, record in enumerate(case.records)])
+    error = pooled([residual(hypothesis.plant_of(i), record) for i, record in enumerate(case.records)])
+    return error if np.isfinite(error) else hypothesis.noise.spread

@@ -38,8 +38,8 @@ NEGLIGIBLE = 2e-5
 BELOW_NYQUIST, DISTINCT = 0.9, 1e-3
 """Share of half the sampling rate up to which a line of the mains can be told from its alias; ratio of singular values
 below which waves look the same."""
-EXACT = 1e-6
-"""Share of the travel that no sensor of a servo tells apart, and few simulations: of logs that were simulated."""
+EXACT = 1e-8
+"""Share of the travel by which exact simulations of one axis differ: less is no structure of a log without noise."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""
 

@@ -128,7 +128,8 @@ def _too_little(records: Sequence[Record]) -> str:
     """Say why no motion can be fitted."""
     if any(float(np.ptp(record.position)) > NO_REST * noise_level(record) for record in records):
         return (
-            f"no motion goes on for {FEWEST_SAMPLES} samples without a gap, as a fit needs; log faster, or longer moves"
+            f"each motion is over, or interrupted by lost samples, after fewer than {FEWEST_SAMPLES} samples; log"
+            " faster, or longer moves"
         )
     return "the axis does not move more than its noise; log a step that moves it by many encoder steps"
 

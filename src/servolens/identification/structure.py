@@ -76,7 +76,8 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     shown = [run.shown(plant) for run, plant in zip(simulated, plants, strict=True)]
     errors = [seen - record.position for seen, record in zip(shown, likelihood.records, strict=True)]
     if any(record.reference is None or record.controller is None for record in likelihood.records):
-        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= MATERIAL * likelihood.travel
+        most = float(np.hypot(likelihood.white.spread, MATERIAL * likelihood.travel))
+        return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= most
     return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise
 
 

@@ -136,8 +136,8 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     if rounded is not None:
         grid, true = rounded
         message = (
-            f"the time stamps are rounded to {1e3 * grid:.3g} ms, and samples are {1e3 * true:.4g} ms apart on average;"
-            f' state that: --setting "sample_time={1e3 * true:.4g} ms".'
+            f"the time stamps come in steps of {1e3 * grid:.3g} ms, as if rounded; if samples were taken regularly,"
+            f' they are {1e3 * true:.4g} ms apart: state that by --setting "sample_time={1e3 * true:.4g} ms".'
         )
         yield Finding(code="rounded_stamps", severity="warning", message=message)
         return

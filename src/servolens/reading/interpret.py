@@ -10,10 +10,10 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
-from servolens.reading.roles import NAMED, Choice, check_mapping, choose
+from servolens.reading.roles import NAMED, NONE, Choice, check_mapping, choose
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
 from servolens.reading.table import Column, Table
-from servolens.reading.words import BY_PROTOCOL, allows
+from servolens.reading.words import BY_PROTOCOL, allows, unit_behind
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -125,7 +125,8 @@ def interpret(
         units=texts,
         comments={**gains, **comments},
         guesses=tuple(guesses),
-        columns={signal: choice.address for signal, choice in chosen.items()},
+        columns={signal: choice.address for signal, choice in chosen.items()}
+        | {signal: NONE for signal, name in (columns or {}).items() if name == NONE},
         found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
     )
 
@@ -165,7 +166,8 @@ def _with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     count = table.columns[0].values.size
     time = Column("time", value * parsed.factor * np.arange(count, dtype=np.float64), "s")
     # a number names the column of the file: the clock takes the place of that which is there, or comes last
-    logged = [column.name.strip().lower() in ("time", "t", "x_value") for column in table.columns]
+    names = [unit_behind(column.name)[0].strip().lower() for column in table.columns]
+    logged = [name in ("time", "t", "x_value") for name in names]
     columns = tuple(time if is_time else column for column, is_time in zip(table.columns, logged, strict=True))
     if sum(logged) != 1:
         columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
@@ -247,9 +249,11 @@ def _length(
     """Return the unit of a position or a reference that states none."""
     if choice.evidence == NAMED and other is not None and other[1] == BY_CALLER:
         return other[0], "the unit of what belongs to it"
+    if settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
+        return None, ""
     if choice.evidence == NAMED and not _states_length(settings):
         length_unit(choice, other[0] if other else None)  # asks where metres are not plausible
-    if choice.is_stated or settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
+    if choice.is_stated:
         return None, ""
     if _states_length(settings):
         return None, "SI, as the gains are stated"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.encoder import white_noise
 from servolens.errors import InputError, names_like
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
@@ -31,7 +32,9 @@ SAG = 0.1
 LOADED, TURNS = 0.3, 0.2
 """Relative range below which a voltage is that of a loaded supply where the axis turns round, by this share of its
 travel: a command that turns it round does not stay so near to its mean."""
-NONE, NAMED = "-", "named by you"
+SPAN = 12.0
+"""Standard deviations that white noise spans in a million samples."""
+NONE, NAMED, ITS_NAME = "-", "named by you", "its name"
 """Stands for a signal that is in no column; how the column of another is known."""
 SAME = 1e-6
 """Relative difference up to which two columns are one quantity in two units: logs print six digits and more."""
@@ -179,7 +182,7 @@ def _named(signal: str, found: Sequence[Choice]) -> Choice | None:
         if hits:
             choice = _single(hits, wanted)
             is_stated = choice.meaning.where in ("", "in brackets", "stated beside its name")
-            return choice.because("its name", is_stated=is_stated)
+            return choice.because(ITS_NAME, is_stated=is_stated)
     return None
 
 
@@ -242,9 +245,10 @@ def _is_supply(choice: Choice) -> bool:
 def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping: Mapping[str, str]) -> None:
     """Ask about a voltage that hardly varies while another command does, or the axis turns round: a supply's."""
     choice = chosen.get("voltage")
-    if choice is None or "voltage" in mapping or choice.meaning.kind != "voltage":
+    if choice is None or "voltage" in mapping or choice.meaning.kind != "voltage" or not choice.column.values.any():
         return
-    turns = "position" in chosen and _turns(chosen["position"].column.values) and not _varies(choice, LOADED)
+    is_guessed = choice.evidence != ITS_NAME and "position" in chosen
+    turns = is_guessed and not _varies(choice, LOADED) and _turns(chosen["position"].column.values)
     others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
     if turns or (others and _is_supply(choice)):
         other = f", and {quote(others[0].address)} may be the command" if others else " while the axis turns round"
@@ -261,7 +265,7 @@ def _turns(position: NDArray[np.float64]) -> bool:
         return False  # asked about later
     up = np.max(position - np.minimum.accumulate(position))
     down = np.max(np.maximum.accumulate(position) - position)
-    return bool(min(up, down) > TURNS * np.ptp(position))
+    return bool(min(up, down) > max(TURNS * np.ptp(position), SPAN * white_noise(position)))
 
 
 def _varies(choice: Choice, least: float = SAG) -> bool:

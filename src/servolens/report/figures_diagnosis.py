@@ -238,8 +238,9 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
         caption += " It explains the most for its number of parameters; others may leave a smaller error."
     rest = len(best) - len(shown)
     if rest > 0:
-        caption += f" {rest} more effects leave more."
-    caption += " Not held out. Driven by the logged voltage, with the noise estimated anew for each effect."
+        caption += f" {rest} more effects were tried."
+    caption += " Not held out. Driven by the logged voltage, with the noise estimated anew for each effect"
+    caption += "; of a shaken axis, of the simulated loop." if any(c.shaken for _, c in shown) else "."
     left = [(name, float(factor * error)) for name, error in zip(names, errors, strict=True)]
     table = Numbers(columns=("Effect", f"R.m.s. error left [{length}]"), rows=left)
     return drawing(key, figure, caption, legend=legend_of(ax), table=table)

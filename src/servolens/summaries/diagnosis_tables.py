@@ -101,7 +101,7 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
         note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
         " for each effect; not held out. Evidence: increase of twice the log-likelihood, less a penalty for each"
         " parameter; none where gain and damping alone are as likely, if need be beside something that shakes the axis."
-        + (" *: likeliest beside something that shakes the axis, which is part of the error." if shaken else ""),
+        + (" *: likeliest beside something that shakes the axis; error of the simulated loop." if shaken else ""),
     )
 
 
