@@ -418,7 +418,8 @@ def test_reported_error_is_not_tied_to_the_measurement():
     )
     wrong = Plant(gain=1.2 * lab.LM1.gain, damping=lab.LM1.damping)
     driven = simulate_voltage(wrong, record.time, record.voltage).position - record.position
-    assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.1)
+    # each window begins with a velocity of its own, which is all that is fitted
+    assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.15)
 
 
 def test_single_effects_are_listed_once(rubbing):

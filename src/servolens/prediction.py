@@ -199,18 +199,19 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 def _in_motion(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return what the simulation misses of a window in the midst of a motion, from the velocity that misses least.
+    """Return what the simulation misses of a window in the midst of a motion.
 
-    By one Gauss-Newton step: the first samples alone tell a velocity by less than its error over the window.
+    It begins with the velocity that misses least in the first quarter of a time constant: fewer samples tell it by less
+    than its error, and more would hide what the plant lacks.
     """
-    velocity = initial_motion(record)
+    velocity, first = initial_motion(record), max(len(record) // int(4 * WINDOW_TIME_CONSTANTS), 10)
     begun = _from(plant, record, velocity)
     change = 1e-3 * max(float(np.ptp(record.position)) / record.duration, 1e-9)
-    slope = (_from(plant, record, velocity + change) - begun) / change
+    slope = (_from(plant, record, velocity + change) - begun)[:first] / change
     if not (power := float(slope @ slope)) > 0.0:
         return begun
-    found = _from(plant, record, velocity - float(slope @ begun) / power)
-    return min(begun, found, key=lambda missed: float(missed @ missed))
+    found = _from(plant, record, velocity - float(slope @ begun[:first]) / power)
+    return min(begun, found, key=lambda missed: float(missed[:first] @ missed[:first]))
 
 
 def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
