@@ -513,7 +513,10 @@ ASKED = [
     (
         "counts without a scale",
         "a.csv",
-        text("t_ms,Present Position,Goal Position,Present PWM\n" + lines(T * 1e3, Y, R, U)),
+        text(
+            "t_ms,Present Position,Goal Position,Present PWM\n"
+            + lines(T * 1e3, np.round(1e7 * Y), np.round(1e7 * R), U)
+        ),
         "counts_per_rev",
     ),
     (
@@ -576,7 +579,7 @@ ANSWERS = {
     "named by their order": (ORDER, 1.0),
     "matrix": (ORDER, 1.0),
     "counts and PWM": (["--setting", "counts_per_rev=4096"], 1.0),
-    "counts without a scale": (["--setting", "counts_per_rev=4096"], 2 * np.pi / 4096),
+    "counts without a scale": (["--setting", "counts_per_rev=4096"], 1e7 * 2 * np.pi / 4096),
     "CODESYS, sampling trace": (["--setting", "sample_time=1 ms"], 1.0),
     "CODESYS V3, no unit of a length": (["--unit", "position=mm"], 1.0),
     "joints": (["--unit", "position=deg"], 500 / DEG),
