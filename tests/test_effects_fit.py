@@ -292,8 +292,9 @@ def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     gain, damping, *play = zip(fit.model.quantities.values(), truth.values, strict=True)
     for found, true in (gain, damping):
         assert found.value == pytest.approx(true, rel=2e-3)
-    for found, true in play:  # on some processors the search ends in a local minimum 3 % away
-        assert found.value == pytest.approx(true, rel=0.05)
+    for found, true in play:  # by a twentieth of a standard error local minima differ between processors
+        assert abs(found.value - true) < found.stderr < 0.05 * true
+    assert misses(fit, hidden.truth) == {}
 
 
 def test_large_clean_play_is_not_said_to_make_the_error_non_smooth():

@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.fitting import INERTIAS
 from servolens.identification.likelihood import FEW
-from servolens.identification.refine import DOWN_TO_NOISE
+from servolens.identification.refine import DOWN_TO_NOISE, followed
 from servolens.identification.regressors import regressor
 from servolens.simulation.rates import substeps_for
 
@@ -75,13 +75,29 @@ class Candidates:
         return noise.rate == 0.0 and noise.spread <= DOWN_TO_NOISE * self._likelihood.floor
 
     def _at_once(self, _: Sequence[Hypothesis]) -> list[Plant]:
-        """Return the plant with its effects as given, as the integral equation has them, and as priors have them."""
+        """Return the plant with its effects as given, as the integral equation has them, and as priors have them.
+
+        Contacts give the error many local minima: there gain and damping are first fitted beside the effects as given,
+        lest those of the integral equation lead away from them.
+        """
         given = self._given
-        starts = [given, *_solved(given, self._screen)]
+        starts = [given, *_solved(given, self._screen), *self._loosened(given)]
         known = {name: prior.value for name, prior in self._options.priors.items()}
         if known:
             starts += [s.with_named(known) for s in starts]
         return starts
+
+    def _loosened(self, given: Plant) -> list[Plant]:
+        """Return `given` with gain and damping fitted beside its contacts, if it has some."""
+        likelihood = self._likelihood
+        others = [name for name in given.parameters if name not in ("gain", "damping")]
+        if not given.has_contacts:
+            return []
+        try:
+            options, white = self._options.of(given.parameters).holding(*others), likelihood.white
+            return [followed(given, likelihood.runs(white), options, noise=white.spread, iterations=FEW)[0]]
+        except (InputError, NumericalError):
+            return []
 
     def _one_by_one(self, _: Sequence[Hypothesis]) -> list[Plant]:
         """Return the plant if its effects take their best starts one after the other, and each anew beside all."""
