@@ -87,10 +87,11 @@ def test_remainder_of_what_is_explained_is_immaterial(rubbing):
     campaign, diagnosis = rubbing
     rest = diagnosis.remainder
     assert (rest.depends_on_inputs, rest.material) == (False, False)
-    of = diagnosis.extended
-    error = (
-        of.heldout_rms_error if rest.heldout else of.rms_error
-    )  # where a noisy loop sticks is chance: more than the noise alone
+    # where a noisy loop sticks is chance: more than the noise alone
+    sides = [(diagnosis.extended.rms_error, campaign.records), (diagnosis.extended.heldout_rms_error, campaign.heldout)]
+    shares = [error / max(np.ptp(record.position) for record in records) for error, records in sides]
+    assert rest.heldout == (shares[1] > shares[0])
+    error = sides[rest.heldout][0]
     assert rest.times_noise == pytest.approx(error / diagnosis.noise_floor)
     assert np.hypot(rest.rms, diagnosis.noise_floor) == pytest.approx(error)
     travel = max(np.ptp(record.position) for record in (campaign.heldout if rest.heldout else campaign.records))
@@ -403,7 +404,7 @@ def test_axis_whose_simulation_misses_a_material_part_is_not_healthy_where_no_lo
     moved = simulate(Plant(gain=lab.LM1.gain, damping=lab.LM1.damping), run, acceleration=push)
     found = diagnose(replace(unlooped(run, moved.position), voltage=moved.voltage), effort="quick")
     assert found.remainder.material
-    assert found.verdict in ("unexplained", "partly_explained")
+    assert found.verdict not in ("healthy", "explained")
 
 
 def test_prior_on_what_no_plant_has_is_refused():
@@ -418,8 +419,7 @@ def test_reported_error_is_not_tied_to_the_measurement():
     )
     wrong = Plant(gain=1.2 * lab.LM1.gain, damping=lab.LM1.damping)
     driven = simulate_voltage(wrong, record.time, record.voltage).position - record.position
-    # each window begins with a velocity of its own, which is all that is fitted
-    assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.15)
+    assert pooled([residual(wrong, record)]) == pytest.approx(pooled([driven]), rel=0.1)
 
 
 def test_single_effects_are_listed_once(rubbing):

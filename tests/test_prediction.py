@@ -8,9 +8,9 @@ import pytest
 import servolens
 from servolens.effects import ActuatorLag, CoulombFriction, Saturation
 from servolens.errors import InputError
-from servolens.lab import LM1, NLM1, Truth, step_record, table_one
+from servolens.lab import LM1, NLM1, Setup, Truth, step_record, table_one
 from servolens.plant import Plant
-from servolens.prediction import predict, prediction_error
+from servolens.prediction import predict, prediction_error, prediction_residual
 from servolens.record import Controller, Record
 from servolens.simulation import simulate_loop
 
@@ -92,3 +92,9 @@ def test_saturation_is_found_where_it_binds() -> None:
 def test_a_fit_of_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="no record was given"):
         servolens.fit([CoulombFriction(level=1.0)], [])
+
+
+def test_plant_itself_misses_little_more_than_the_noise_where_no_reference_is_logged():
+    record = step_record(LM1, 60.0, 0.5, reference=(0.1,), noise=1e-5, seed=2, setup=Setup(log_reference=False))
+    truth = Plant(gain=LM1.gain, damping=LM1.damping)
+    assert np.sqrt(np.mean(prediction_residual(truth, record) ** 2)) < 6e-5

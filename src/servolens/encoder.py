@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FEWEST_SAMPLES",
+    "SPAN",
     "quantisation_step",
     "share_on_grid",
     "small_moves",
@@ -31,6 +32,10 @@ DITHERED = 0.5
 MOST_STEPS, OFF_GRID, ON_GRID = 10.5, 0.15, 0.98
 """Movements up to ten steps tell of a step; how far from a whole number of steps one may be; share of them that are
 none farther."""
+
+
+SPAN = 12.0
+"""Standard deviations that white noise spans in a million samples."""
 
 
 def with_seen_encoder(records: Sequence[Record], known: Sequence[Record] = ()) -> tuple[Record, ...]:

@@ -191,38 +191,31 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     """
     if record.reference is not None and record.controller is not None:
         return _difference(plant, record)
+    from scipy.signal import savgol_filter
+
     lasts = max(WINDOW_TIME_CONSTANTS / max(plant.damping, 1e-9), 50 * record.sample_time)
     count = int(np.clip(np.ceil(record.duration / lasts), 1, max(len(record) // 50, 1)))
     edges = np.linspace(0, len(record), count + 1).astype(int)
+    if count == 1:
+        return _difference(plant, record)
     parts = [record.slice(float(record.time[a]), float(record.time[b - 1])) for a, b in pairwise(edges)]
-    return np.concatenate([_difference(plant, parts[0]), *(_in_motion(plant, part) for part in parts[1:])])
+    quarter = 0.25 * lasts / WINDOW_TIME_CONSTANTS  # of the axis's time constant, on both sides
+    window = int(np.clip(2.0 * quarter / record.sample_time, 5, len(record) - 1)) // 2 * 2 + 1
+    slope = savgol_filter(record.position, window, 3, deriv=1, delta=record.sample_time)
+    speeds = [None, *slope[edges[1:-1]].tolist()]
+    return np.concatenate([_difference(plant, part, speed) for part, speed in zip(parts, speeds, strict=True)])
 
 
-def _in_motion(plant: Plant, record: Record) -> NDArray[np.float64]:
-    """Return what the simulation misses of a window in the midst of a motion.
-
-    It begins with the velocity that misses least in the first quarter of a time constant: fewer samples tell it by less
-    than its error, and more would hide what the plant lacks.
-    """
-    velocity, first = initial_motion(record), max(len(record) // int(4 * WINDOW_TIME_CONSTANTS), 10)
-    begun = _from(plant, record, velocity)
-    change = 1e-3 * max(float(np.ptp(record.position)) / record.duration, 1e-9)
-    slope = (_from(plant, record, velocity + change) - begun)[:first] / change
-    if not (power := float(slope @ slope)) > 0.0:
-        return begun
-    found = _from(plant, record, velocity - float(slope @ begun[:first]) / power)
-    return min(begun, found, key=lambda missed: float(missed[:first] @ missed[:first]))
-
-
-def _difference(plant: Plant, record: Record) -> NDArray[np.float64]:
+def _difference(plant: Plant, record: Record, speed: float | None = None) -> NDArray[np.float64]:
     """Return what the simulation misses from the likelier beginning: at rest, or as fast as the first samples tell.
 
-    A lagging axis that is pushed off at once looks as if it had been moving. Where a record does not say what was
-    applied before it, that was its first voltage, or nothing.
+    Or at a `speed` that those before tell as well, where the record goes on with a motion. A lagging axis that is
+    pushed off at once looks as if it had been moving. Where a record does not say what was applied before it, that was
+    its first voltage, or nothing.
     """
     is_open = record.voltage_before is None and plant.remembers_voltage
     begun = [record, replace(record, voltage_before=0.0)] if is_open else [record]
-    velocities = dict.fromkeys((0.0, initial_motion(record)))
+    velocities = dict.fromkeys((0.0, initial_motion(record), *([] if speed is None else [speed])))
     found = [_from(plant, same, velocity) for same in begun for velocity in velocities]
     return min(found, key=lambda missed: float(missed @ missed))
 

@@ -34,8 +34,6 @@ FARTHER = 3.0
 """Times the fitted records' error from which on a held-out one is held to be of another axis, load or unit."""
 MOVES = 1.5
 """Times the noise from which on what the noise does to the loop is worth a sentence."""
-LITTLE = 0.1
-"""Share of the noise up to which its slow part is not worth a word."""
 NAMED = 4
 """Records that are named in a sentence."""
 
@@ -86,7 +84,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     memory = noise.memory()
     if noise.rate == 0.0 and memory > 2.0:
         slow = gains.noise * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
-        if slow > LITTLE * gains.noise:
+        if slow > share * gains.noise:  # less is within the error of the noise itself
             told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
     if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
         told += f"; rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, dominates"

@@ -45,16 +45,17 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     error, travel = pooled(errors), _travel(case, records)
     commands = (float(np.abs(applied_voltage(record)).max()) for record in (*case.records, *case.heldout))
     push = max(commands) * abs(chosen.plant.gain)
-    missed, lasts = unexplained_acceleration(chosen.plant, records, errors, rate=case.likelihood.rate, noise=noise)
     is_finite = bool(np.isfinite(error))
     rms = _beyond(error, noise)
-    in_loop = case.noise_in_loop(chosen)
-    if is_finite and in_loop > noise:  # no force has to make up for what the noise does
-        missed *= float(np.sqrt(max(error**2 - in_loop**2, 0.0))) / max(rms, 1e-300)
-    missed = missed if is_finite else error
     depends = not case.is_enough(chosen)
     if chosen.noise.rate > 0.0 and not depends:  # simulations miss what the loops make of it; the noise model knows it
         missed, lasts = _shaking(chosen.noise, case.records[0].sample_time)
+    else:
+        missed, lasts = unexplained_acceleration(chosen.plant, records, errors, rate=case.likelihood.rate, noise=noise)
+        in_loop = case.noise_in_loop(chosen)
+        if is_finite and in_loop > noise:  # no force has to make up for what the noise does
+            missed *= _beyond(error, in_loop) / max(rms, 1e-300)
+        missed = missed if is_finite else error
     return Remainder(
         rms=rms,
         times_noise=error / noise if noise > 0.0 else None,

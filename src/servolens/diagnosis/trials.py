@@ -37,7 +37,7 @@ STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
-HOLDS = 2.0
+STOPS = 2.0
 """Times the motor's largest acceleration from which on dry friction holds the axis: that moves it, and stops it."""
 CONTRADICTS = 4.0
 """Standard deviations of a prior from which on a parameter contradicts it: once in 16 000 of normal ones."""
@@ -263,7 +263,7 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
     values = dict(zip(plant.parameters, plant.values, strict=True))
     known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in values)
     agrees = all(low <= value <= high for value, low, high in known)
-    holds = HOLDS * abs(plant.gain) * seen.command
+    holds = STOPS * abs(plant.gain) * seen.command
     moves = all(max(_forces(effect), default=0.0) <= holds for effect in plant.effects)
     is_seen = plant.damping * seen.sample_time <= 1.0 or not any(isinstance(e, Drive) for e in plant.effects)
     return agrees and moves and is_seen and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)

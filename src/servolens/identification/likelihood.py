@@ -14,7 +14,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Problem
 from servolens.identification.hypothesis import Hypothesis
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
-from servolens.identification.noise import EXACT, NoiseModel
+from servolens.identification.noise import TOLD_APART, NoiseModel
 from servolens.identification.noise_search import NoiseTrials
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun, least_missed
 from servolens.identification.phases import own_phases, synchronised
@@ -92,7 +92,7 @@ class Likelihood:
         self.travel = max(float(np.ptp(record.position)) for record in self.records)
         self.samples = sum(signals.measured.size for signals in self.signals)
         rounding = max(record.encoder_resolution or 0.0 for record in records)
-        self.white = replace(NoiseModel.white(self.floor, rounding), least=EXACT * self.travel)
+        self.white = replace(NoiseModel.white(self.floor, rounding), least=TOLD_APART * self.travel)
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(begins_with_its_step(record) for record in records)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["EXACT", "MOST_ORDER", "NoiseModel", "Whitener", "burg", "instants"]
+__all__ = ["MOST_ORDER", "TOLD_APART", "NoiseModel", "Whitener", "burg", "instants"]
 
 SEEN = 5.0
 """Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
@@ -38,7 +38,7 @@ NEGLIGIBLE = 2e-5
 BELOW_NYQUIST, DISTINCT = 0.9, 1e-3
 """Share of half the sampling rate up to which a line of the mains can be told from its alias; ratio of singular values
 below which waves look the same."""
-EXACT = 1e-8
+TOLD_APART = 1e-8
 """Share of the travel by which exact simulations of one axis differ: less is no structure of a log without noise."""
 MOST_ORDER = 24
 """Highest order of the autoregressive noise: at 1 kHz it reaches over one period of the mains."""

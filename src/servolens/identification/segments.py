@@ -38,8 +38,6 @@ __all__ = [
 ]
 
 FEWEST_SAMPLES = 12
-LOST = 1.5
-"""Times the usual interval from which on samples are lost between two."""
 FEWEST_STROKES = 12
 """Reversals from which on a record without steps is a trajectory."""
 SLOW, SHORTEST_PART, STANDING = 0.02, 30, 0.6
@@ -247,7 +245,7 @@ def white_noise(signal: NDArray[np.float64], time: NDArray[np.float64] | None = 
     if time is not None and third.size:
         intervals = np.diff(time[:100_000])
         longest = np.max(np.lib.stride_tricks.sliding_window_view(intervals, 3), axis=1)
-        whole = third[longest <= LOST * float(np.median(intervals))]
+        whole = third[np.rint(longest / np.median(intervals)) <= 1]
         third = whole if whole.size >= FEWEST_SAMPLES else third
     return float(np.sqrt(np.mean(third**2) / 20.0)) if third.size else 0.0
 
@@ -262,7 +260,7 @@ def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
     cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
-    gaps = (np.flatnonzero(np.diff(record.time) > LOST * sample_time) + 1).tolist()
+    gaps = (np.flatnonzero(np.rint(np.diff(record.time) / sample_time) > 1) + 1).tolist()
     return [(first, stop, first not in cuts) for first, stop in pairwise(sorted({*cuts, *gaps, len(record)}))]
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.encoder import FEWEST_SAMPLES, quantisation_step, share_on_grid, small_moves, white_noise
+from servolens.encoder import FEWEST_SAMPLES, SPAN, quantisation_step, share_on_grid, small_moves, white_noise
 from servolens.findings import Finding
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ GRID, COMMON = 0.01, 0.1
 which on both lengths are common."""
 MEDIAN, CHANGED = 7, 0.25
 """Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
-SPAN, STEPS = 12.0, 3.0
-"""Standard deviations that white noise spans in a million samples, and steps that an encoder rounds and flickers by."""
+STEPS = 3.0
+"""Steps that an encoder rounds and flickers by."""
 
 
 @final

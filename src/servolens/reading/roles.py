@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.encoder import white_noise
+from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError, names_like
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
@@ -32,8 +32,6 @@ SAG = 0.1
 LOADED, TURNS = 0.3, 0.2
 """Relative range below which a voltage is that of a loaded supply where the axis turns round, by this share of its
 travel: a command that turns it round does not stay so near to its mean."""
-SPAN = 12.0
-"""Standard deviations that white noise spans in a million samples."""
 NONE, NAMED, ITS_NAME = "-", "named by you", "its name"
 """Stands for a signal that is in no column; how the column of another is known."""
 SAME = 1e-6
