@@ -398,7 +398,7 @@ def test_commands_of_different_units_are_not_mixed(bench, tmp_path):
 
 def test_two_axes_in_one_campaign_contradict_each_other(bench, tmp_path):
     other = write(step(OTHER, 60), tmp_path / "other.csv")
-    body = result("diagnosis", "diagnose", bench / "plain40.csv", other)
+    body = result("diagnosis", "diagnose", bench / "plain40.csv", other, "--effort", "quick")
     (finding,) = [f for f in body["findings"] if f["code"] == "records_contradict"]
     assert finding["severity"] == "warning"
     assert "plain40" in finding["message"]

@@ -156,7 +156,7 @@ def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
 def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"delay": {"time": 0.03}, "coulomb_friction": {"level": 0.3}})
     sheet = Prior(value=2.4, deviation=0.05)
-    found = diagnose(steps_of(axis, [(40, 0), (80, 0)]), priors={"gain": sheet})
+    found = diagnose(steps_of(axis, [(40, 0), (80, 0)]), priors={"gain": sheet}, effort="quick")
     assert abs(found.linear.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
     assert abs(found.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
 
@@ -259,7 +259,7 @@ def test_records_of_two_axes_are_said_to_contradict_each_other():
         )
         for i, (axis, kd, name) in enumerate([(light, 0.0, "a"), (light, 2.0, "b"), (heavy, 0.0, "c")])
     ]
-    codes = {finding.code for finding in diagnose(records).findings}
+    codes = {finding.code for finding in diagnose(records, effort="quick").findings}
     assert "records_contradict" in codes
 
 
@@ -284,6 +284,7 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
 
 
+@pytest.mark.slow
 def test_friction_map_is_no_wave_of_friction_beside_cogging():
     campaign = lab.hidden_campaign(901200, effects=["friction_map"], world="coloured")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -301,6 +302,7 @@ def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
     assert diagnosis.extended.heldout_rms_error < diagnosis.baseline.heldout_rms_error
 
 
+@pytest.mark.slow
 def test_dead_zone_of_a_shaken_axis_need_not_foretell_where_it_rests_in_one_record():
     campaign = lab.hidden_campaign(700767, effects=["dead_zone"], world="shaken")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -610,6 +612,7 @@ def test_plants_too_stiff_to_be_fitted_are_not_tried():
     assert not trials.likelihood.is_too_stiff(soft)
 
 
+@pytest.mark.slow
 def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     sticky = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     other = lab.Truth(gain=1.2, damping=4.0)
@@ -631,7 +634,7 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)
 
 
-@pytest.mark.parametrize("effect", ["flexible_coupling", "speed_servo"])
+@pytest.mark.parametrize("effect", [pytest.param("flexible_coupling", marks=pytest.mark.slow), "speed_servo"])
 def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
     campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

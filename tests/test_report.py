@@ -350,7 +350,7 @@ def test_report_of_a_linear_axis_finds_no_dependence_on_speed(tmp_path):
 def test_long_record_makes_a_small_page(tmp_path):
     record = lab.step_record(lab.NLM1, kp=60, reference=(0.1, 0.0) * 12, noise=1e-5, seed=2)
     page = tmp_path / "report.html"
-    write_report(page, [record])
+    write_report(page, [record], effort="quick")
     assert "the first 3 are drawn" in page.read_text(encoding="utf-8")
     assert "Where the error lives" in page.read_text(encoding="utf-8")
     assert page.stat().st_size < 1_000_000

@@ -50,11 +50,11 @@ def cart():
 
 HIDDEN = [
     ("stribeck_friction", 4),
-    ("backlash", 3),
     ("delay", 2),
     *(
         pytest.param(name, seed, marks=pytest.mark.slow)
         for name, seed in (
+            ("backlash", 3),
             ("coulomb_friction", 5),
             ("flexible_coupling", 6),
             ("constant_force", 7),
