@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from servolens import Plant, Record, fit, lab
+from servolens.effects import EndStop
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
 from servolens.identification.resampling import profile
@@ -98,6 +99,22 @@ def test_friction_that_is_nothing_but_rounding_ends_at_none():
     level = fit("coulomb_friction", [stage(1e-6, 20)]).quantities["coulomb_friction.level"]
     assert (level.value, level.stderr) == (0.0, None)
     assert level.reason == "it ended at the end of its range"
+
+
+def test_a_stop_that_an_axis_rests_against_is_known_no_better_than_the_encoders_step():
+    """For an encoder shows one and the same step there, however long it is looked at."""
+    around, runs = lab.Surroundings(noise=lab.SensorNoise(deviation=1e-6), encoder=2e-5), ((40.0, 0.0), (100.0, 5.0))
+    for seed, high in enumerate((0.0960052, 0.0960118, 0.0960173)):
+        stopped = lab.Truth(gain=1.9, damping=6.0, effects={"end_stop": {"low": -1.0, "high": high}})
+        records = [
+            lab.step_record(
+                stopped, kp, kd, reference=(0.1, 0.0), duration=0.8, seed=seed, setup=lab.Setup(surroundings=around)
+            )
+            for kp, kd in runs
+        ]
+        found = fit([EndStop(low=-1.0, high=0.09)], records, fixed={"end_stop.low": -1.0}).quantities["end_stop.high"]
+        assert abs(found.value - high) < 3.0 * found.stderr
+        assert 0.02 * 2e-5 < found.stderr < 2e-5
 
 
 def test_rounding_without_a_loop_has_no_mean():

@@ -277,6 +277,10 @@ class Effect(ABC):
         """
         return None
 
+    def moved(self, by: float) -> Self:
+        """Return the effect whose places, against which the axis comes to rest, lie further on by `by` [m or rad]."""
+        return self
+
     @property
     def values(self) -> tuple[float, ...]:
         """The parameters' values, SI, in the order of declaration."""

@@ -102,6 +102,10 @@ class EndStop(Force):
             yield replace(self, low=seen.low - away)
             yield replace(self, high=seen.high + away)
 
+    def moved(self, by: float) -> EndStop:
+        """See :meth:`servolens.effects.base.Effect.moved`: both stops."""
+        return replace(self, low=self.low + by, high=self.high + by)
+
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""
         noise = NOISE_DEVIATIONS * seen.noise

@@ -78,8 +78,9 @@ def rounded(
 
     The position, with noise as the model has it, rounded as the encoder does. In closed loop the position is that of a
     loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
-    which is where the encoder shows the next step, and so at one side of it. Else it is the run's own, and the
-    encoder's steps lie anywhere.
+    which is where the encoder shows the next step, and so at one side of it. A stop may lie anywhere within a step, for
+    an axis that rests against it shows no more of it. Else the position is the run's own, and the encoder's steps lie
+    anywhere.
 
     Parameters
     ----------
@@ -182,11 +183,12 @@ def _drawn(
         if at is not None:
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
-                moved = simulate(plant, loop, sensor_error=own[:, k])
+                axis = replace(plant, effects=tuple(effect.moved(places[k]) for effect in plant.effects))
+                moved = simulate(axis, loop, sensor_error=own[:, k])
                 there = moved.position
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
                     driven = replace(loop, voltage=moved.voltage, encoder_resolution=None)
-                    there = simulate(plant, driven, voltage_driven=True).measured
+                    there = simulate(axis, driven, voltage_driven=True).measured
                 return there[at], moved.measured[at]
             return position, step * np.round((position + own[at, k]) / step)
         return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]
