@@ -31,6 +31,8 @@ from servolens.simulation.rates import substeps_for
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from servolens.findings import Finding
     from servolens.identification.bursts import Burst
     from servolens.identification.hypothesis import Hypothesis
@@ -210,13 +212,17 @@ class Case:
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
         own = noise.spread if noise.rate == 0.0 and noise.order == 0 else self.likelihood.white.spread
-        is_material = pooled(errors) > float(np.hypot(own, MATERIAL * self.travel))  # beyond the sensor's noise
+        is_material = self.is_material(errors, own)
         if not closed:
             return is_material
         ripple = self.ripple_beside(hypothesis)
         ripples = [ripple.at(i, record.time) for i, record in enumerate(self.records)]
         found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
         return found.depends or ((noise.rate > 0.0 or is_material) and not found.is_seen)
+
+    def is_material(self, errors: Sequence[NDArray[np.float64]], noise: float) -> bool:
+        """Tell whether `errors` of the training records are material, beyond a `noise` [m or rad]."""
+        return pooled(errors) > float(np.hypot(noise, MATERIAL * self.travel))
 
     def noise_in_loop(self, hypothesis: Hypothesis) -> float:
         """Return what the sensor's noise makes simulations in closed loop miss if `hypothesis` is the axis, r.m.s.

@@ -133,7 +133,8 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
     wrong cause does, and a filter of slow noise whiten it: there the simulation of all records, to which neither was
     fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
-    simulation foretells.
+    simulation foretells. Where it misses a material part of the travel, it must miss less than gain and damping alone:
+    of what matters to who tunes, causes that do not show there explain nothing.
     """
     simpler, richer = path[-2:]
     only_training, not_simulated = (
@@ -150,7 +151,12 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     alike = [h for h in path if own_phases(h.plant) == own_phases(richer.plant)]
     gains = case.gains(alike)
     is_worse = any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
-    return not_simulated if is_worse else ""
+    if is_worse:
+        return not_simulated
+    is_material = case.is_material(gains.trained[-1], case.likelihood.white.spread)
+    if is_material and len(alike) > 1 and not gains.is_worse(0, -1, case.likelihood.rate, with_training=True):
+        return "does not make simulations miss less, which miss a material part of the travel"
+    return ""
 
 
 def _misses_more(case: Case, simpler: Hypothesis, richer: Hypothesis) -> bool:
