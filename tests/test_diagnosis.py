@@ -12,7 +12,7 @@ import pytest
 from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT
-from servolens.diagnosis.errors import pooled, residual
+from servolens.diagnosis.errors import Gains, pooled, residual
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.diagnosis.reasons import distinctness, twins_of
@@ -757,3 +757,12 @@ def test_two_large_causes_are_found_though_neither_explains_much_alone():
     assert {cause.effect for cause in found.causes} == {"coulomb_friction", "quadratic_drag"}
     alone, both = sorted(found.causes, key=lambda cause: -cause.train[1])
     assert alone.train[0] > alone.train[1] > 10 * both.train[1]
+
+
+def test_a_model_misses_less_only_where_it_was_fitted_and_where_not():
+    small, large = (np.full(9, size) for size in (1.0, 2.0))
+    pairs = {"both": (small, small), "fitted": (small, large), "others": (large, small), "neither": (large, large)}
+    gains = {
+        name: Gains((), (), ((large,), (trained,)), ((large,), (held,)), 0.1) for name, (trained, held) in pairs.items()
+    }
+    assert {name for name, pair in gains.items() if pair.misses_less(-1, 0)} == {"both"}

@@ -35,6 +35,7 @@ from servolens.effects import (
 from servolens.effects import _offered as offered
 from servolens.errors import InputError, NumericalError
 from servolens.identification.fit_findings import findings_of
+from servolens.identification.fitting import of_other_inertias
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
@@ -998,3 +999,10 @@ def test_bounds_that_are_no_range_or_of_no_parameter_are_refused():
         servolens.fit([], logged(STICKY), bounds={"gain": (3.0, 2.0)})
     with pytest.raises(InputError, match="mass"):
         servolens.fit([CoulombFriction(level=0.3)], logged(STICKY), bounds={"mass": (1.0, 2.0)})
+
+
+def test_an_inertia_that_takes_a_parameter_out_of_its_range_is_no_start():
+    """A fit from such a start ended in an error."""
+    servo = SpeedServo(speed_per_volt=0.1, proportional=0.001, integral=1.0)
+    others = list(of_other_inertias(Plant(gain=1.0, damping=6.0, effects=(servo,))))
+    assert [plant.effects[0].proportional for plant in others] == [0.002, 0.004, 0.008]

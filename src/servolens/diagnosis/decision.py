@@ -133,8 +133,8 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
     wrong cause does, and a filter of slow noise whiten it: there the simulation of all records, to which neither was
     fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
-    simulation foretells. Where it misses a material part of the travel, it must miss less than gain and damping alone:
-    of what matters to who tunes, causes that do not show there explain nothing.
+    simulation foretells. Where it misses a material part of the travel, it must miss less than gain and damping alone,
+    of the records that were fitted and of the others: causes that do not show in what matters explain nothing.
     """
     simpler, richer = path[-2:]
     only_training, not_simulated = (
@@ -149,12 +149,14 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     if richer.noise.rate == 0.0 and richer.noise.order == 0:
         return ""
     alike = [h for h in path if own_phases(h.plant) == own_phases(richer.plant)]
+    if len(alike) == 1:
+        return ""
     gains = case.gains(alike)
     is_worse = any(gains.is_worse(-1, i, case.likelihood.rate, with_training=True) for i in range(len(alike) - 1))
     if is_worse:
         return not_simulated
     is_material = case.is_material(gains.trained[-1], case.likelihood.white.spread)
-    if is_material and len(alike) > 1 and not gains.is_worse(0, -1, case.likelihood.rate, with_training=True):
+    if is_material and not gains.misses_less(-1, 0):
         return "does not make simulations miss less, which miss a material part of the travel"
     return ""
 

@@ -112,6 +112,10 @@ class Gains:
         these, others = ((*self.trained[k], *self.held[k]) if is_whole else self.held[k] for k in (i, j))
         return are_larger(these, others, blocks)
 
+    def misses_less(self, i: int, j: int) -> bool:
+        """Tell whether plant `i` misses less than plant `j`, of the training records and where neither was fitted."""
+        return self.train(i) < self.train(j) and self.tested(i) < self.tested(j)
+
     def with_others(self, other: Gains) -> Gains:
         """Return these with the plants of another, on the same records, after them."""
         return replace(self, trained=(*self.trained, *other.trained), held=(*self.held, *other.held))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.fitting import INERTIAS
+from servolens.identification.fitting import INERTIAS, of_other_inertias
 from servolens.identification.likelihood import FEW
 from servolens.identification.refine import DOWN_TO_NOISE, followed
 from servolens.identification.regressors import regressor
@@ -111,10 +111,10 @@ class Candidates:
 
     def _rescaled(self, found: Sequence[Hypothesis]) -> list[Plant]:
         """Return the likeliest plants so far with other inertias, all forces in proportion, or the motor's alone."""
-        starts = []
+        starts: list[Plant] = []
         for plant in [self._given, *(h.plant for h in found[:1])]:
-            for share in INERTIAS:
-                starts += [plant.scaled(share), replace(plant, gain=share * plant.gain)]
+            starts += of_other_inertias(plant)
+            starts += [replace(plant, gain=share * plant.gain) for share in INERTIAS]
         return starts
 
     def _in_order(self, plant: Plant) -> Plant:

@@ -20,7 +20,7 @@ from servolens.identification.structure import is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,7 @@ __all__ = [
     "final_fit",
     "level_of",
     "likelihood_of",
+    "of_other_inertias",
     "runs_of",
     "simulation_error",
 ]
@@ -174,6 +175,13 @@ def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOp
     return FinalFit(refined, noise, records, "closed_loop")
 
 
+def of_other_inertias(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with other inertias, all forces in proportion; none whose parameters leave their ranges."""
+    for share in INERTIAS:
+        with suppress(InputError):
+            yield plant.scaled(share)
+
+
 def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: FitOptions) -> Plant:
     """Return the plant from which the search in closed loop begins: of other inertias too, where noise is not reached.
 
@@ -184,7 +192,7 @@ def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: Fi
     """
     enough = DOWN_TO_NOISE**2 * sum(run.samples for run in runs)
     ends: list[tuple[float, Plant]] = []
-    for plant in (*plants[:2], *(plants[0].scaled(share) for share in INERTIAS)):
+    for plant in (*plants[:2], *of_other_inertias(plants[0])):
         with suppress(InputError, NumericalError):
             held = plant.with_named({n: v for n, v in plants[0].named.items() if n in options.held})
             end, misfit = followed(held, runs, options, noise=1.0, iterations=SOME)
