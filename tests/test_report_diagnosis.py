@@ -309,6 +309,18 @@ def test_force_along_what_sets_no_state_has_no_law(rubbing, goes_with):
     assert law_along(rubbing, replace(found, goes_with=goes_with)) is None
 
 
+@pytest.mark.parametrize("quantity", ["direction", "position"])
+def test_force_on_an_axis_is_none_that_its_motor_and_load_exert_on_each_other(rubbing, quantity):
+    """Drawn was the push of a contact as deep as the axis had moved, 80 000 m/s²."""
+    along = replace(next(i for i in rubbing.instruments if i.varies == "force"), goes_with=quantity)
+    sprung = rubbing.plant.with_effect(Plant.effect_from("return_spring", {"stiffness": 5.0}))
+    loose = sprung.with_effect(Plant.effect_from("backlash", {"gap": 1e-3, "load_share": 0.4}))
+    alone, both = (
+        law_along(replace(rubbing, model=replace(rubbing.model, plant=plant)), along) for plant in (sprung, loose)
+    )
+    np.testing.assert_allclose(both.y, alone.y, rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("varies", "goes_with", "correlation", "tells"),
     [

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.effects import Transmission
 from servolens.report.curves import curve
 
 if TYPE_CHECKING:
@@ -82,11 +84,15 @@ def _force(
 
 
 def _acceleration(plant: Plant, *states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the acceleration at position, velocity, time, command and direction, what effects remember being zero."""
+    """Return the acceleration at position, velocity, time, command and direction, what effects remember being zero.
+
+    Motor and load move as one: what joins them pushes each of them, and not the axis.
+    """
     import casadi as ca
 
     from servolens.dynamics import dynamics
 
+    plant = replace(plant, effects=tuple(e for e in plant.effects if not isinstance(e, Transmission)))
     d = dynamics(plant.structure)
     function = ca.Function("acceleration", d.inputs, [d.acceleration])
     remembered = np.zeros(len(d.state_names))
