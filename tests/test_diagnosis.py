@@ -161,6 +161,7 @@ def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
     assert abs(found.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_knocks_that_know_no_input_are_no_cause_and_told_with_their_size():
     campaign = lab.hidden_campaign(SEED + 3, foreign="random_knocks", visibility=30.0, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -742,6 +743,7 @@ def test_friction_that_grows_with_speed_is_among_the_starts():
     assert any(start.plant.effects[-1].static_excess < 0.0 for start in starts)
 
 
+@pytest.mark.slow
 def test_two_large_causes_are_found_though_neither_explains_much_alone():
     """Beside gain and damping alone a wave in time comes first; the score of both together knows better."""
     campaign = lab.hidden_campaign(711591, effects=["coulomb_friction", "quadratic_drag"], world="coloured")
