@@ -157,7 +157,7 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
         return not_simulated
     is_material = case.is_material(gains.trained[-1], case.likelihood.white.spread)
     if is_material and not gains.misses_less(-1, 0):
-        return "does not make simulations miss less, which miss a material part of the travel"
+        return "does not make simulations miss less, although they miss a material part of the travel"
     return ""
 
 
