@@ -133,7 +133,7 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
     sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
     wrong cause does, and a filter of slow noise whiten it: there the simulation of all records, to which neither was
     fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
-    simulation foretells. Where it misses a material part of the travel, it must miss less than gain and damping alone,
+    simulation foretells. Where it misses a material part of the travel, it must miss less than the simplest of these,
     of the records that were fitted and of the others: causes that do not show in what matters explain nothing.
     """
     simpler, richer = path[-2:]
