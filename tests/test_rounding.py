@@ -117,6 +117,11 @@ def test_a_stop_that_an_axis_rests_against_is_known_no_better_than_the_encoders_
         assert 0.02 * 2e-5 < found.stderr < 2e-5
 
 
+def test_a_stop_that_is_not_there_stays_away():
+    """It lies at the end of its range, which a shift by an encoder's step would leave."""
+    assert EndStop(low=-1e12, high=0.09).moved(-1e-3) == EndStop(low=-1e12, high=0.089)
+
+
 def test_rounding_without_a_loop_has_no_mean():
     record = stage(1e-6, 3).with_({"reference": None})
     run, drawn = drawn_of(record, 1e-6)

@@ -103,8 +103,9 @@ class EndStop(Force):
             yield replace(self, high=seen.high + away)
 
     def moved(self, by: float) -> EndStop:
-        """See :meth:`servolens.effects.base.Effect.moved`: both stops."""
-        return replace(self, low=self.low + by, high=self.high + by)
+        """See :meth:`servolens.effects.base.Effect.moved`: both stops, but for one that is not there."""
+        low, high = (v if v == none else v + by for v, none in zip(self.values, self.absent_at.values(), strict=True))
+        return replace(self, low=low, high=high)
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`: whether the axis reaches one of the stops."""

@@ -175,6 +175,7 @@ def _drawn(
     """
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
+    stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
     closed = _is_closed(run)
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
@@ -183,7 +184,7 @@ def _drawn(
         if at is not None:
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
-                axis = replace(plant, effects=tuple(effect.moved(places[k]) for effect in plant.effects))
+                axis = replace(plant, effects=tuple(effect.moved(stops[k]) for effect in plant.effects))
                 moved = simulate(axis, loop, sensor_error=own[:, k])
                 there = moved.position
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
