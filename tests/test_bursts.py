@@ -75,7 +75,6 @@ def test_what_comes_in_bursts_is_told_and_neither_healthy_nor_explained():
     assert "in bursts" in str(found.summary())
 
 
-@pytest.mark.slow
 def test_no_cause_is_named_that_makes_simulations_miss_more_where_knocks_remain():
     campaign = lab.hidden_campaign(741961, foreign="random_knocks")
     found = diagnose(campaign.records, heldout=campaign.heldout)

@@ -117,9 +117,26 @@ def test_a_stop_that_an_axis_rests_against_is_known_no_better_than_the_encoders_
         assert 0.02 * 2e-5 < found.stderr < 2e-5
 
 
+def test_a_stop_that_is_one_for_all_records_is_known_no_better_from_many():
+    """Its place within an encoder's step is the same in each of them, and does not average out."""
+    stopped = lab.Truth(gain=1.9, damping=6.0, effects={"end_stop": {"low": -1.0, "high": 0.0960052}})
+    around = lab.Surroundings(noise=lab.SensorNoise(deviation=1e-6), encoder=2e-5)
+    records = [
+        lab.step_record(
+            stopped, kp, 0, reference=(0.1, 0.0), duration=0.8, seed=kp, setup=lab.Setup(surroundings=around)
+        )
+        for kp in (40, 45, 50, 55, 60, 65)
+    ]
+    one, many = (
+        fit([EndStop(low=-1.0, high=0.09)], runs, fixed={"end_stop.low": -1.0}).quantities["end_stop.high"].stderr
+        for runs in (records[:1], records)
+    )
+    assert many > 0.7 * one
+
+
 def test_a_stop_that_is_not_there_stays_away():
     """It lies at the end of its range, which a shift by an encoder's step would leave."""
-    assert EndStop(low=-1e12, high=0.09).moved(-1e-3) == EndStop(low=-1e12, high=0.089)
+    assert EndStop(low=-1e12, high=0.09).shifted(-1e-3) == EndStop(low=-1e12, high=0.089)
 
 
 def test_rounding_without_a_loop_has_no_mean():

@@ -26,7 +26,6 @@ def test_rounding_of_a_coarse_encoder_is_no_friction():
     assert causes_of(campaign) == ("healthy", set())
 
 
-@pytest.mark.slow
 def test_second_search_of_a_shaken_axis_begins_with_the_pairs_of_the_first():
     campaign = lab.hidden_campaign(711280, effects=["coulomb_friction", "return_spring"], world="shaken")
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "return_spring"})

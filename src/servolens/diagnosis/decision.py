@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.effort import Effort
     from servolens.identification.hypothesis import Hypothesis
 
-__all__ = ["Decision", "decided"]
+__all__ = ["Decision", "decided", "objection"]
 
 MOST = 0.9
 """Share of the squared error that causes must take of a remainder that is immaterial, to be named."""
@@ -117,15 +117,15 @@ def _simplest(case: Case, found: Search) -> Search:
 def _confirmed(case: Case, found: Search) -> Decision:
     """Take the last causes off the path that records to which they were not fitted do not confirm."""
     path, findings = list(found.path), []
-    while len(path) > 1 and (objection := _objection(case, path)):
+    while len(path) > 1 and (said := objection(case, path)):
         lost = ", ".join(name for name in path[-1].causes if name not in path[-2].causes)
-        message = f"{lost} {objection}; it is left out."
+        message = f"{lost} {said}; it is left out."
         findings.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
     return Decision(case, found, tuple(path), tuple(findings))
 
 
-def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
+def objection(case: Case, path: Sequence[Hypothesis]) -> str:
     """Return what records to which they were not fitted say against the last of `path`; empty if nothing.
 
     They must be likelier beside it than beside the one before. Where they would not tell the two apart, as of a limit
@@ -157,7 +157,7 @@ def _objection(case: Case, path: Sequence[Hypothesis]) -> str:
         return not_simulated
     is_material = case.is_material(gains.trained[-1], case.likelihood.white.spread)
     if is_material and not gains.misses_less(-1, 0):
-        return "does not make simulations miss less, although they miss a material part of the travel"
+        return "brings simulations, which miss a material part of the travel, no closer than a simpler model does"
     return ""
 
 

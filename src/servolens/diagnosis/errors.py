@@ -113,7 +113,7 @@ class Gains:
         return are_larger(these, others, blocks)
 
     def misses_less(self, i: int, j: int) -> bool:
-        """Tell whether plant `i` misses less than plant `j`, of the training records and where neither was fitted."""
+        """Tell whether plant `i` has smaller errors, r.m.s., than `j`: in training, and where neither was fitted."""
         return self.train(i) < self.train(j) and self.tested(i) < self.tested(j)
 
     def with_others(self, other: Gains) -> Gains:

@@ -277,8 +277,8 @@ class Effect(ABC):
         """
         return None
 
-    def moved(self, by: float) -> Self:
-        """Return the effect whose places, against which the axis comes to rest, lie further on by `by` [m or rad]."""
+    def shifted(self, by: float) -> Self:
+        """Return the effect with the positions of its contacts larger by `by` [m or rad]; itself if it has none."""
         return self
 
     @property

@@ -102,8 +102,8 @@ class EndStop(Force):
             yield replace(self, low=seen.low - away)
             yield replace(self, high=seen.high + away)
 
-    def moved(self, by: float) -> EndStop:
-        """See :meth:`servolens.effects.base.Effect.moved`: both stops, but for one that is not there."""
+    def shifted(self, by: float) -> EndStop:
+        """See :meth:`servolens.effects.base.Effect.shifted`: both stops, but for one that is not there."""
         low, high = (v if v == none else v + by for v, none in zip(self.values, self.absent_at.values(), strict=True))
         return replace(self, low=low, high=high)
 

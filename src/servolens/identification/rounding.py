@@ -78,9 +78,9 @@ def rounded(
 
     The position, with noise as the model has it, rounded as the encoder does. In closed loop the position is that of a
     loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
-    which is where the encoder shows the next step, and so at one side of it. A stop may lie anywhere within a step, for
-    an axis that rests against it shows no more of it. Else the position is the run's own, and the encoder's steps lie
-    anywhere.
+    which is where the encoder shows the next step, and so at one side of it. While it rests against a stop, the encoder
+    shows one value: where the stop lies within that step is unknown, and drawn. Else the position is the run's own, and
+    the encoder's steps lie anywhere.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def _drawn(
         if at is not None:
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
-                axis = replace(plant, effects=tuple(effect.moved(stops[k]) for effect in plant.effects))
+                axis = replace(plant, effects=tuple(effect.shifted(stops[k]) for effect in plant.effects))
                 moved = simulate(axis, loop, sensor_error=own[:, k])
                 there = moved.position
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
