@@ -144,9 +144,10 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
     mine, theirs = [np.empty((3, n)), np.empty(n)], [np.empty(n) for _ in range(4)]
     settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, PERIOD, *[0.0] * 4])
     start, held, numbers = np.zeros(2), np.zeros(n), np.array(CART.values)
-    compiled, done = native(CART.structure, work=WORK_THAT_PAYS).run, ctypes.c_int64()
+    compiled, done, delay = native(CART.structure, work=WORK_THAT_PAYS).runs, ctypes.c_int64(), ctypes.c_double()
     given = (grid, held, levels, settings, start, numbers, *mine)
-    own = (ctypes.byref(done), None, n, substeps, 0.0, *(array.ctypes.data for array in given))
+    places = (ctypes.c_int64 * len(given))(*(array.ctypes.data for array in given))
+    own = (1, n, substeps, *(ctypes.addressof(one) for one in (delay, places, done)))
     with tempfile.TemporaryDirectory() as folder:
         by_hand = _c_loop(Path(folder))
         pointers = [ctypes.c_void_p(a.ctypes.data) for a in (grid, levels, *theirs)]

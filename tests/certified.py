@@ -21,6 +21,7 @@ from servolens.identification.error_problem import Problem
 from servolens.identification.minimiser import descend
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import minimise_error
+from servolens.identification.runs import OneByOne
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
@@ -124,7 +125,7 @@ class Certified:
         return Plant(gain=1.0, damping=0.0, effects=(effect(**dict(zip(names, values, strict=True))),))
 
 
-class Curve:
+class Curve(OneByOne):
     """A problem's data as a run; see :class:`servolens.identification.runs.Run`."""
 
     group, sample_time, start, shifts = 0, 1.0, np.empty(0), ()

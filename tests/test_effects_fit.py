@@ -40,7 +40,7 @@ from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import minimise_error
-from servolens.identification.runs import closed_runs
+from servolens.identification.runs import OneByOne, closed_runs
 from servolens.lab import LM1, Setup, Truth, hidden_campaign, step_record, step_records
 from servolens.lab.laws import LAWS
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
@@ -969,7 +969,7 @@ def test_data_sheet_outweighs_what_a_model_gets_wrong():
 
 
 def test_initial_state_that_shows_nowhere_stays_where_it_is():
-    class Blind:
+    class Blind(OneByOne):
         """A run whose second initial state changes nothing."""
 
         group, samples, sample_time, start, shifts = 0, 50, 1e-3, np.zeros(2), (1e-6, 1e-6)

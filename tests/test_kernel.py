@@ -36,8 +36,8 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate, simulate_loop, simulate_many, simulate_voltage
-from servolens.simulation.loop import simulate_trial
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.trial import closed_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -427,9 +427,7 @@ def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing
     reference = np.full(time.size, 0.1)
 
     def tried():
-        return simulate_trial(
-            plant, LOOP, time, reference, feedforward=None, start=(0.0, 0.0), substeps=4, patience=patience
-        )
+        return closed_trial(LOOP, time, reference, patience=patience).simulated(plant, (0.0, 0.0), 4)
 
     if refused:
         with pytest.raises(NumericalError, match="more parts than allowed"):
@@ -442,6 +440,25 @@ def test_trial_follows_a_lag_that_splits_every_sample():
     time = grid(2.0)
     plant = plant_with(ActuatorLag(time_constant=2e-4))
     swings = np.where(np.arange(time.size) % 2, 1.0, -1.0)
-    run = {"feedforward": swings, "start": (0.0, 0.0), "substeps": 1}
-    tried = simulate_trial(plant, LOOP, time, np.zeros(time.size), **run)
-    assert np.array_equal(tried.position, simulate_loop(plant, LOOP, time, np.zeros(time.size), **run).position)
+    still, begin = np.zeros(time.size), (0.0, 0.0)
+    tried = closed_trial(LOOP, time, still, feedforward=swings).simulated(plant, begin, 1)
+    looped = simulate_loop(plant, LOOP, time, still, feedforward=swings, start=begin, substeps=1)
+    assert np.array_equal(tried.position, looped.position)
+
+
+def test_plants_tried_together_do_what_each_does_alone():
+    time = grid(1.0)
+    reference = np.where(time < 0.1, 0.0, 0.1)
+    plants = [
+        plant_with(CoulombFriction(level=0.3)),
+        plant_with(ActuatorLag(time_constant=0.01), CoulombFriction(level=0.2)),
+        plant_with(CoulombFriction(level=0.5)),
+        Plant(gain=-2.0, damping=0.0, effects=(CoulombFriction(level=0.1),)),  # runs away
+    ]
+    starts = [(0.0, 0.0), (0.001, 0.0), (0.0, 0.01), (0.0, 0.0)]
+    trial = closed_trial(LOOP, time, reference)
+    found = trial.measured(plants, starts, 2)
+    for row, plant, start in zip(found[:3], plants, starts, strict=False):
+        assert np.array_equal(row, trial.simulated(plant, start, 2).measured)
+    assert np.isnan(found[3]).all()
+    assert trial.measured([], [], 2).shape == (0, time.size)

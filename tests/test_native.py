@@ -16,8 +16,8 @@ from servolens.errors import ServolensError
 from servolens.plant import Plant
 from servolens.record import Controller
 from servolens.simulation import simulate_continuous, simulate_loop
-from servolens.simulation.loop import simulate_observed
 from servolens.simulation.native import WORK_THAT_PAYS, native
+from servolens.simulation.trial import observed_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,10 +60,11 @@ def outcomes(combination: str) -> dict[str, bytes]:
     plant, random = plant_of(combination), np.random.default_rng(0)
     gains = np.abs(random.normal(size=(TIME.size, 3))) * [0.05, 1.0, 5.0]
     position = 0.05 * np.sin(9.0 * TIME) + 1e-4 * random.normal(size=TIME.size)
-    voltage, begin = 4.0 * np.cos(9.0 * TIME), {"start": (0.0, 0.0), "substeps": 2}
+    voltage = 4.0 * np.cos(9.0 * TIME)
+    observed = observed_trial(TIME, voltage, position, gains=gains, remembered=0.9)
     runs = {
         "loop": lambda: simulate_loop(plant, LOOP, TIME, REFERENCE),
-        "observer": lambda: simulate_observed(plant, TIME, voltage, position, gains=gains, remembered=0.9, **begin),
+        "observer": lambda: observed.simulated(plant, (0.0, 0.0), 2),
     }
     if combination in CONTINUOUS:
         runs["continuous"] = lambda: simulate_continuous(plant, LOOP.kp, LOOP.kd, TIME, REFERENCE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, wraps
+from threading import local
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 if TYPE_CHECKING:
@@ -17,6 +18,9 @@ __all__ = ["PROCESSORS", "in_parallel", "single_threaded_blas"]
 PROCESSORS = "SERVOLENS_PROCESSORS"
 """Environment variable: how many processors one process uses; all of the machine's where it is not set."""
 
+_WORKING = local()
+"""Of a thread: whether it does one of several jobs, and shall not share that in turn."""
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Arguments = ParamSpec("Arguments")
@@ -25,13 +29,28 @@ Arguments = ParamSpec("Arguments")
 def in_parallel(function: Callable[[Job], Result], jobs: Iterable[Job], workers: int | None = None) -> list[Result]:
     """Return what `function` makes of each of the `jobs`, in their order, with a thread for each processor.
 
-    The compiled simulation leaves Python free meanwhile.
+    The compiled simulation leaves Python free meanwhile. A job that has jobs of its own does them one after the other:
+    more threads than processors only wait for each other.
     """
-    threads = workers or _allowed()
-    if threads == 1:
+    jobs = list(jobs)
+    threads = 1 if getattr(_WORKING, "is_busy", False) else min(workers or _allowed(), len(jobs))
+    if threads <= 1:
         return [function(job) for job in jobs]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, jobs))
+    return list(_pool(workers or _allowed()).map(function, jobs))
+
+
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Return the threads that share the work: to start them anew each time takes as long as a short job."""
+    return ThreadPoolExecutor(threads, initializer=_be_busy)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a child has none of its parent's threads
+
+
+def _be_busy() -> None:
+    _WORKING.is_busy = True
 
 
 def _allowed() -> int:

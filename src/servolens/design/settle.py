@@ -12,8 +12,8 @@ from servolens.design.response import Response
 from servolens.effects import Saturation
 from servolens.errors import NumericalError
 from servolens.simulation import Simulation, simulate_continuous
-from servolens.simulation.loop import simulate_trial
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.trial import closed_trial
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -76,17 +76,8 @@ def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, bac
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
-    return simulate_trial(
-        plant,
-        spec.loop(kd),
-        time,
-        reference,
-        feedforward=None,
-        start=start,
-        limit=limit,
-        substeps=substeps_for(plant, spec.sample_time),
-        patience=RUNS_AWAY,
-    )
+    trial = closed_trial(spec.loop(kd), time, reference, limit=limit, patience=RUNS_AWAY)
+    return trial.simulated(plant, start, substeps_for(plant, spec.sample_time))
 
 
 @lru_cache(maxsize=64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -235,6 +235,7 @@ class Trials:
         return found
 
 
+@lru_cache(maxsize=1024)
 def _entry_price(cls: type[Effect], candidates: int, samples: float) -> float:
     """Return by how much −2 log-likelihood must fall for an effect to enter.
 

@@ -19,7 +19,7 @@ from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import InitialState
 from servolens.identification.refine import Refinement, minimise_error
-from servolens.identification.runs import ClosedLoop
+from servolens.identification.runs import ClosedLoop, OneByOne
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import is_chance
 
@@ -51,7 +51,7 @@ class LoopFit(NamedTuple):
 
 
 @final
-class LoopRun:
+class LoopRun(OneByOne):
     """A record in closed loop; what is missed is whitened, and the initial state is held to its prior."""
 
     def __init__(self, record: Record, group: int, noise: NoiseModel) -> None:

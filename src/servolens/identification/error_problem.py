@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
@@ -56,11 +57,13 @@ class Block:
 @final
 @dataclass(slots=True, eq=False)
 class Point:
-    """A trial: parameters, initial states, and the cost there."""
+    """A trial: parameters, initial states, and the cost there, with each run's substeps and residual of that cost."""
 
     values: NDArray[np.float64]
     starts: list[NDArray[np.float64]]
     cost: float = np.inf
+    substeps: tuple[int, ...] = ()
+    residuals: Sequence[NDArray[np.float64] | None] = ()
 
 
 class Known(NamedTuple):
@@ -225,8 +228,9 @@ class Problem:
 
     def cost(self, point: Point) -> float:
         """Return the sum of the losses, priors included; infinite where a run cannot be simulated."""
-        parts = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
-        losses = [np.inf if r is None else self._loss(r) for r in parts]
+        point.residuals = self._evaluate([(i, _Trial(point.values, start)) for i, start in enumerate(point.starts)])
+        point.substeps = tuple(self.substeps)
+        losses = [np.inf if r is None else self._loss(r) for r in point.residuals]
         return sum(losses) + self.prior_cost(point.values)
 
     def weigh_priors(self, point: Point) -> bool:
@@ -294,15 +298,12 @@ class Problem:
         """
         centres = [_Trial(point.values, start) for start in point.starts]
         plans = [self._moves(centre, i) for i, centre in enumerate(centres)]
-        trials = [
-            (i, trial)
-            for i, (centre, plan) in enumerate(zip(centres, plans, strict=True))
-            for trial in (centre, *(side for _, *pair in plan for side in pair))
-        ]
+        if point.substeps != tuple(self.substeps):
+            self.cost(point)
+        trials = [(i, side) for i, plan in enumerate(plans) for _, *pair in plan for side in pair]
         found = iter(self._evaluate(trials))
         sets = []
-        for centre, plan in zip(centres, plans, strict=True):
-            residual = next(found)
+        for centre, plan, residual in zip(centres, plans, point.residuals, strict=True):
             if residual is None:
                 raise NumericalError(UNSTABLE)
             slopes = np.zeros((residual.size, self.free.size + centre.start.size))
@@ -335,16 +336,27 @@ class Problem:
 
     def _evaluate(self, trials: list[tuple[int, _Trial]]) -> list[NDArray[np.float64] | None]:
         """Return the residuals; None where a trial is no plant or cannot be simulated."""
+        found: list[NDArray[np.float64] | None] = [None] * len(trials)
+        jobs: list[tuple[int, list[int], list[Plant]]] = []
+        for i in dict.fromkeys(i for i, _ in trials):
+            plants = {}
+            for k, (_, trial) in enumerate(trials):
+                if trials[k][0] == i:
+                    with suppress(InputError):
+                        plants[k] = self.plant_at(trial.values, i)
+            jobs.append((i, [*plants], [*plants.values()]))
 
-        def one(job: tuple[int, _Trial]) -> NDArray[np.float64] | None:
-            try:
-                return self.residual(job[1].values, job[0], job[1].start)
-            except (InputError, NumericalError):
-                return None
+        def several(job: tuple[int, list[int], list[Plant]]) -> None:
+            i, those, plants = job
+            with suppress(InputError, NumericalError):
+                rows = self.runs[i].residuals(plants, [trials[k][1].start for k in those], self.substeps[i])
+                for k, row in zip(those, rows, strict=True):
+                    found[k] = row if np.isfinite(row).all() else None
 
         work = sum(self.runs[i].samples * self.substeps[i] for i, _ in trials)
         self.simulated += work
-        return in_parallel(one, trials, 1 if work < WORTH_THREADS else None)
+        in_parallel(several, jobs, 1 if work < WORTH_THREADS else None)
+        return found
 
     def _loss(self, residual: NDArray[np.float64]) -> float:
         if not np.isfinite(self.outlier):

@@ -18,7 +18,7 @@ from servolens.identification.noise import TOLD_APART, NoiseModel
 from servolens.identification.noise_search import NoiseTrials
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun, least_missed
 from servolens.identification.phases import own_phases, synchronised
-from servolens.identification.segments import begins_with_its_step, loop_rate, noise_level
+from servolens.identification.segments import loop_rate, noise_level
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ class Likelihood:
         self.white = replace(NoiseModel.white(self.floor, rounding), least=TOLD_APART * self.travel)
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
-        self.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        self.may_be_unpowered = any(signals.may_be_unpowered for signals in self.signals)
         self.knows_beginning = True
         self.work, self._counting = 0, Lock()
         self.simulates = False
@@ -145,7 +145,7 @@ class Likelihood:
             kind = (
                 SimulatedRun if self.simulates and record.reference is not None and record.controller else ObservedRun
             )
-            found.append(kind(signals, i, noise, unpowered=unpowered and begins_with_its_step(record)))
+            found.append(kind(signals, i, noise, unpowered=unpowered and signals.may_be_unpowered))
         return found
 
     @property
@@ -387,7 +387,7 @@ class Likelihood:
         other = copy(self)
         other.records = tuple(records)
         other.signals = self._signals(records)
-        other.may_be_unpowered = any(begins_with_its_step(record) for record in records)
+        other.may_be_unpowered = any(signals.may_be_unpowered for signals in other.signals)
         other.knows_beginning = self.may_be_unpowered
         return other
 

@@ -12,15 +12,17 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
 from servolens.identification.runs import ClosedLoop, rest
-from servolens.identification.segments import applied_before, applied_voltage
+from servolens.identification.segments import applied_before, applied_voltage, begins_with_its_step
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import without_gaps
-from servolens.simulation.loop import simulate_observed
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.trial import Trial, observed_trial
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from servolens.plant import Plant
@@ -85,6 +87,8 @@ class Signals:
         Where the samples that are compared stand in the grid; None if all are.
     initial : InitialState
         Of the first sample.
+    may_be_unpowered : bool
+        Whether the record begins with its step and does not say what was applied before: that may be nothing.
     speed_on_grid : ndarray, shape (n,)
         Of the axis at all samples that are simulated [m/s or rad/s].
     """
@@ -95,6 +99,7 @@ class Signals:
     position: NDArray[np.float64]
     index: NDArray[np.intp] | None
     initial: InitialState
+    may_be_unpowered: bool
     speed_on_grid: NDArray[np.float64]
 
     @classmethod
@@ -105,7 +110,7 @@ class Signals:
             index = (np.arange(time.size) if index is None else index)[::every]
         initial = InitialState.of(record, noise)
         speed = _observed_speed(plant, rate, time, voltage, position, initial)
-        return cls(record, time, voltage, position, index, initial, speed)
+        return cls(record, time, voltage, position, index, initial, begins_with_its_step(record), speed)
 
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
@@ -150,15 +155,8 @@ def _observed_speed(
     observer = observer_of(noise, time, time, voltage)
     assert observer is not None  # noqa: S101 - of this noise there is one
     try:
-        return simulate_observed(
-            plant,
-            time,
-            voltage,
-            position,
-            gains=observer.gains,
-            start=(float(initial.mean[0]), float(initial.mean[1])),
-            substeps=substeps_for(plant, float(np.max(np.diff(time)))),
-        ).velocity
+        trial = observed_trial(time, voltage, position, gains=observer.gains)
+        return trial.simulated(plant, initial.mean.tolist(), substeps_for(plant, float(np.max(np.diff(time))))).velocity
     except (InputError, NumericalError):
         return speed_of(time, position)
 
@@ -224,22 +222,27 @@ class ObservedRun:
         push: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float64]:
         """Return predicted minus measured position [m or rad], shape (n,); with a voltage `push` added, if any."""
-        signals, record = self.signals, self.signals.record
-        is_usual = record.inertia is None and record.enabled is None
-        run = simulate_observed(
-            plant if is_usual else plant_in(plant, record),
-            signals.time,
-            signals.voltage if push is None else signals.voltage + push,
-            signals.position,
-            gains=None if self._observer is None else self._observer.gains,
-            remembered=0.0 if self._observer is None else self._observer.remembered,
-            start=(float(start[0]), float(start[1])),
-            before=self._before,
-            substeps=substeps,
-            coarse=COARSE * self.noise.floor / self.sample_time,
-        )
+        signals = self.signals
+        trial = self._trial(signals.voltage if push is None else signals.voltage + push)
+        run = trial.simulated(self._as_it_was(plant), start.tolist(), substeps)
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]
+
+    def _trial(self, voltage: NDArray[np.float64]) -> Trial:
+        observer, signals = self._observer, self.signals
+        return observed_trial(
+            signals.time,
+            voltage,
+            signals.position,
+            gains=None if observer is None else observer.gains,
+            remembered=0.0 if observer is None else observer.remembered,
+            before=self._before,
+            coarse=COARSE * self.noise.floor / self.sample_time,
+        )
+
+    def _as_it_was(self, plant: Plant) -> Plant:
+        record = self.signals.record
+        return plant if record.inertia is None and record.enabled is None else plant_in(plant, record)
 
     def less(self, usual: NDArray[np.float64]) -> ObservedRun:
         """Return the same run, of whose whitened difference so much is known beforehand, shape (n,)."""
@@ -258,6 +261,16 @@ class ObservedRun:
         initial = self.signals.initial
         away = (start - initial.mean) / initial.deviation
         return np.concatenate([self.whiten(self.missed(plant, start, substeps)) - self._usual, away])
+
+    def residuals(
+        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
+    ) -> NDArray[np.float64]:
+        """Return those of several plants of one structure, a row each; NaN where one cannot be simulated."""
+        signals, begun = self.signals, np.array(starts)
+        those = [self._as_it_was(plant) for plant in plants]
+        missed = self._trial(signals.voltage).measured(those, begun.tolist(), substeps) - signals.position
+        white = self.whiten((missed if signals.index is None else missed[:, signals.index]).T).T - self._usual
+        return np.hstack([white, (begun - signals.initial.mean) / signals.initial.deviation])
 
 
 @final
@@ -311,6 +324,13 @@ class SimulatedRun:
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the difference in standard deviations."""
         return self.whiten(self.missed(plant, start, substeps))
+
+    def residuals(
+        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
+    ) -> NDArray[np.float64]:
+        """Return those of several plants of one structure, a row each; NaN where one cannot be simulated."""
+        missed = self._loop.measured(plants, self._begin, substeps) - self.signals.record.position
+        return self.whiten(missed.T).T
 
 
 def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:

@@ -7,16 +7,17 @@ from typing import TYPE_CHECKING, Protocol, final
 import numpy as np
 
 from servolens.control_law import with_history
-from servolens.errors import InputError
+from servolens.errors import InputError, NumericalError
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.segments import applied_before, applied_voltage, noise_level
 from servolens.identification.smoothing import smooth
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import without_gaps
-from servolens.simulation.loop import simulate_trial, simulate_voltage
+from servolens.simulation.loop import simulate_voltage
+from servolens.simulation.trial import Trial, closed_trial
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.simulation.loop import Simulation
 
-__all__ = ["ClosedLoop", "ClosedRun", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
+__all__ = ["ClosedLoop", "ClosedRun", "OneByOne", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
 
 LONGEST_REST = 40
 """Most samples of rest before a step that are looked at."""
@@ -70,6 +71,29 @@ class Run(Protocol):
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return what a fit minimises: the same whitened, and what is known of the initial state, if anything."""
 
+    def residuals(
+        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
+    ) -> NDArray[np.float64]:
+        """Return those of several plants of one structure, a row each; NaN where one cannot be simulated."""
+
+
+class OneByOne:
+    """Residuals of several plants, one after the other."""
+
+    residual: Callable[[Plant, NDArray[np.float64], int], NDArray[np.float64]]
+
+    def residuals(
+        self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
+    ) -> NDArray[np.float64]:
+        """See :class:`Run`."""
+        found: list[NDArray[np.float64] | float] = []
+        for plant, start in zip(plants, starts, strict=True):
+            try:
+                found.append(self.residual(plant, start, substeps))
+            except (InputError, NumericalError):
+                found.append(np.nan)
+        return np.array(np.broadcast_arrays(*found))
+
 
 @final
 class ClosedLoop:
@@ -97,16 +121,22 @@ class ClosedLoop:
     ) -> Simulation:
         """Return the loop from initial position and velocity `start`, with a voltage `push` added, if any."""
         added = self._added if push is None else push if self._added is None else self._added + push
-        return simulate_trial(
-            _as_it_was(plant, self.record),
+        return self._trial(added).simulated(_as_it_was(plant, self.record), start, substeps)
+
+    def measured(self, plants: Sequence[Plant], start: tuple[float, float], substeps: int) -> NDArray[np.float64]:
+        """Return the measured positions of `plants` at the record's own samples, shape (k, n); NaN where one fails."""
+        those = [_as_it_was(plant, self.record) for plant in plants]
+        found = self._trial(self._added).measured(those, [start] * len(those), substeps)
+        return found if self._index is None else found[:, self._index]
+
+    def _trial(self, added: NDArray[np.float64] | None) -> Trial:
+        return closed_trial(
             self.controller,
             self.time,
             self._reference,
             feedforward=added,
-            start=start,
             before=self._before,
             limit=self.record.voltage_limit,
-            substeps=substeps,
         )
 
     def logged(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -115,7 +145,7 @@ class ClosedLoop:
 
 
 @final
-class ClosedRun:
+class ClosedRun(OneByOne):
     """A record in closed loop from the reference, behind the amplifier's limit.
 
     The sensor's rounding is left out, so that the response is smooth in the parameters. A record that begins at rest
@@ -176,7 +206,7 @@ class ClosedRun:
 
 
 @final
-class VoltageRun:
+class VoltageRun(OneByOne):
     """A stretch of motion driven by its voltage, from an initial state of its own."""
 
     def __init__(self, segment: Segment, group: int, window: int = 21) -> None:
@@ -198,7 +228,7 @@ class VoltageRun:
 
 
 @final
-class Resampled:
+class Resampled(OneByOne):
     """A run with other noise: what `run` leaves at its best fit is replaced by `innovations`.
 
     Parameters

@@ -25,10 +25,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 SOURCES = ("elementary", "kalman", "digital", "plant_functions", "motion", "stepping", "kernel", "contraction")
-__all__ = ["GAINS_ENTRY", "RUN_ENTRY", "cache_folder", "elementary", "kept", "kept_before", "rule", "rule_mark"]
+__all__ = [
+    "GAINS_ENTRY",
+    "RUNS_ENTRY",
+    "cache_folder",
+    "elementary",
+    "kept",
+    "kept_before",
+    "rule",
+    "rule_mark",
+]
 
-RUN_ENTRY, GAINS_ENTRY = "servolens_run", "servolens_gains"
-"""Names of the functions in :func:`rule` that run a simulation, and that give an observer its gains."""
+RUN, RUNS_ENTRY, GAINS_ENTRY = "servolens_run", "servolens_runs", "servolens_gains"
+"""Names of the functions in :func:`rule` that run one simulation, that run several, and that give an observer its
+gains."""
+POINTERS = 9
+"""Arrays of one simulation."""
 ELEMENTARY = ("servolens_exp", "servolens_sin", "servolens_cos")
 """Its functions that a plant's functions call."""
 CALLED = "beyond_pd"
@@ -114,7 +126,7 @@ def _compiled() -> str:
     whole = llvm.parse_assembly("")
     for name, compiled in stepping.compiled_rule().items():
         # numba wraps a function for C; of an entry the inner one is taken, whose result goes to its first argument
-        is_entry = f"servolens_{name}" in (RUN_ENTRY, GAINS_ENTRY)
+        is_entry = f"servolens_{name}" in (RUN, GAINS_ENTRY)
         wanted = compiled.native_name.removeprefix("cfunc.") if is_entry else compiled.native_name
         text = compiled.inspect_llvm().replace(" noinline ", " nounwind ")
         part = llvm.parse_assembly(re.sub(rf'@"?{re.escape(wanted)}"?\(', f"@servolens_{name}(", text))
@@ -130,8 +142,43 @@ def _compiled() -> str:
             if not variable.is_declaration:
                 variable.linkage = "internal"
         whole.link_in(part)
+    whole.link_in(llvm.parse_assembly(_runs_text()))
     seen = [f.name for f in whole.functions if f.name.startswith("servolens_")]
     return fused(_promised(without_unused(str(whole), seen)))
+
+
+def _runs_text() -> str:
+    """Return assembly that runs several simulations of one structure, each with a row of pointers to its arrays."""
+    places = [f"%p{j}" for j in range(POINTERS)]
+    given = ", ".join(f"ptr {place}" for place in places)
+    loads = [
+        f"  {place}.at = getelementptr ptr, ptr %row, i64 {j}\n  {place} = load ptr, ptr {place}.at"
+        for j, place in enumerate(places)
+    ]
+    return f"""
+declare i32 @{RUN}(ptr, ptr, i64, i64, double{", ptr" * POINTERS})
+
+define void @{RUNS_ENTRY}(i64 %count, i64 %n, i64 %substeps, ptr %delays, ptr %places, ptr %done) {{
+begin:
+  br label %next
+next:
+  %k = phi i64 [0, %begin], [%following, %one]
+  %is_left = icmp slt i64 %k, %count
+  br i1 %is_left, label %one, label %end
+one:
+  %delay.at = getelementptr double, ptr %delays, i64 %k
+  %delay = load double, ptr %delay.at
+  %first = mul i64 %k, {POINTERS}
+  %row = getelementptr ptr, ptr %places, i64 %first
+{chr(10).join(loads)}
+  %done.at = getelementptr i64, ptr %done, i64 %k
+  %failed = call i32 @{RUN}(ptr %done.at, ptr null, i64 %n, i64 %substeps, double %delay, {given}) noinline
+  %following = add i64 %k, 1
+  br label %next
+end:
+  ret void
+}}
+"""
 
 
 def _promised(text: str) -> str:

@@ -2,72 +2,39 @@
 
 from __future__ import annotations
 
-import ctypes
-from dataclasses import dataclass
-from functools import lru_cache
-from itertools import accumulate
-from typing import TYPE_CHECKING, TypeVar, Unpack, final
+from typing import TYPE_CHECKING, TypeVar, Unpack
 
 import numpy as np
 
 from servolens.dynamics import ideal_pd
-from servolens.effects import Sensor, Transmission
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of, without_gaps
 from servolens.simulation.rates import substeps_for
-from servolens.simulation.settings import NO_LAW, OPEN_LOOP, known, law_settings, loop_settings
+from servolens.simulation.runs import Inputs, Simulation, run_one
+from servolens.simulation.settings import NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from servolens.controller import Controller
-    from servolens.effects import Effect
     from servolens.inputs import Plants, Records, RecordSettings
-    from servolens.plant import Plant
 
 __all__ = [
     "Simulation",
     "simulate",
     "simulate_continuous",
     "simulate_loop",
-    "simulate_observed",
-    "simulate_trial",
     "simulate_voltage",
 ]
 
 Part = TypeVar("Part")
 
-PATIENCE, ONE_OF, ANY_NUMBER = 5.0, 4, 0.0
-"""Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
-fast lag splits each sample; most pieces, where there is no such limit."""
-NO_OBSERVER, NONE_CORRECTED = (0.0, 0.0, 0.0), np.zeros(3)
-"""What the rule is told where no measurement corrects the axis."""
-OBSERVED, SHAKEN = 1.0, 2.0
-"""What it is told where one does, or where the axis is shaken or its sensor errs; see :mod:`.digital`."""
-
-
-@final
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Simulation:
-    """What the axis does, at the samples.
-
-    Attributes
-    ----------
-    time, position, velocity, voltage, measured : ndarray, shape (n,)
-        [s], true position [m or rad] and velocity, what the controller asks for [V], position as the encoder shows it.
-    """
-
-    time: NDArray[np.float64]
-    position: NDArray[np.float64]
-    velocity: NDArray[np.float64]
-    voltage: NDArray[np.float64]
-    measured: NDArray[np.float64]
-
-    def shown(self, plant: Plant) -> NDArray[np.float64]:
-        """Return what a sensor effect of `plant` shows, rounded as the record's encoder does, else the position."""
-        return self.measured if any(isinstance(effect, Sensor) for effect in plant.effects) else self.position
+ANY_NUMBER = 0.0
+"""Most pieces into which substeps may be split, where there is no such limit."""
+SHAKEN = 2.0
+"""What the rule is told where the axis is shaken or its sensor errs; see :mod:`.digital`."""
 
 
 def simulate(
@@ -207,7 +174,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
     count = substeps or substeps_for(plant, period)
-    return _run(plant, grid, held, as_floats(reference), settings, start, count, corrections=shaken)
+    return run_one(plant, Inputs(grid, held, as_floats(reference), shaken), settings, start, count)
 
 
 def _shaking(
@@ -224,43 +191,6 @@ def _shaking(
                 raise InputError(f"time has {time.size} samples, the {what} {values.size}")
             disturbed[:, column] = values
     return (SHAKEN, *NO_OBSERVER[1:]), disturbed
-
-
-def simulate_trial(  # noqa: PLR0913 - as simulate_loop
-    plant: Plant,
-    controller: Controller,
-    time: NDArray[np.float64],
-    reference: NDArray[np.float64],
-    *,
-    feedforward: NDArray[np.float64] | None,
-    start: tuple[float, float],
-    before: float | None = None,
-    limit: float | None = None,
-    substeps: int,
-    patience: float = PATIENCE,
-) -> Simulation:
-    """Simulate the digital loop of a plant that is only tried, without rounding, and give up where it rattles.
-
-    Parameters
-    ----------
-    plant, controller, time, reference, feedforward, start, before, limit, substeps
-        As of :func:`simulate_loop`.
-    patience : float
-        Pieces into which a substep may be split on average.
-
-    Raises
-    ------
-    InputError
-        If the samples do not fit together.
-    NumericalError
-        If the loop is unstable, or dry friction and contacts split its steps into more pieces than are granted.
-    """
-    held = np.zeros(time.size) if feedforward is None else feedforward
-    granted = patience * time.size * max(substeps, ONE_OF)
-    period = sample_time_of(time)
-    law = law_settings(plant, controller, period, limit)
-    settings = [1.0, *loop_settings(controller, period), 0.0, granted, *known(before), *NO_OBSERVER, *law]
-    return _run(plant, time, held, reference, settings, start, substeps)
 
 
 def simulate_voltage(
@@ -286,77 +216,8 @@ def simulate_voltage(
     step = float(np.max(np.diff(grid), initial=1e-9))
     held = as_floats(voltage)
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
-    return _run(
-        plant,
-        grid,
-        held,
-        held,
-        [*OPEN_LOOP, ANY_NUMBER, *known(before), *corrects, *NO_LAW],
-        start,
-        substeps or substeps_for(plant, step),
-        corrections=shaken,
-    )
-
-
-def simulate_observed(  # noqa: PLR0913 - what a loop is, all but the run by keyword
-    plant: Plant,
-    time: NDArray[np.float64],
-    voltage: NDArray[np.float64],
-    position: NDArray[np.float64],
-    *,
-    gains: NDArray[np.float64] | None,
-    remembered: float = 0.0,
-    start: tuple[float, float],
-    before: float | None = None,
-    substeps: int,
-    coarse: float = 0.0,
-) -> Simulation:
-    """Predict each sample of `position` from those before it: an observer under a `voltage` that is held.
-
-    After each sample the axis is moved towards what was measured, by the `gains` times the difference; and so is an
-    acceleration that shakes it until the next. Without gains it is a simulation. Gives up where the axis rattles, as
-    :func:`simulate_trial` does.
-
-    Parameters
-    ----------
-    plant, time, voltage, start, before, substeps
-        As of :func:`simulate_voltage`.
-    position : ndarray, shape (n,)
-        As measured [m or rad].
-    gains : ndarray, shape (n, 3), or None
-        Of position [1], velocity [1/s] and shaking [1/s²] at each sample; a load and a filtered sensor are moved along.
-    remembered : float
-        Share of the shaking that is left a sample later.
-    coarse : float
-        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
-
-    Returns
-    -------
-    Simulation
-        With the predictions as `measured`.
-    """
-    granted = PATIENCE * time.size * max(substeps, ONE_OF)
-    if gains is not None and gains.shape != (time.size, 3):
-        raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
-    observer = (0.0 if gains is None else OBSERVED, coarse, remembered)
-    settings = [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
-    return _run(plant, time, voltage, position, settings, start, substeps, corrections=gains)
-
-
-@lru_cache(maxsize=1024)
-def _moved(structure: tuple[type[Effect], ...]) -> tuple[float, ...]:
-    """Return for each state, in the kernel's order, whether an observer moves it: with position 1, with velocity 2."""
-    from servolens.simulation.native import native
-
-    kinds = [(cls, state.name) for cls in structure for state in cls.states]
-    own = [
-        1.0 + ("position", "velocity").index(name) if issubclass(cls, Transmission) else float(issubclass(cls, Sensor))
-        for cls, name in kinds
-    ]
-    placed = [0.0] * len(own)
-    for value, place in zip(own, native(structure).order.tolist(), strict=True):
-        placed[place] = value
-    return tuple(placed)
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(before), *corrects, *NO_LAW]
+    return run_one(plant, Inputs(grid, held, held, shaken), settings, start, substeps or substeps_for(plant, step))
 
 
 def simulate_continuous(
@@ -386,58 +247,12 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    result = _run(
-        plant,
-        grid,
-        held,
-        held,
-        [*OPEN_LOOP, ANY_NUMBER, *known(None), *NO_OBSERVER, *NO_LAW],
-        start,
-        count,
-        gains=(kp, kd),
-    )
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(None), *NO_OBSERVER, *NO_LAW]
+    result = run_one(plant, Inputs(grid, held, held), settings, start, count, (kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured
     )
-
-
-def _run(  # noqa: PLR0913 - as it is compiled
-    plant: Plant,
-    time: NDArray[np.float64],
-    held: NDArray[np.float64],
-    reference: NDArray[np.float64],
-    settings: list[float],
-    start: tuple[float, float],
-    substeps: int,
-    gains: tuple[float, ...] = (),
-    corrections: NDArray[np.float64] | None = None,
-) -> Simulation:
-    from servolens.simulation.native import native
-
-    if not (held.size == reference.size == time.size):
-        raise InputError(f"time has {time.size} samples, the input {held.size}, the reference {reference.size}")
-    code = native(plant.structure, continuous=bool(gains), work=time.size * substeps)
-    results = np.empty((4, time.size))
-    corrected = NONE_CORRECTED if corrections is None else corrections.ravel()
-    inputs = (time, held, reference, settings, start, (*plant.values, *gains), corrected)
-    given = np.concatenate(inputs, dtype=np.float64)  # one array: to ask each for its address takes as long as a step
-    places = accumulate((8 * len(part) for part in inputs[:-1]), initial=given.ctypes.data)
-    first = results.ctypes.data
-    done = ctypes.c_int64()
-    code.run(ctypes.byref(done), None, time.size, substeps, plant.delay, *places, first, first + results[:3].nbytes)
-    if done.value < 0:
-        raise NumericalError(
-            "the simulated axis sticks and slips, or hits its contacts, too often: "
-            "a step would need more parts than allowed"
-        )
-    if done.value < time.size:
-        raise NumericalError(
-            f"the simulation of the axis diverges (gain {plant.gain:g}, damping {plant.damping:g}); "
-            "the loop is unstable with these gains"
-        )
-    position, velocity, voltage, measured = results
-    return Simulation(time=time, position=position, velocity=velocity, voltage=voltage, measured=measured)
 
 
 def _given(part: Part | None) -> Part:

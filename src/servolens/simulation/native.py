@@ -21,7 +21,7 @@ import numpy as np
 from servolens.simulation.codegen import function_text, number_text
 from servolens.simulation.contraction import fused
 from servolens.simulation.equations import Equations
-from servolens.simulation.kernel import GAINS_ENTRY, RUN_ENTRY, elementary, kept, kept_before, rule, rule_mark
+from servolens.simulation.kernel import GAINS_ENTRY, RUNS_ENTRY, elementary, kept, kept_before, rule, rule_mark
 from servolens.simulation.machine import loaded, object_code, platform_marks
 
 if TYPE_CHECKING:
@@ -49,8 +49,9 @@ class Native:
 
     Attributes
     ----------
-    run : callable
-        :func:`servolens.simulation.stepping.run` for plants of this structure.
+    runs : callable
+        ``runs(count, n, substeps, delays, places, done)``: :func:`servolens.simulation.stepping.run` for `count` plants
+        of this structure, each with its delay, its row of nine pointers, and its answer.
     slopes : callable
         ``slopes(x, p, out)``: the Jacobian of [v, acceleration, rates], column by column, at ``x = [y, v, t, u, d,
         moving, shaking, smooth states, relaxing states, their ramps]`` and the plant's parameters `p`.
@@ -64,7 +65,7 @@ class Native:
         Whether the rule and the plant's functions are one piece, which runs faster.
     """
 
-    run: Callable[..., int]
+    runs: Callable[..., None]
     slopes: Callable[..., int]
     gains: Callable[..., int]
     sizes: tuple[int, int]
@@ -132,19 +133,19 @@ class _Forms:
 
     def _joined(self) -> Native:
         """Compile the rule and the plant's functions together."""
-        seen = {RUN_ENTRY, GAINS_ENTRY, SLOPES_ENTRY}
+        seen = {RUNS_ENTRY, GAINS_ENTRY, SLOPES_ENTRY}
         whole = kept("joined", self._depends_on, lambda: object_code([rule(), self._text], seen))
         return self._native([whole], is_joined=True)
 
     def _native(self, objects: list[bytes], *, is_joined: bool) -> Native:
         """Load object code."""
         engine = loaded(*objects)
-        number, real, pointer = ctypes.c_int64, ctypes.c_double, ctypes.c_void_p
-        run = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, number, real, *[pointer] * 9)
+        number, pointer = ctypes.c_int64, ctypes.c_void_p
+        runs = ctypes.CFUNCTYPE(None, number, number, number, pointer, pointer, pointer)
         gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 5)
         slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
         return Native(
-            run=_function(run, engine, RUN_ENTRY),
+            runs=_function(runs, engine, RUNS_ENTRY),
             slopes=_function(slopes, engine, SLOPES_ENTRY),
             gains=_function(gains, engine, GAINS_ENTRY),
             sizes=self._sizes,
@@ -163,7 +164,7 @@ def _function(kind: Any, engine: Any, name: str) -> Any:
 @lru_cache(maxsize=1)
 def _rule_object() -> bytes:
     """Return the object code of the stepping rule, which calls the functions of a plant."""
-    return kept("rule", [*platform_marks(), rule_mark()], lambda: object_code([rule()], {RUN_ENTRY, GAINS_ENTRY}))
+    return kept("rule", [*platform_marks(), rule_mark()], lambda: object_code([rule()], {RUNS_ENTRY, GAINS_ENTRY}))
 
 
 def _merged(texts: list[str]) -> list[str]:

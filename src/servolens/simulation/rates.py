@@ -52,6 +52,7 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
     contact = max((cls.contact_rate for cls in structure), default=0.0)
     smooth, relaxing = code.sizes
     n = 2 + smooth + relaxing
+    probes = [_probe(n + relaxing, *probe) for probe in PROBES]
     exact = np.array([2 + i for i, place in enumerate(code.order) if place >= smooth], dtype=np.intp)
 
     def jacobian(x: NDArray[np.float64], p: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,8 +63,8 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
     @lru_cache(maxsize=1024)
     def rate(values: tuple[float, ...]) -> float:
         p = np.array(values)
-        slopes = (jacobian(_probe(n + relaxing, *probe), p) for probe in PROBES)
-        return max(contact, *(_rate(found, exact, quick=contact == 0.0) for found in slopes))
+        slopes = np.array([jacobian(probe, p) for probe in probes])
+        return max(contact, _rate(slopes, exact, quick=contact == 0.0))
 
     return rate
 
@@ -74,13 +75,12 @@ def _probe(size: int, position: float, velocity: float, state: float) -> NDArray
 
 
 def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> float:
-    """Return the fastest rate of the Jacobian `slopes`; how fast relaxing states forget is no matter.
+    """Return the fastest rate of the Jacobians `slopes`, shape (k, n, n); how fast relaxing states forget is no matter.
 
     With `quick` a bound of it does, which is three times too large for a critically damped contact.
     """
-    if not np.isfinite(slopes).all():
-        return 0.0
-    if quick and slopes.shape[0] == 2:
-        return float(abs(slopes[1, 1]) + np.sqrt(abs(slopes[1, 0])))
-    slopes[exact, exact] = 0.0
-    return float(np.abs(np.linalg.eigvals(slopes)).max())
+    slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+    if quick and slopes.shape[1] == 2:
+        return float(np.max(np.abs(slopes[:, 1, 1]) + np.sqrt(np.abs(slopes[:, 1, 0])), initial=0.0))
+    slopes[:, exact, exact] = 0.0
+    return float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0))

@@ -1,0 +1,171 @@
+"""Simulations of plants that are only tried: without rounding, given up where they rattle, several in one call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, final
+
+import numpy as np
+
+from servolens.effects import Sensor, Transmission
+from servolens.errors import InputError
+from servolens.simulation.grids import sample_time_of
+from servolens.simulation.runs import Inputs, run_all, run_one
+from servolens.simulation.settings import NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.controller import Controller
+    from servolens.effects import Effect
+    from servolens.plant import Plant
+    from servolens.simulation.runs import Simulation
+
+__all__ = ["Trial", "closed_trial", "observed_trial"]
+
+PATIENCE, ONE_OF = 5.0, 4
+"""Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
+fast lag splits each sample."""
+OBSERVED = 1.0
+"""What the rule is told where a measurement corrects the axis; see :mod:`.digital`."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Samples under which plants are tried, and what the rule is told of each.
+
+    Attributes
+    ----------
+    inputs : Inputs
+        The samples.
+    settings : callable
+        Of a plant and the number of substeps: what :mod:`servolens.simulation.digital` names.
+    """
+
+    inputs: Inputs
+    settings: Callable[[Plant, int], Sequence[float]]
+
+    def simulated(self, plant: Plant, start: Sequence[float], substeps: int) -> Simulation:
+        """Return what `plant` does from initial position and velocity `start`.
+
+        Raises
+        ------
+        InputError
+            If the samples do not fit together.
+        NumericalError
+            If it diverges, or dry friction and contacts split its steps into more pieces than are granted.
+        """
+        return run_one(plant, self.inputs, self.settings(plant, substeps), start, substeps)
+
+    def measured(
+        self, plants: Sequence[Plant], starts: Sequence[Sequence[float]], substeps: int
+    ) -> NDArray[np.float64]:
+        """Return the measured positions of `plants`, shape (k, n); NaN where `simulated` raises a NumericalError."""
+        if not plants:
+            return np.empty((0, self.inputs.time.size))
+        structures = dict.fromkeys(plant.structure for plant in plants)
+        if len(structures) > 1:
+            found = np.empty((len(plants), self.inputs.time.size))
+            for structure in structures:
+                rows = [k for k, plant in enumerate(plants) if plant.structure == structure]
+                found[rows] = self.measured([plants[k] for k in rows], [starts[k] for k in rows], substeps)
+            return found
+        settings = [self.settings(plant, substeps) for plant in plants]
+        results, done = run_all(plants, self.inputs, settings, starts, substeps)
+        measured = results[:, 3]
+        measured[done < self.inputs.time.size] = np.nan
+        return measured
+
+
+def closed_trial(
+    controller: Controller,
+    time: NDArray[np.float64],
+    reference: NDArray[np.float64],
+    *,
+    feedforward: NDArray[np.float64] | None = None,
+    before: float | None = None,
+    limit: float | None = None,
+    patience: float = PATIENCE,
+) -> Trial:
+    """Return the trial of plants in a digital loop.
+
+    Parameters
+    ----------
+    controller, time, reference, feedforward, before, limit
+        As of :func:`servolens.simulation.simulate_loop`.
+    patience : float
+        Pieces into which a substep may be split on average.
+    """
+    period = sample_time_of(time)
+    loop = loop_settings(controller, period)
+
+    def settings(plant: Plant, substeps: int) -> list[float]:
+        granted = patience * time.size * max(substeps, ONE_OF)
+        law = law_settings(plant, controller, period, limit)
+        return [1.0, *loop, 0.0, granted, *known(before), *NO_OBSERVER, *law]
+
+    return Trial(Inputs(time, np.zeros(time.size) if feedforward is None else feedforward, reference), settings)
+
+
+def observed_trial(
+    time: NDArray[np.float64],
+    voltage: NDArray[np.float64],
+    position: NDArray[np.float64],
+    *,
+    gains: NDArray[np.float64] | None,
+    remembered: float = 0.0,
+    before: float | None = None,
+    coarse: float = 0.0,
+) -> Trial:
+    """Return the trial of plants that predict each sample of `position` from those before it, under a held `voltage`.
+
+    After each sample the axis is moved towards what was measured, by the `gains` times the difference; and so is an
+    acceleration that shakes it until the next. Without gains it is a simulation. What is measured are the predictions.
+
+    Parameters
+    ----------
+    time, voltage, before
+        As of :func:`servolens.simulation.simulate_voltage`.
+    position : ndarray, shape (n,)
+        As measured [m or rad].
+    gains : ndarray, shape (n, 3), or None
+        Of position [1], velocity [1/s] and shaking [1/s²] at each sample; a load and a filtered sensor are moved along.
+    remembered : float
+        Share of the shaking that is left a sample later.
+    coarse : float
+        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
+
+    Raises
+    ------
+    InputError
+        If the gains do not fit the samples.
+    """
+    if gains is not None and gains.shape != (time.size, 3):
+        raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
+    observer = (0.0 if gains is None else OBSERVED, coarse, remembered)
+
+    def settings(plant: Plant, substeps: int) -> list[float]:
+        granted = PATIENCE * time.size * max(substeps, ONE_OF)
+        return [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
+
+    return Trial(Inputs(time, voltage, position, gains), settings)
+
+
+@lru_cache(maxsize=1024)
+def _moved(structure: tuple[type[Effect], ...]) -> tuple[float, ...]:
+    """Return for each state, in the kernel's order, whether an observer moves it: with position 1, with velocity 2."""
+    from servolens.simulation.native import native
+
+    kinds = [(cls, state.name) for cls in structure for state in cls.states]
+    own = [
+        1.0 + ("position", "velocity").index(name) if issubclass(cls, Transmission) else float(issubclass(cls, Sensor))
+        for cls, name in kinds
+    ]
+    placed = [0.0] * len(own)
+    for value, place in zip(own, native(structure).order.tolist(), strict=True):
+        placed[place] = value
+    return tuple(placed)
