@@ -13,9 +13,9 @@ from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NEGLIGIBLE
 from servolens.identification.options import FitOptions
+from servolens.identification.restricted import beside_whole_noise
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import depends_on_inputs, is_shaking
-from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -119,7 +119,7 @@ def explained(
         found = None
     is_enough = found is not None and _is_enough(likelihood, found)
     if found is not None and is_enough:
-        found = _with_slow_noise(likelihood, found)
+        found = beside_whole_noise(likelihood, found)
         is_enough = not _outlasts(likelihood, found)
         if is_enough and found.noise.rate > 0.0:
             is_enough = is_shaking(likelihood, found)
@@ -157,18 +157,6 @@ def _outlasts(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     """Tell whether what an observer misses remembers longer than the observer does: then it is no mere shaking."""
     step = float(np.median([np.median(np.diff(signals.time)) for signals in likelihood.signals]))
     return hypothesis.noise.memory() * hypothesis.noise.rate * step > 1.0
-
-
-def _with_slow_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
-    """Return the hypothesis beside the noise model for error bars."""
-    runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
-    plants = [hypothesis.plant_of(i) for i in range(len(runs))]
-    missed = [
-        run.missed(plant, start, substeps_for(plant, run.sample_time))
-        for run, plant, start in zip(runs, plants, hypothesis.starts, strict=True)
-    ]
-    noise = hypothesis.noise.coloured(missed, [run.whiten for run in runs], for_errors=True)
-    return replace(hypothesis, noise=noise)
 
 
 def _is_enough(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:

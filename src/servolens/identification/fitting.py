@@ -13,10 +13,12 @@ from servolens.identification.error_problem import Known
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
+from servolens.identification.restricted import beside_whole_noise
 from servolens.identification.runs import ClosedRun, closed_runs
+from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
 from servolens.identification.smoothing import speed_of
-from servolens.identification.structure import is_shaking
+from servolens.identification.structure import depends_on_inputs, is_shaking
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -53,7 +55,8 @@ INERTIAS = (0.5, 2.0, 4.0, 8.0)
 class FinalFit:
     """Where the fit ended, the noise beside it, and the records with what was found of their beginning.
 
-    With it, whether the axis is shaken by what knows nothing of the inputs; then a simulation errs by more than noise.
+    With it, whether the axis is shaken by what knows nothing of the inputs: then a simulation errs by more than noise;
+    and whether what is left knows nothing of them, however much it is.
     """
 
     refinement: Refinement
@@ -61,6 +64,7 @@ class FinalFit:
     records: tuple[Record, ...]
     driven: Literal["closed_loop", "voltage"]
     is_shaken: bool = False
+    is_noise: bool = False
 
 
 def check_loops(records: Sequence[Record], options: FitOptions) -> None:
@@ -115,10 +119,12 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         likelihood = likelihood.on(records)
     if options.loss == "huber":
         return _robust(likelihood, best.plant, records)
+    best = beside_whole_noise(likelihood, best)
     noise = best.noise
     if options.driven == "voltage" and noise.spread > AT_NOISE * sensor_noise(records, options):
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
-    observed = FinalFit(_observed(likelihood, best.plant, noise, best.starts), noise, records, "voltage")
+    refined = _observed(likelihood, best.plant, noise, best.starts)
+    observed = FinalFit(refined, noise, records, "voltage", is_noise=_is_noise(likelihood, best, refined, options))
     if options.driven == "voltage" or best.noise.rate == 0.0 or not all(_can_close(record) for record in records):
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
@@ -129,6 +135,18 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return _closed(records, [h.plant for h in found], options)
     except NumericalError:
         return observed
+
+
+def _is_noise(likelihood: Likelihood, best: Hypothesis, refined: Refinement, options: FitOptions) -> bool:
+    """Tell whether what changes so slowly that no settled axis shows it is noise: it does not depend on the inputs."""
+    noise = best.noise
+    if noise.rate > 0.0 or not noise.order or noise.spread <= AT_NOISE * sensor_noise(likelihood.records, options):
+        return False
+    hypothesis = replace(best, plant=refined.plant, starts=refined.starts, local=refined.local)
+    try:
+        return not depends_on_inputs(ScoreTest(likelihood, hypothesis))
+    except (InputError, NumericalError):
+        return False
 
 
 def _observed(
@@ -215,12 +233,12 @@ def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
     return max(fast, resting_noise(records))
 
 
-def level_of(noise: NoiseModel, records: Sequence[Record], options: FitOptions) -> float:
+def level_of(found: FinalFit, records: Sequence[Record], options: FitOptions) -> float:
     """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise."""
-    shown = sensor_noise(records, options)
+    noise, shown = found.noise, sensor_noise(records, options)
     speeds = np.concatenate([speed_of(record.time, record.position) for record in records])
     modelled = float(np.hypot(noise.spread, noise.jitter * np.sqrt(np.mean(speeds**2))))
-    return modelled if options.loss == "huber" or modelled <= AT_NOISE * shown else shown
+    return modelled if options.loss == "huber" or found.is_noise or modelled <= AT_NOISE * shown else shown
 
 
 def simulation_error(found: FinalFit, options: FitOptions) -> float:

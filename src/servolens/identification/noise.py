@@ -86,6 +86,8 @@ class NoiseModel:
         Frequencies of the mains that the sensor shows, in each record with an amplitude and a phase of its own [Hz].
     is_fitted : bool
         Whether it was estimated from what a model leaves: then it whitens that.
+    is_whole : bool
+        Whether what the fit has followed of it is part of it; see :mod:`servolens.identification.restricted`.
     is_model_error : bool
         Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
     """
@@ -106,6 +108,7 @@ class NoiseModel:
     parameters: int = 0
     lines: tuple[float, ...] = ()
     is_fitted: bool = False
+    is_whole: bool = False
     is_model_error: bool = False
 
     @classmethod
@@ -189,8 +192,11 @@ class NoiseModel:
     def inflation(self, samples: int, unknowns: int) -> float:
         """Return by how much variances are larger than with a noise that is known: n/(n − p), n without its memory.
 
-        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold.
+        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold. Not of a noise
+        that is whole.
         """
+        if self.is_whole:
+            return 1.0
         return 1.0 / max(1.0 - unknowns * self.memory() / samples, 0.1)
 
     def estimated(
@@ -306,7 +312,9 @@ class Whitener:
         weighed = self.weighed(rows)
         if rows.size == 0:
             return weighed
-        if rows.ndim == 1:
+        if self._filter.size == 1:
+            white = np.asarray(weighed * self._filter)
+        elif rows.ndim == 1:
             white = np.convolve(weighed, self._filter)[: rows.size]
         else:
             from scipy.signal import lfilter

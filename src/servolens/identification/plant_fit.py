@@ -223,7 +223,7 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     check_loops(runs, asked)
     likelihood = likelihood_of(runs, bare, asked)
     found = final_fit(likelihood, Candidates(start, screen, likelihood, asked).found(), asked)
-    refined, level = found.refinement, level_of(found.noise, runs, asked)
+    refined, level = found.refinement, level_of(found, runs, asked)
     return Fit(
         model=model_of(refined, runs, asked.held),
         refinement=refined,

@@ -11,6 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
+from servolens.identification.restricted import parts_of
 from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, parted, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
@@ -53,17 +54,10 @@ class ScoreTest:
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
         problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
-        blocks = problem.differences(problem.at(hypothesis.starts, hypothesis.local))
+        parts = parts_of(problem, problem.at(hypothesis.starts, hypothesis.local))
         likelihood.count(problem.simulated)
-        self.residual = np.concatenate([r[: run.samples] for run, (r, _, _) in zip(self.runs, blocks, strict=True)])
-        width = sum(initial.shape[1] for _, _, initial in blocks)
-        own = np.zeros((self.residual.size, problem.free.size + width))
-        column = problem.free.size
-        for i, (_, jacobian, initial) in enumerate(blocks):
-            rows, samples = slice(self._ends[i], self._ends[i + 1]), self.runs[i].samples
-            own[rows, : problem.free.size] = jacobian[:samples]
-            own[rows, column : column + initial.shape[1]] = initial[:samples]
-            column += initial.shape[1]
+        self.residual = np.concatenate([part.left for part in parts])
+        own = np.concatenate([part.sensitivity for part in parts])
         sizes = np.linalg.norm(own, axis=0)
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["slow_filters"]
+__all__ = ["FREQUENCIES", "filters_of", "slow_filters"]
 
 SLOW_PARAMETERS = (2, 3)
 """Beside its size: time constant and share of white noise; two time constants and that share."""
@@ -51,7 +51,7 @@ def slow_filters(
     found = []
     for parameters in SLOW_PARAMETERS:
         place = bands.likeliest(power, parameters)
-        filters, scales = _filters(_spectra(place, np.linspace(0.0, np.pi, FREQUENCIES + 1))[0], most)
+        filters, scales = filters_of(_spectra(place, np.linspace(0.0, np.pi, FREQUENCIES + 1))[0], most)
         size = np.sqrt(_left(filters[-1], signals)) / scales[-1]
         found.append((parameters, filters, size * scales))
     return found
@@ -129,7 +129,7 @@ def _spectra(grid: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDA
     return np.asarray(found + np.exp(grid[:, -1:]))
 
 
-def _filters(spectrum: NDArray[np.float64], most: int) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
+def filters_of(spectrum: NDArray[np.float64], most: int) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
     """Return the prediction-error filters of order 0 … `most`, and what each leaves (Levinson 1946)."""
     covariance = np.fft.irfft(spectrum)[: most + 1]
     filters, powers = [np.ones(1)], [float(covariance[0])]

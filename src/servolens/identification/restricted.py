@@ -1,0 +1,191 @@
+"""Slow noise beside white noise, as the residual of a fit shows it: the fit has followed a part of it.
+
+What parameters and initial states have taken up of slow noise is missing from the residual: a spectrum that is read
+off it is too small at low frequencies, where a model's motion is, and so are error bars beside it. The restricted
+likelihood knows what they can take up (Patterson and Thompson 1971, doi:10.1093/biomet/58.3.545; Harville 1977,
+doi:10.2307/2286796). Few time constants of the noise fit into a record, so that many spectra are about as likely. The
+variance of an estimate is linear in the spectrum: its mean over all of them gives the mean variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servolens.identification.error_problem import Problem
+from servolens.identification.noise import MOST_ORDER, NoiseModel
+from servolens.identification.slow_noise import FREQUENCIES, filters_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.identification.error_problem import Point
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
+
+__all__ = ["Part", "beside_whole_noise", "mean_spectrum", "parts_of", "restricted_misfit"]
+
+LONGEST, TIMES = 2000.0, 14
+"""Longest time constant of slow noise [samples], and how many are compared."""
+RATIOS, ROUNDS = np.geomspace(1e-2, 1e4, 7), 4
+"""Ratios of the variances of white noise and of what drives the slow one, to begin with; times that the step between
+them is halved about the likeliest."""
+SLOW = 2
+"""Parameters of that noise beside its size."""
+
+
+class Part(NamedTuple):
+    """Of one record what a fit has left, shape (n,), and how that answers to parameters and initial state, (n, p)."""
+
+    left: NDArray[np.float64]
+    sensitivity: NDArray[np.float64]
+
+
+def beside_whole_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
+    """Return the hypothesis beside the noise for error bars: of slow noise, what the fit has followed is part of it."""
+    if likelihood.simulates or hypothesis.noise.is_model_error:  # what a model lacks is no noise
+        return hypothesis
+    found = likelihood.whitened_well(hypothesis)
+    noise = found.noise
+    if noise.is_observed or noise.order == 0:
+        return found
+    white = replace(NoiseModel.white(1.0), lines=noise.lines)
+    problem = Problem(
+        found.plant, likelihood.runs(white, unpowered=found.unpowered), likelihood.options(found.plant), None
+    )
+    parts = parts_of(problem, problem.at(found.starts, found.local))
+    spectrum, slow = mean_spectrum(parts, FREQUENCIES + 1)
+    whiteners = [run.whiten for run in likelihood.runs(noise)]
+    whitened = [Part(w(p.left), w(p.sensitivity)) for w, p in zip(whiteners, parts, strict=True)]
+    filtered = restricted_misfit(whitened, sum(w.log_determinant for w in whiteners)) + 2.0 * noise.parameters
+    if noise.parameters != SLOW and filtered < slow + 2.0 * SLOW:
+        return found
+    filters, scales = filters_of(spectrum, MOST_ORDER)
+    spread = float(np.sqrt(np.mean(spectrum)))
+    whole = replace(noise, filters=filters, scales=scales, parameters=SLOW, spread=spread, is_whole=True)
+    return replace(found, noise=whole)
+
+
+def parts_of(problem: Problem, point: Point) -> list[Part]:
+    """Return what `problem` leaves of each run at `point`, as far as it is compared with measurements.
+
+    The columns of the sensitivity are the parameters, then the initial states of all runs.
+    """
+    sets = problem.differences(point)
+    states = np.cumsum([0, *(initial.shape[1] for _, _, initial in sets)])
+    parts = []
+    for i, (run, (residual, jacobian, initial)) in enumerate(zip(problem.runs, sets, strict=True)):
+        own = np.zeros((run.samples, states[-1]))
+        own[:, states[i] : states[i + 1]] = initial[: run.samples]
+        parts.append(Part(residual[: run.samples], np.hstack([jacobian[: run.samples], own])))
+    return parts
+
+
+def mean_spectrum(parts: Sequence[Part], frequencies: int) -> tuple[NDArray[np.float64], float]:
+    """Return the mean spectrum of the noise at even frequencies up to half, shape (m,), and the least of all misfits.
+
+    In variance a sample. Noise of one time constant beside white noise, their ratio the likeliest of each. Beforehand
+    a time constant is as likely as the reference prior of a first-order process has it (Berger and Yang 1994,
+    doi:10.1017/S0266466600008690).
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        One of each record.
+    frequencies : int
+        How many.
+    """
+    times = np.geomspace(1.0, LONGEST, TIMES)
+    poles = np.exp(-1.0 / times)
+    ratios, misfits, sizes = _likeliest_ratios(poles, parts)
+    weights = np.exp(-0.5 * (misfits - misfits.min())) / np.sqrt(times)
+    weights *= sizes / weights.sum()
+    cosine = np.cos(np.linspace(0.0, np.pi, frequencies))
+    slow = 1.0 / (1.0 + poles[:, None] ** 2 - 2.0 * poles[:, None] * cosine)
+    return np.asarray(weights @ (slow + ratios[:, None])), float(misfits.min())
+
+
+def restricted_misfit(parts: Sequence[Part], determinant: float) -> float:
+    """Return −2 restricted log-likelihood of `parts` that a filter has whitened up to their size.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Whitened.
+    determinant : float
+        Of the filter: −2 log of its Jacobian.
+    """
+    rows = [np.column_stack([part.left, part.sensitivity]) for part in parts]
+    squares = sum(one.T @ one for one in rows)
+    misfits, _ = _restricted(np.asarray(squares)[None], np.array([determinant]), sum(map(len, rows)))
+    return float(misfits[0])
+
+
+def _likeliest_ratios(poles: NDArray[np.float64], parts: Sequence[Part]) -> tuple[NDArray[np.float64], ...]:
+    """Return for each of the `poles` the likeliest ratio, the misfit there, and the size of the noise."""
+    ratios, step = np.broadcast_to(RATIOS, (poles.size, RATIOS.size)), float(RATIOS[1] / RATIOS[0])
+    for _ in range(ROUNDS + 1):
+        shape = ratios.shape
+        found = _compared(np.repeat(poles, shape[1]), ratios.ravel(), parts)
+        misfits, sizes = (one.reshape(shape) for one in found)
+        best = np.arange(poles.size), np.argmin(misfits, axis=1)
+        step = float(np.sqrt(step))
+        likeliest = ratios[best]
+        ratios = likeliest[:, None] * np.array([1.0 / step, 1.0, step])
+    return likeliest, misfits[best], sizes[best]
+
+
+def _compared(
+    poles: NDArray[np.float64], ratios: NDArray[np.float64], parts: Sequence[Part]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return −2 restricted log-likelihood of the parts beside each noise, and its size."""
+    rows = [np.column_stack([part.left, part.sensitivity]) for part in parts]
+    squares, determinants = [], []
+    for pole, ratio in zip(poles, ratios, strict=True):
+        found = [_squares(float(pole), float(ratio), one) for one in rows]
+        squares.append(np.sum([one for one, _ in found], axis=0))
+        determinants.append(sum(determinant for _, determinant in found))
+    return _restricted(np.array(squares), np.array(determinants), sum(map(len, rows)))
+
+
+def _squares(pole: float, ratio: float, rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """Return the products of `rows`, shape (n, k), as white as this noise makes them, and the log of its determinant.
+
+    By the steady Kalman filter of the slow noise. That this is stationary before the first sample, and so less known
+    than later, is a random start of it.
+    """
+    from scipy.signal import lfilter
+
+    b = ratio * (1.0 - pole**2) - 1.0
+    variance = 0.5 * (np.sqrt(b**2 + 4.0 * ratio) - b)
+    expected = variance + ratio
+    forgets = pole * ratio / expected
+    white = lfilter([1.0, -pole], [1.0, -forgets], rows, axis=0) / np.sqrt(expected)
+    start = forgets ** np.arange(rows.shape[0]) / np.sqrt(expected)
+    seen, more = float(start @ start), max(1.0 / (1.0 - pole**2) - variance, 0.0)
+    along = start @ white
+    squares = white.T @ white - np.outer(along, along) * (more / (1.0 + more * seen))
+    return squares, rows.shape[0] * float(np.log(expected)) + float(np.log1p(more * seen))
+
+
+def _restricted(
+    squares: NDArray[np.float64], determinants: NDArray[np.float64], samples: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return −2 restricted log-likelihood, and the size of the noise, of sums of squares, shape (k, 1 + p, 1 + p)."""
+    inner, along = squares[:, 1:, 1:], squares[:, 1:, 0]
+    scale = np.sqrt(np.einsum("kii->ki", inner))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(inner / scale[:, :, None] / scale[:, None, :])
+    seen = values > 1e-12 * values[:, -1:]
+    moved = np.einsum("kij,ki->kj", vectors, along / scale)
+    explained = np.sum(np.where(seen, moved**2 / np.maximum(values, 1e-300), 0.0), axis=1)
+    left = np.maximum(squares[:, 0, 0] - explained, 1e-300)
+    freedom = samples - np.sum(seen, axis=1)
+    information = np.sum(np.where(seen, np.log(np.maximum(values, 1e-300)), 0.0), axis=1) + 2.0 * np.sum(
+        np.log(scale), axis=1
+    )
+    return freedom * np.log(left / freedom) + determinants + information, left / freedom

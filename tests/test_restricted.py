@@ -1,0 +1,120 @@
+"""Slow noise of which a fit has followed a part: its restricted likelihood against dense matrices, its intervals."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from servolens import fit, identify, lab
+from servolens.identification.restricted import Part, mean_spectrum, restricted_misfit
+
+SLOW_SENSOR = lab.Setup(
+    surroundings=lab.Surroundings(noise=lab.SensorNoise(deviation=1e-5, autoregression=(0.99,))),
+)
+
+
+def covariance_of(pole, ratio, n):
+    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    return pole**lags / (1.0 - pole**2) + ratio * np.eye(n)
+
+
+def dense_misfit(pole, ratio, part):
+    """Return −2 restricted log-likelihood from the covariance itself, its size the likeliest (Harville 1977)."""
+    n, p = part.sensitivity.shape
+    inverse = np.linalg.inv(covariance_of(pole, ratio, n))
+    information = part.sensitivity.T @ inverse @ part.sensitivity
+    projected = inverse - inverse @ part.sensitivity @ np.linalg.solve(information, part.sensitivity.T @ inverse)
+    left = part.left @ projected @ part.left
+    return (n - p) * np.log(left / (n - p)) - np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(information)[1]
+
+
+def slow_part(seed, n=300, pole=0.98, white=1.0):
+    stream = np.random.default_rng(seed)
+    factor = np.linalg.cholesky(covariance_of(pole, white, n))
+    t = np.linspace(-1.0, 1.0, n)
+    columns = np.column_stack([np.ones(n), t, t**2, t**3])
+    noise = factor @ stream.standard_normal(n)
+    return Part(noise - columns @ np.linalg.lstsq(columns, noise, rcond=None)[0], columns)
+
+
+def test_restricted_likelihood_is_that_of_the_covariance():
+    part = slow_part(0)
+    pole, ratio = 0.95, 3.0
+    factor = np.linalg.cholesky(covariance_of(pole, ratio, part.left.size))
+    white = Part(np.linalg.solve(factor, part.left), np.linalg.solve(factor, part.sensitivity))
+    found = restricted_misfit([white], 2.0 * float(np.sum(np.log(np.diag(factor)))))
+    assert found == pytest.approx(dense_misfit(pole, ratio, part), abs=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_likeliest_slow_noise_is_the_best_of_the_dense_likelihood(seed):
+    part = slow_part(seed)
+    _, found = mean_spectrum([part], 65)
+    at = lambda x: dense_misfit(np.exp(-np.exp(-x[0])), np.exp(x[1]), part)  # noqa: E731
+    best = min(minimize(at, start, method="Nelder-Mead").fun for start in ([3.0, 0.0], [5.0, 1.0]))
+    assert best - 1e-6 <= found <= best + 0.5  # time constants are compared on a grid
+
+
+def test_parts_of_several_records_count_together():
+    one, other = slow_part(1), slow_part(2)
+    nothing = np.zeros_like(one.sensitivity)
+    apart = [
+        Part(one.left, np.hstack([one.sensitivity, nothing])),
+        Part(other.left, np.hstack([nothing, other.sensitivity])),
+    ]
+    both = Part(
+        np.concatenate([one.left, other.left]),
+        np.vstack([part.sensitivity for part in apart]),
+    )
+    factor = np.linalg.cholesky(covariance_of(0.9, 2.0, one.left.size))
+    white = [Part(np.linalg.solve(factor, p.left), np.linalg.solve(factor, p.sensitivity)) for p in apart]
+    determinant = 4.0 * float(np.sum(np.log(np.diag(factor))))
+    whole = np.kron(np.eye(2), factor)
+    joined = Part(np.linalg.solve(whole, both.left), np.linalg.solve(whole, both.sensitivity))
+    assert restricted_misfit(white, determinant) == pytest.approx(restricted_misfit([joined], determinant), abs=1e-8)
+    assert mean_spectrum(apart, 65)[1] < restricted_misfit(white, determinant)
+
+
+def test_variance_of_estimates_is_not_understated_on_average():
+    frequencies, n = 4097, 300
+    truth = covariance_of(0.98, 1.0, n)
+    ratios, naive = [], []
+    for seed in range(30):
+        part = slow_part(100 + seed, n)
+        weights = np.linalg.pinv(part.sensitivity)[3]  # with which noise enters the estimate of the cubic term
+        spectrum, _ = mean_spectrum([part], frequencies)
+        lags = np.fft.irfft(spectrum)[:n]
+        modelled = lags[np.abs(np.subtract.outer(np.arange(n), np.arange(n)))]
+        ratios.append(weights @ modelled @ weights / (weights @ truth @ weights))
+        shown = np.correlate(part.left, part.left, "full")[n - 1 :] / n
+        naive.append(
+            weights
+            @ shown[np.abs(np.subtract.outer(np.arange(n), np.arange(n)))]
+            @ weights
+            / (weights @ truth @ weights)
+        )
+    assert 0.8 < np.median(ratios) < 2.0
+    assert np.median(naive) < 0.5  # what the residual shows by itself
+
+
+def test_intervals_of_the_velocity_law_hold_in_slow_noise():
+    deviations = []
+    for seed in range(720_000, 720_012):
+        record = lab.step_record(lab.NLM3, 100.0, seed=seed, setup=SLOW_SENSOR)
+        quantities = identify(record, model="velocity").velocity.quantities
+        truth = {"gain": lab.NLM3.gain, "damping": lab.NLM3.damping}
+        law = lab.NLM3.effects["velocity_decay_damping"]
+        truth |= {f"velocity_decay_damping.{name}": value for name, value in law.items()}
+        deviations += [(quantities[name].value - value) / quantities[name].stderr for name, value in truth.items()]
+    assert np.sqrt(np.mean(np.square(deviations))) < 1.35  # 1.6 where the fit is taken to have followed no noise
+    assert np.mean(np.abs(deviations) < 1.96) > 0.85
+
+
+def test_slow_noise_is_not_said_to_be_unexplained_by_the_model():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 0.2}})
+    for seed in range(720_100, 720_103):
+        records = [lab.step_record(axis, kp, seed=seed + kp, setup=SLOW_SENSOR) for kp in (40, 100)]
+        found = fit("constant_force", records)
+        assert "above_noise" not in {finding.code for finding in found.findings}
+        assert found.at_noise
+    wrong = fit("constant_force", [lab.step_record(lab.NLM3, 100.0, seed=720_200, setup=SLOW_SENSOR)])
+    assert "above_noise" in {finding.code for finding in wrong.findings}
