@@ -106,7 +106,10 @@ class Batch:
 
 
 def campaign(truth: lab.Truth, steps: Sequence[Step], world: str, seed: int) -> tuple[Record, ...]:
-    """Return the records of one repetition; in the repeated world each run is there several times."""
+    """Return the records of one repetition; in the repeated world each run is there several times.
+
+    Each run begins anywhere within a step of the encoder, as no axis knows where its encoder's steps are.
+    """
     around = CASES.get(world) or lab.surroundings(
         world,
         seed,
@@ -114,6 +117,7 @@ def campaign(truth: lab.Truth, steps: Sequence[Step], world: str, seed: int) -> 
         damping=truth.damping + truth.gain * steps[0].kd,
     )
     streams = iter(np.random.default_rng(seed).spawn(len(steps) * around.repeats))
+    places = iter(np.random.default_rng((seed, 1)).uniform(-0.5, 0.5, len(steps) * around.repeats))
     return tuple(
         lab.step_record(
             truth,
@@ -122,7 +126,11 @@ def campaign(truth: lab.Truth, steps: Sequence[Step], world: str, seed: int) -> 
             reference=step.levels,
             duration=step.each,
             seed=next(streams),
-            setup=lab.Setup(surroundings=around, name=f"kp {step.kp:g}, kd {step.kd:g}, run {repeat + 1}"),
+            setup=lab.Setup(
+                surroundings=around,
+                name=f"kp {step.kp:g}, kd {step.kd:g}, run {repeat + 1}",
+                start=next(places) * (around.encoder or 0.0),
+            ),
         )
         for step in steps
         for repeat in range(around.repeats)
