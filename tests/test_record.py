@@ -202,3 +202,11 @@ def test_steps_of_a_staircase_are_steps_however_long_the_record():
     time = 2e-3 * np.arange(reference.size)
     made = Record(time=time, position=0.0 * time, reference=reference, controller=Controller(kp=1.0))
     assert made.largest_step == pytest.approx(0.02)
+
+
+def test_loop_is_known_with_reference_and_gains():
+    t = np.arange(20) * 1e-3
+    whole = Record(time=t, position=0.0 * t, reference=0.0 * t + 0.1, controller=Controller(kp=60.0), voltage=0.0 * t)
+    assert whole.has_loop
+    assert not whole.with_({"controller": None}).has_loop
+    assert not whole.with_({"reference": None}).has_loop

@@ -189,7 +189,7 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     InputError, NumericalError
         As :func:`servolens.simulation.simulate`.
     """
-    if record.reference is not None and record.controller is not None:
+    if record.has_loop:
         return _difference(plant, record)
     from scipy.signal import savgol_filter
 

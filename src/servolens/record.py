@@ -156,6 +156,11 @@ class Record:
         return float(self.time[-1] - self.time[0])
 
     @property
+    def has_loop(self) -> bool:
+        """Whether reference and controller are known, so that the loop can be simulated."""
+        return self.reference is not None and self.controller is not None
+
+    @property
     def step_size(self) -> float:
         """Size of the step [m or rad]: max(r, y₀) − min(r, y₀), or the position's range without a reference.
 

@@ -175,7 +175,7 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
                     failed[record.name] = f"{error}"
     if not errors:
         raise NumericalError(next(iter(failed.values())))
-    driven = [record.name for record in records if record.reference is None or record.controller is None]
+    driven = [record.name for record in records if not record.has_loop]
     lost = [Finding(code="not_simulated", severity="error", message=f"{m}.", record=n) for n, m in failed.items()]
     findings = together(quality_findings(records), _voltage_driven(driven), lost)
     prediction = Prediction(

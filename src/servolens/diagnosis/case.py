@@ -199,7 +199,7 @@ class Case:
         noise = hypothesis.noise
         if noise.rate == 0.0 and noise.spread <= noise.least:
             return False
-        closed = all(record.reference is not None and record.controller is not None for record in self.records)
+        closed = all(record.has_loop for record in self.records)
         is_rough = noise.rate > 0.0 or dominates(noise)
         asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis
         try:
@@ -230,7 +230,7 @@ class Case:
         [m or rad]. The loop hands the noise on to the motor, and where a dead zone, dry friction or a play acts it
         moves the axis otherwise than without. Only of a model that leaves nothing else is the noise known; else 0.
         """
-        closed = all(record.reference is not None and record.controller is not None for record in self.records)
+        closed = all(record.has_loop for record in self.records)
         if not hypothesis.causes or not closed or not self.is_enough(hypothesis):
             return 0.0
         return _once(self._loop_noise, hypothesis, self._noise_in_loop)

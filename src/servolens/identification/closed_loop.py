@@ -109,7 +109,7 @@ def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white
     white : NoiseModel
         The sensor's noise, to begin with.
     """
-    if any(record.reference is None or record.controller is None for record in records):
+    if not all(record.has_loop for record in records):
         return None
     noise = white
     try:

@@ -78,7 +78,7 @@ def check_loops(records: Sequence[Record], options: FitOptions) -> None:
     if options.driven != "closed_loop" and options.compared != "voltage":
         return
     for record in records:
-        if not _can_close(record):
+        if not record.has_loop:
             raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
     closed_runs(records, options)
 
@@ -125,7 +125,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
     refined = _observed(likelihood, best.plant, noise, best.starts)
     observed = FinalFit(refined, noise, records, "voltage", is_noise=_is_noise(likelihood, best, refined, options))
-    if options.driven == "voltage" or best.noise.rate == 0.0 or not all(_can_close(record) for record in records):
+    if options.driven == "voltage" or best.noise.rate == 0.0 or not all(record.has_loop for record in records):
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
         return observed
@@ -248,7 +248,7 @@ def simulation_error(found: FinalFit, options: FitOptions) -> float:
         found.driven == "closed_loop"
         or found.is_shaken
         or found.noise.rate == 0.0
-        or not all(_can_close(record) for record in found.records)
+        or not all(record.has_loop for record in found.records)
     ):
         return refined.rms_error
     runs = closed_runs(found.records, replace(options, compared="position"))
@@ -261,7 +261,3 @@ def simulation_error(found: FinalFit, options: FitOptions) -> float:
     except NumericalError:
         return float(np.inf)
     return max(refined.rms_error, float(np.sqrt(np.mean(np.concatenate(missed) ** 2))))
-
-
-def _can_close(record: Record) -> bool:
-    return record.reference is not None and record.controller is not None

@@ -56,7 +56,7 @@ def instruments(test: ScoreTest) -> Iterator[NDArray[np.float64]]:
     """
     motions = [noise_free(test, i) for i in range(len(test.runs))]
     records = [run.signals.record for run in test.runs]
-    closed = all(record.reference is not None and record.controller is not None for record in records)
+    closed = all(record.has_loop for record in records)
     # without a reference the motion is a measured one, and so are its products with the noise
     forces = _pushed(test, forces_along(motions, with_products=closed))
     if not forces.shape[1]:
@@ -141,7 +141,7 @@ def noise_free(test: ScoreTest, i: int) -> Motion:
     """Return position, velocity and voltage that know nothing of the noise, on the grid that is simulated."""
     signals, record = test.runs[i].signals, test.runs[i].signals.record
     run = None
-    if record.reference is not None and record.controller is not None:
+    if record.has_loop:
         with suppress(ServolensError):
             run = simulate(test.hypothesis.plant_of(i), record)
     if run is None:

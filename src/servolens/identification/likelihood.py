@@ -142,9 +142,7 @@ class Likelihood:
         found: list[ObservedRun | SimulatedRun] = []
         for i, signals in enumerate(self.signals):
             record = signals.record
-            kind = (
-                SimulatedRun if self.simulates and record.reference is not None and record.controller else ObservedRun
-            )
+            kind = SimulatedRun if self.simulates and record.has_loop else ObservedRun
             found.append(kind(signals, i, noise, unpowered=unpowered and signals.may_be_unpowered))
         return found
 
@@ -366,7 +364,7 @@ class Likelihood:
         first = replace(self.white, gain=plants[0].gain, damping=max(plants[0].damping, 0.0))
         trials = NoiseTrials(self, plants, starts, like, unpowered=unpowered)
         if self.simulates:
-            closed = all(s.record.reference is not None and s.record.controller for s in self.signals)
+            closed = all(s.record.has_loop for s in self.signals)
             trials.look(first if closed else trials.shaken(first, SLOW_RATE))
         else:
             trials.search(first, () if is_screened else self._rates)

@@ -107,15 +107,10 @@ def parted(run: ObservedRun | SimulatedRun, drawn: NDArray[np.float64]) -> tuple
 
     As large as a further draw is about that mean. Without a loop that is simulated the mean is 0: steps lie anywhere.
     """
-    if not _is_closed(run):
+    if not run.signals.record.has_loop:
         return np.zeros(drawn.shape[0]), drawn
     mean, count = np.mean(drawn, axis=1), drawn.shape[1]
     return mean, (drawn - mean[:, None]) * np.sqrt((count + 1.0) / (count - 1.0))
-
-
-def _is_closed(run: ObservedRun | SimulatedRun) -> bool:
-    record = run.signals.record
-    return record.reference is not None and record.controller is not None
 
 
 def _own_spectrum(
@@ -176,7 +171,7 @@ def _drawn(
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
-    closed = _is_closed(run)
+    closed = run.signals.record.has_loop
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 

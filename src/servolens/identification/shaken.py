@@ -73,7 +73,7 @@ def _measured(
     plant: Plant, record: Record, error: NDArray[np.float64], shake: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and applied voltage of a shaken axis as its log would hold them."""
-    if record.reference is not None and record.controller is not None:
+    if record.has_loop:
         loop = replace(record, encoder_resolution=None)  # whose rounding is part of the error
         moved = simulate(plant, loop, acceleration=shake, sensor_error=error)
         return moved.measured, applied_voltage(replace(record, voltage=moved.voltage))

@@ -75,7 +75,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
         return False
     shown = [run.shown(plant) for run, plant in zip(simulated, plants, strict=True)]
     errors = [seen - record.position for seen, record in zip(shown, likelihood.records, strict=True)]
-    if any(record.reference is None or record.controller is None for record in likelihood.records):
+    if not all(record.has_loop for record in likelihood.records):
         most = float(np.hypot(likelihood.white.spread, MATERIAL * likelihood.travel))
         return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) <= most
     return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise

@@ -71,7 +71,7 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
     left, refined = _by_likelihood(start, used, options)
     depends = _depends_on_speed(refined)
     findings = [] if is_all else [_shortened(used)]
-    steps = () if left.is_enough or not all(_is_closed(s.record) for s in used) else _first_steps(_records_of(used))
+    steps = () if left.is_enough or not all(s.record.has_loop for s in used) else _first_steps(_records_of(used))
     if steps:
         refined = _in_closed_loop((constant, start, refined.plant), used, steps, options)
     elif not depends:
@@ -120,10 +120,6 @@ def _depends_on_speed(refined: Refinement) -> bool:
     index = list(refined.plant.parameters).index(SIZE)
     spread = np.nan_to_num(np.sqrt(refined.covariance[index, index]))  # none of what is fixed
     return bool(refined.plant.values[index] > SIGNIFICANT * spread)
-
-
-def _is_closed(record: Record) -> bool:
-    return record.reference is not None and record.controller is not None
 
 
 def _records_of(segments: Sequence[Segment]) -> tuple[Record, ...]:

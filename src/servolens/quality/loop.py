@@ -132,7 +132,7 @@ def _count_at_limit(voltage: NDArray[np.float64], missed: NDArray[np.float64], l
 
 def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     """Yield findings about voltage and controller."""
-    if record.controller is not None and record.reference is not None:
+    if record.has_loop:
         try:
             controller_voltage(record)
         except InputError as error:

@@ -80,7 +80,7 @@ def simulate(
         If the simulation of the axis diverges.
     """
     plant, record = as_plant(plant), as_record(record, settings)
-    can_close = record.reference is not None and record.controller is not None
+    can_close = record.has_loop
     driven = not can_close if voltage_driven is None else voltage_driven
     if driven and record.voltage is None:
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")

@@ -40,7 +40,7 @@ def _design(design: Design) -> Summary:
 
 def _prediction(prediction: Prediction) -> Summary:
     unit = prediction.records[0].length_unit if prediction.records else "m"
-    driven = [one.name for one in prediction.records if one.reference is None or one.controller is None]
+    driven = [one.name for one in prediction.records if not one.has_loop]
     return prediction_summary(prediction, voltage_driven=driven, length_unit=unit)
 
 
