@@ -35,6 +35,7 @@ from servolens.record import Controller
 from servolens.simulation import simulate_loop
 from servolens.simulation.native import WORK_THAT_PAYS, native
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.settings import NO_LAW, NO_OBSERVER, known, loop_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -142,10 +143,11 @@ def _against_c(grid: NDArray[np.float64], levels: NDArray[np.float64], fine: Rec
         return []
     substeps, n = substeps_for(CART, PERIOD), grid.size
     mine, theirs = [np.empty((3, n)), np.empty(n)], [np.empty(n) for _ in range(4)]
-    settings = np.array([1.0, KP, KD, 1.0, 1.0, 0.0, 0.0, 1.0, PERIOD, *[0.0] * 4])
+    law = [*loop_settings(LOOP, PERIOD), 0.0, 0.0, *known(None), *NO_OBSERVER, *NO_LAW]
+    settings, corrections = np.array([1.0, *law]), np.zeros(3)
     start, held, numbers = np.zeros(2), np.zeros(n), np.array(CART.values)
     compiled, done, delay = native(CART.structure, work=WORK_THAT_PAYS).runs, ctypes.c_int64(), ctypes.c_double()
-    given = (grid, held, levels, settings, start, numbers, *mine)
+    given = (grid, held, levels, settings, start, numbers, corrections, *mine)
     places = (ctypes.c_int64 * len(given))(*(array.ctypes.data for array in given))
     own = (1, n, substeps, *(ctypes.addressof(one) for one in (delay, places, done)))
     with tempfile.TemporaryDirectory() as folder:

@@ -47,10 +47,17 @@ def test_restricted_likelihood_is_that_of_the_covariance():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_likeliest_slow_noise_is_the_best_of_the_dense_likelihood(seed):
-    part = slow_part(seed)
+    part = slow_part(seed, n=120)
     _, found = mean_spectrum([part], 65)
-    at = lambda x: dense_misfit(np.exp(-np.exp(-x[0])), np.exp(x[1]), part)  # noqa: E731
-    best = min(minimize(at, start, method="Nelder-Mead").fun for start in ([3.0, 0.0], [5.0, 1.0]))
+    best = min(
+        minimize(
+            lambda x: dense_misfit(np.exp(-np.exp(-x[0])), np.exp(x[1]), part),
+            start,
+            method="Nelder-Mead",
+            bounds=[(0.0, np.log(2000.0)), (np.log(1e-2), np.log(1e4))],
+        ).fun
+        for start in ([3.0, 0.0], [5.0, 1.0])
+    )
     assert best - 1e-6 <= found <= best + 0.5  # time constants are compared on a grid
 
 
@@ -118,3 +125,35 @@ def test_slow_noise_is_not_said_to_be_unexplained_by_the_model():
         assert found.at_noise
     wrong = fit("constant_force", [lab.step_record(lab.NLM3, 100.0, seed=720_200, setup=SLOW_SENSOR)])
     assert "above_noise" in {finding.code for finding in wrong.findings}
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes"),
+    [
+        ("backlash", {"gap": 3e-4, "load_share": 0.3}),
+        ("flexible_coupling", {"frequency": 60.0, "damping_ratio": 0.02, "load_ratio": 0.5}),
+    ],
+)
+def test_what_rings_is_no_slow_noise(effect, sizes):
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={effect: sizes})
+    found = fit((), [lab.step_record(axis, kp, seed=720_300 + kp) for kp in (40, 100)])
+    assert "above_noise" in {finding.code for finding in found.findings}
+
+
+def test_fit_driven_by_the_voltage_keeps_the_colour_of_slow_noise():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 0.2}})
+    truth = {"gain": 1.9, "damping": 6.0, "constant_force.acceleration": 0.2}
+    deviations = []
+    for seed in range(720_400, 720_406):
+        records = [lab.step_record(axis, kp, seed=seed + 1000 * kp, setup=SLOW_SENSOR) for kp in (40, 100)]
+        quantities = fit("constant_force", records, driven="voltage").quantities
+        deviations += [(quantities[name].value - value) / quantities[name].stderr for name, value in truth.items()]
+    assert np.sqrt(np.mean(np.square(deviations))) < 2.0  # 30 beside white noise
+
+
+def test_filter_that_suits_the_noise_better_than_slow_noise_is_kept():
+    quick = lab.SensorNoise(deviation=1e-5, autoregression=(-0.7,))
+    setup = lab.Setup(surroundings=lab.Surroundings(noise=quick, encoder=1e-7))
+    axis = lab.Truth(gain=1.9, damping=6.0)
+    noise = fit((), [lab.step_record(axis, kp, seed=720_500 + kp, setup=setup) for kp in (40, 100)]).noise_model
+    assert noise.innovation == pytest.approx(1e-5 * np.sqrt(1.0 - 0.7**2), rel=0.1)

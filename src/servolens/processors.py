@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache, wraps
 from threading import local
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
@@ -36,7 +36,9 @@ def in_parallel(function: Callable[[Job], Result], jobs: Iterable[Job], workers:
     threads = 1 if getattr(_WORKING, "is_busy", False) else min(workers or _allowed(), len(jobs))
     if threads <= 1:
         return [function(job) for job in jobs]
-    return list(_pool(workers or _allowed()).map(function, jobs))
+    started = [_pool(workers or _allowed()).submit(function, job) for job in jobs]
+    wait(started)  # none goes on where another one fails
+    return [one.result() for one in started]
 
 
 @cache

@@ -24,7 +24,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.fitted import fitted
 from servolens.identification.options import as_priors
-from servolens.identification.restricted import beside_whole_noise
+from servolens.identification.restricted import counting_followed
 from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
@@ -120,7 +120,7 @@ def _diagnosed(
     decision = decided(case, EFFORT[effort], tell)
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("Comparing errors with and without the causes", 90, 100)
-    whole = [beside_whole_noise(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
+    whole = [counting_followed(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
     fits = [fitted(case.likelihood, h, EFFORT[effort].work) for h in whole]
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]

@@ -11,6 +11,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
 from servolens.identification.phases import own_phases, round_the_circle
+from servolens.identification.runs import one_by_one
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
@@ -33,7 +34,7 @@ UNSTABLE = "the plant to start from cannot be simulated on these records: its lo
 MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
-"""Substeps of all simulations of one linearisation from which on they are shared among threads."""
+"""Substeps of all simulations of one linearisation from which on the runs are shared among threads."""
 UNFELT = 1e-4
 """Of an initial position's effect, the share up to which a velocity has none: an axis that sticks loses it at once."""
 
@@ -344,14 +345,18 @@ class Problem:
                 if trials[k][0] == i:
                     with suppress(InputError):
                         plants[k] = self.plant_at(trial.values, i)
-            jobs.append((i, [*plants], [*plants.values()]))
+            if plants:
+                jobs.append((i, [*plants], [*plants.values()]))
 
         def several(job: tuple[int, list[int], list[Plant]]) -> None:
             i, those, plants = job
-            with suppress(InputError, NumericalError):
-                rows = self.runs[i].residuals(plants, [trials[k][1].start for k in those], self.substeps[i])
-                for k, row in zip(those, rows, strict=True):
-                    found[k] = row if np.isfinite(row).all() else None
+            starts = [trials[k][1].start for k in those]
+            try:
+                rows = self.runs[i].residuals(plants, starts, self.substeps[i])
+            except InputError:  # one of the plants does not go with the record
+                rows = one_by_one(self.runs[i], plants, starts, self.substeps[i])
+            for k, row in zip(those, rows, strict=True):
+                found[k] = row if np.isfinite(row).all() else None
 
         work = sum(self.runs[i].samples * self.substeps[i] for i, _ in trials)
         self.simulated += work

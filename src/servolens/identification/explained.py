@@ -13,7 +13,7 @@ from servolens.identification.fitted import fitted
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NEGLIGIBLE
 from servolens.identification.options import FitOptions
-from servolens.identification.restricted import beside_whole_noise
+from servolens.identification.restricted import counting_followed
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import depends_on_inputs, is_shaking
 
@@ -119,7 +119,7 @@ def explained(
         found = None
     is_enough = found is not None and _is_enough(likelihood, found)
     if found is not None and is_enough:
-        found = beside_whole_noise(likelihood, found)
+        found = counting_followed(likelihood, found)
         is_enough = not _outlasts(likelihood, found)
         if is_enough and found.noise.rate > 0.0:
             is_enough = is_shaking(likelihood, found)

@@ -13,7 +13,7 @@ from servolens.identification.error_problem import Known
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
-from servolens.identification.restricted import beside_whole_noise
+from servolens.identification.restricted import counting_followed
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
@@ -119,12 +119,15 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         likelihood = likelihood.on(records)
     if options.loss == "huber":
         return _robust(likelihood, best.plant, records)
-    best = beside_whole_noise(likelihood, best)
-    noise = best.noise
-    if options.driven == "voltage" and noise.spread > AT_NOISE * sensor_noise(records, options):
+    best = counting_followed(likelihood, best)
+    noise, is_large = best.noise, best.noise.spread > AT_NOISE * sensor_noise(records, options)
+    is_independent = is_large and noise.rate == 0.0 and _is_independent(likelihood, best)
+    if options.driven == "voltage" and is_large and not is_independent:
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
     refined = _observed(likelihood, best.plant, noise, best.starts)
-    observed = FinalFit(refined, noise, records, "voltage", is_noise=_is_noise(likelihood, best, refined, options))
+    # a filter of another kind could have whitened what a model lacks, such as a mode that rings
+    is_noise = is_independent and noise.counts_followed
+    observed = FinalFit(refined, noise, records, "voltage", is_noise=is_noise)
     if options.driven == "voltage" or best.noise.rate == 0.0 or not all(record.has_loop for record in records):
         return observed
     if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
@@ -137,14 +140,10 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         return observed
 
 
-def _is_noise(likelihood: Likelihood, best: Hypothesis, refined: Refinement, options: FitOptions) -> bool:
-    """Tell whether what changes so slowly that no settled axis shows it is noise: it does not depend on the inputs."""
-    noise = best.noise
-    if noise.rate > 0.0 or not noise.order or noise.spread <= AT_NOISE * sensor_noise(likelihood.records, options):
-        return False
-    hypothesis = replace(best, plant=refined.plant, starts=refined.starts, local=refined.local)
+def _is_independent(likelihood: Likelihood, best: Hypothesis) -> bool:
+    """Tell whether what is left beside the noise of a hypothesis does not depend on the inputs."""
     try:
-        return not depends_on_inputs(ScoreTest(likelihood, hypothesis))
+        return best.noise.order > 0 and not depends_on_inputs(ScoreTest(likelihood, best))
     except (InputError, NumericalError):
         return False
 
@@ -234,11 +233,16 @@ def sensor_noise(records: Sequence[Record], options: FitOptions) -> float:
 
 
 def level_of(found: FinalFit, records: Sequence[Record], options: FitOptions) -> float:
-    """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise."""
+    """Return the standard deviation of the noise: the noise model's, unless that contains far more than noise.
+
+    Of noise so slow that no settled axis shows it, what is left of it.
+    """
     noise, shown = found.noise, sensor_noise(records, options)
+    if found.is_noise:
+        return max(found.refinement.rms_error, shown)
     speeds = np.concatenate([speed_of(record.time, record.position) for record in records])
     modelled = float(np.hypot(noise.spread, noise.jitter * np.sqrt(np.mean(speeds**2))))
-    return modelled if options.loss == "huber" or found.is_noise or modelled <= AT_NOISE * shown else shown
+    return modelled if options.loss == "huber" or modelled <= AT_NOISE * shown else shown
 
 
 def simulation_error(found: FinalFit, options: FitOptions) -> float:

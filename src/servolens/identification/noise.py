@@ -86,7 +86,7 @@ class NoiseModel:
         Frequencies of the mains that the sensor shows, in each record with an amplitude and a phase of its own [Hz].
     is_fitted : bool
         Whether it was estimated from what a model leaves: then it whitens that.
-    is_whole : bool
+    counts_followed : bool
         Whether what the fit has followed of it is part of it; see :mod:`servolens.identification.restricted`.
     is_model_error : bool
         Whether it is what the model lacks, and no noise: white of the same size, for a filter would hide every effect.
@@ -108,7 +108,7 @@ class NoiseModel:
     parameters: int = 0
     lines: tuple[float, ...] = ()
     is_fitted: bool = False
-    is_whole: bool = False
+    counts_followed: bool = False
     is_model_error: bool = False
 
     @classmethod
@@ -153,7 +153,13 @@ class NoiseModel:
     def bleached(self, white: NoiseModel) -> NoiseModel:
         """Return the same observer beside `white` noise."""
         return replace(
-            self, filters=white.filters, scales=white.scales, share=white.share, parameters=0, is_fitted=False
+            self,
+            filters=white.filters,
+            scales=white.scales,
+            share=white.share,
+            parameters=0,
+            is_fitted=False,
+            counts_followed=False,
         )
 
     @property
@@ -192,10 +198,10 @@ class NoiseModel:
     def inflation(self, samples: int, unknowns: int) -> float:
         """Return by how much variances are larger than with a noise that is known: n/(n − p), n without its memory.
 
-        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold. Not of a noise
-        that is whole.
+        The `unknowns` follow slow noise, so that less of it is left in the residual; at most tenfold. Not where that is
+        counted as noise already.
         """
-        if self.is_whole:
+        if self.counts_followed:
             return 1.0
         return 1.0 / max(1.0 - unknowns * self.memory() / samples, 0.1)
 
@@ -218,7 +224,8 @@ class NoiseModel:
         """Return white noise of the size of `residuals`."""
         samples = sum(r.size for r in residuals)
         spread = float(np.sqrt(sum(float(r @ r) for r in residuals) / samples))
-        return replace(self, scales=np.array([max(spread, self.floor)]), spread=spread, is_fitted=False)
+        own = np.array([max(spread, self.floor)])
+        return replace(self, scales=own, spread=spread, is_fitted=False, counts_followed=False)
 
     def coloured(
         self,
@@ -241,7 +248,15 @@ class NoiseModel:
         if spread <= self.least:
             parameters, filters, scales = 0, (np.ones(1),), np.zeros(1)
         scales = np.maximum(scales, self.least)
-        return replace(self, filters=filters, scales=scales, parameters=parameters, spread=spread, is_fitted=True)
+        return replace(
+            self,
+            filters=filters,
+            scales=scales,
+            parameters=parameters,
+            spread=spread,
+            is_fitted=True,
+            counts_followed=False,
+        )
 
 
 @final

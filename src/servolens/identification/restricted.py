@@ -4,7 +4,8 @@ What parameters and initial states have taken up of slow noise is missing from t
 off it is too small at low frequencies, where a model's motion is, and so are error bars beside it. The restricted
 likelihood knows what they can take up (Patterson and Thompson 1971, doi:10.1093/biomet/58.3.545; Harville 1977,
 doi:10.2307/2286796). Few time constants of the noise fit into a record, so that many spectra are about as likely. The
-variance of an estimate is linear in the spectrum: its mean over all of them gives the mean variance.
+variance of an estimate is linear in the spectrum, so that their mean stands for them all, as closely as a filter of
+finite order has it: beside much white noise, of very long time constants, within a factor of about two.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from servolens.identification.error_problem import Problem
 from servolens.identification.noise import MOST_ORDER, NoiseModel
-from servolens.identification.slow_noise import FREQUENCIES, filters_of
+from servolens.identification.slow_noise import FREQUENCIES, LONGEST, filters_of, spectra
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
 
-__all__ = ["Part", "beside_whole_noise", "mean_spectrum", "parts_of", "restricted_misfit"]
+__all__ = ["Part", "counting_followed", "mean_spectrum", "parts_of", "restricted_misfit"]
 
-LONGEST, TIMES = 2000.0, 14
-"""Longest time constant of slow noise [samples], and how many are compared."""
+TIMES = 14
+"""Time constants of slow noise that are compared, evenly in their logarithms."""
 RATIOS, ROUNDS = np.geomspace(1e-2, 1e4, 7), 4
 """Ratios of the variances of white noise and of what drives the slow one, to begin with; times that the step between
 them is halved about the likeliest."""
@@ -45,7 +46,7 @@ class Part(NamedTuple):
     sensitivity: NDArray[np.float64]
 
 
-def beside_whole_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
+def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothesis:
     """Return the hypothesis beside the noise for error bars: of slow noise, what the fit has followed is part of it."""
     if likelihood.simulates or hypothesis.noise.is_model_error:  # what a model lacks is no noise
         return hypothesis
@@ -58,16 +59,22 @@ def beside_whole_noise(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypoth
         found.plant, likelihood.runs(white, unpowered=found.unpowered), likelihood.options(found.plant), None
     )
     parts = parts_of(problem, problem.at(found.starts, found.local))
+    if sum(part.left.size for part in parts) <= parts[0].sensitivity.shape[1]:
+        return found
     spectrum, slow = mean_spectrum(parts, FREQUENCIES + 1)
     whiteners = [run.whiten for run in likelihood.runs(noise)]
     whitened = [Part(w(p.left), w(p.sensitivity)) for w, p in zip(whiteners, parts, strict=True)]
     filtered = restricted_misfit(whitened, sum(w.log_determinant for w in whiteners)) + 2.0 * noise.parameters
-    if noise.parameters != SLOW and filtered < slow + 2.0 * SLOW:
+    is_slow = noise.parameters == SLOW < noise.order  # of the same kind, of one time constant only
+    if not is_slow and filtered < slow + 2.0 * SLOW:
         return found
     filters, scales = filters_of(spectrum, MOST_ORDER)
-    spread = float(np.sqrt(np.mean(spectrum)))
-    whole = replace(noise, filters=filters, scales=scales, parameters=SLOW, spread=spread, is_whole=True)
-    return replace(found, noise=whole)
+    scales = np.maximum(scales, noise.least)
+    spread = float(scales[0])
+    counted = replace(
+        noise, filters=filters, scales=scales, spread=spread, parameters=SLOW, is_fitted=True, counts_followed=True
+    )
+    return replace(found, noise=counted)
 
 
 def parts_of(problem: Problem, point: Point) -> list[Part]:
@@ -104,9 +111,8 @@ def mean_spectrum(parts: Sequence[Part], frequencies: int) -> tuple[NDArray[np.f
     ratios, misfits, sizes = _likeliest_ratios(poles, parts)
     weights = np.exp(-0.5 * (misfits - misfits.min())) / np.sqrt(times)
     weights *= sizes / weights.sum()
-    cosine = np.cos(np.linspace(0.0, np.pi, frequencies))
-    slow = 1.0 / (1.0 + poles[:, None] ** 2 - 2.0 * poles[:, None] * cosine)
-    return np.asarray(weights @ (slow + ratios[:, None])), float(misfits.min())
+    grid = np.column_stack([np.log(times), np.log(ratios)])
+    return np.asarray(weights @ spectra(grid, np.linspace(0.0, np.pi, frequencies))), float(misfits.min())
 
 
 def restricted_misfit(parts: Sequence[Part], determinant: float) -> float:
@@ -144,12 +150,16 @@ def _compared(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return −2 restricted log-likelihood of the parts beside each noise, and its size."""
     rows = [np.column_stack([part.left, part.sensitivity]) for part in parts]
-    squares, determinants = [], []
-    for pole, ratio in zip(poles, ratios, strict=True):
-        found = [_squares(float(pole), float(ratio), one) for one in rows]
-        squares.append(np.sum([one for one, _ in found], axis=0))
-        determinants.append(sum(determinant for _, determinant in found))
-    return _restricted(np.array(squares), np.array(determinants), sum(map(len, rows)))
+    size = rows[0].shape[1]
+    squares, determinants = np.zeros((poles.size, size, size)), np.zeros(poles.size)
+    for one in rows:
+        answers = np.flatnonzero(one.any(axis=0))  # no record answers to the initial state of another
+        own = np.ascontiguousarray(one[:, answers])
+        for k, (pole, ratio) in enumerate(zip(poles.tolist(), ratios.tolist(), strict=True)):
+            products, determinant = _squares(pole, ratio, own)
+            squares[k][np.ix_(answers, answers)] += products
+            determinants[k] += determinant
+    return _restricted(squares, determinants, sum(map(len, rows)))
 
 
 def _squares(pole: float, ratio: float, rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:

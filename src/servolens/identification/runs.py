@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.simulation.loop import Simulation
 
-__all__ = ["ClosedLoop", "ClosedRun", "OneByOne", "Resampled", "Run", "VoltageRun", "closed_runs", "rest"]
+__all__ = ["ClosedLoop", "ClosedRun", "OneByOne", "Resampled", "Run", "VoltageRun", "closed_runs", "one_by_one", "rest"]
 
 LONGEST_REST = 40
 """Most samples of rest before a step that are looked at."""
@@ -86,13 +86,20 @@ class OneByOne:
         self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
     ) -> NDArray[np.float64]:
         """See :class:`Run`."""
-        found: list[NDArray[np.float64] | float] = []
-        for plant, start in zip(plants, starts, strict=True):
-            try:
-                found.append(self.residual(plant, start, substeps))
-            except (InputError, NumericalError):
-                found.append(np.nan)
-        return np.array(np.broadcast_arrays(*found))
+        return one_by_one(self, plants, starts, substeps)
+
+
+def one_by_one(
+    run: Run | OneByOne, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
+) -> NDArray[np.float64]:
+    """Return the residuals of `plants`, a row each; NaN where one is no plant of the record or cannot be simulated."""
+    found: list[NDArray[np.float64] | float] = []
+    for plant, start in zip(plants, starts, strict=True):
+        try:
+            found.append(run.residual(plant, start, substeps))
+        except (InputError, NumericalError):
+            found.append(np.nan)
+    return np.array(np.broadcast_arrays(*found))
 
 
 @final

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["FREQUENCIES", "filters_of", "slow_filters"]
+__all__ = ["FREQUENCIES", "LONGEST", "filters_of", "slow_filters", "spectra"]
 
 SLOW_PARAMETERS = (2, 3)
 """Beside its size: time constant and share of white noise; two time constants and that share."""
@@ -51,7 +51,7 @@ def slow_filters(
     found = []
     for parameters in SLOW_PARAMETERS:
         place = bands.likeliest(power, parameters)
-        filters, scales = filters_of(_spectra(place, np.linspace(0.0, np.pi, FREQUENCIES + 1))[0], most)
+        filters, scales = filters_of(spectra(place, np.linspace(0.0, np.pi, FREQUENCIES + 1))[0], most)
         size = np.sqrt(_left(filters[-1], signals)) / scales[-1]
         found.append((parameters, filters, size * scales))
     return found
@@ -96,8 +96,8 @@ class _Bands:
 
     def _compared(self, grid: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the inverse of each spectrum of `grid`, shape (rows, bands), and the logarithm of its determinant."""
-        spectra = _spectra(grid, self.frequencies)
-        return 1.0 / spectra, np.log(spectra) @ self.counts
+        found = spectra(grid, self.frequencies)
+        return 1.0 / found, np.log(found) @ self.counts
 
     def _misfits(
         self, compared: tuple[NDArray[np.float64], NDArray[np.float64]], power: NDArray[np.float64]
@@ -119,7 +119,7 @@ def _first_grid(parameters: int) -> NDArray[np.float64]:
     return np.stack(np.meshgrid(*chosen, shares, indexing="ij"), axis=-1).reshape(-1, parameters)
 
 
-def _spectra(grid: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDArray[np.float64]:
+def spectra(grid: NDArray[np.float64], frequencies: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the spectrum of each row of `grid` in units of its innovation's, shape (rows, frequencies)."""
     found = np.ones((grid.shape[0], frequencies.size))
     cosine = np.cos(frequencies)

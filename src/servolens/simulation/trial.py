@@ -29,6 +29,8 @@ __all__ = ["Trial", "closed_trial", "observed_trial"]
 PATIENCE, ONE_OF = 5.0, 4
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
 fast lag splits each sample."""
+AT_ONCE = 200_000
+"""Samples of the simulations of one call, about: their positions, velocities and voltages stay in memory meanwhile."""
 OBSERVED = 1.0
 """What the rule is told where a measurement corrects the axis; see :mod:`.digital`."""
 
@@ -65,20 +67,17 @@ class Trial:
         self, plants: Sequence[Plant], starts: Sequence[Sequence[float]], substeps: int
     ) -> NDArray[np.float64]:
         """Return the measured positions of `plants`, shape (k, n); NaN where `simulated` raises a NumericalError."""
-        if not plants:
-            return np.empty((0, self.inputs.time.size))
-        structures = dict.fromkeys(plant.structure for plant in plants)
-        if len(structures) > 1:
-            found = np.empty((len(plants), self.inputs.time.size))
-            for structure in structures:
-                rows = [k for k, plant in enumerate(plants) if plant.structure == structure]
-                found[rows] = self.measured([plants[k] for k in rows], [starts[k] for k in rows], substeps)
-            return found
-        settings = [self.settings(plant, substeps) for plant in plants]
-        results, done = run_all(plants, self.inputs, settings, starts, substeps)
-        measured = results[:, 3]
-        measured[done < self.inputs.time.size] = np.nan
-        return measured
+        samples = self.inputs.time.size
+        found = np.empty((len(plants), samples))
+        at_once = max(AT_ONCE // samples, 1)
+        for structure in dict.fromkeys(plant.structure for plant in plants):
+            alike = [k for k, plant in enumerate(plants) if plant.structure == structure]
+            for rows in (alike[first : first + at_once] for first in range(0, len(alike), at_once)):
+                settings = [self.settings(plants[k], substeps) for k in rows]
+                those, begun = [plants[k] for k in rows], [starts[k] for k in rows]
+                results, done = run_all(those, self.inputs, settings, begun, substeps)
+                found[rows] = np.where((done == samples)[:, None], results[:, 3], np.nan)
+        return found
 
 
 def closed_trial(
