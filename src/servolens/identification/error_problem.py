@@ -10,6 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
+from servolens.identification.linear_model import Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.runs import one_by_one
 from servolens.identification.uncertainty import apparent_noise
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from servolens.identification.runs import Run
     from servolens.plant import Plant
 
-__all__ = ["COARSE", "FINE", "Block", "Known", "Linearised", "Point", "Problem"]
+__all__ = ["COARSE", "FINE", "Known", "Point", "Problem"]
 
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
@@ -40,31 +41,19 @@ UNFELT = 1e-4
 
 
 @final
-@dataclass(frozen=True, slots=True, eq=False)
-class Block:
-    """One run, its initial state eliminated: what the state did (R, Qᵀ J, Qᵀ r), and what is left (J, r).
-
-    The leverage, shape (n,), is the share of each sample's noise that the state follows.
-    """
-
-    factor: NDArray[np.float64]
-    along: NDArray[np.float64]
-    missed: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    residual: NDArray[np.float64]
-    leverage: NDArray[np.float64]
-
-
-@final
 @dataclass(slots=True, eq=False)
 class Point:
-    """A trial: parameters, initial states, and the cost there, with each run's substeps and residual of that cost."""
+    """A trial: parameters, initial states, and the cost there, with each run's substeps and residual of that cost.
+
+    And the fall of the cost that was promised of it.
+    """
 
     values: NDArray[np.float64]
     starts: list[NDArray[np.float64]]
     cost: float = np.inf
     substeps: tuple[int, ...] = ()
     residuals: Sequence[NDArray[np.float64] | None] = ()
+    promised: float = 0.0
 
 
 class Known(NamedTuple):
@@ -72,14 +61,6 @@ class Known(NamedTuple):
 
     starts: Sequence[NDArray[np.float64]] = ()
     local: Mapping[str, NDArray[np.float64]] | None = None
-
-
-class Linearised(NamedTuple):
-    """Each run's block, and gradient and information of the parameters."""
-
-    blocks: list[Block]
-    gradient: NDArray[np.float64]
-    information: NDArray[np.float64]
 
 
 class _Trial(NamedTuple):
@@ -271,29 +252,40 @@ class Problem:
     def linearise(self, point: Point) -> Linearised:
         """Return each run's block, and gradient and information of the parameters; renews the cost of `point`."""
         self.choose_substeps(point)
+        return self.equations(point, self.differences(point))
+
+    def equations(self, point: Point, slopes: Sequence[Slopes]) -> Linearised:
+        """Return what `linearise` does of these slopes of each run at `point`."""
         k = self.free.size
         blocks = []
         gradient, information = np.zeros(k), np.zeros((k, k))
-        cost = self.prior_cost(point.values)
-        for residual, jacobian, initial in self.differences(point):
-            cost += self._loss(residual)
-            weight = self._weight(residual)[:, None]
-            q, r = np.linalg.qr(weight * initial)
-            x, y = weight * jacobian, weight[:, 0] * residual
-            along, missed = q.T @ x, q.T @ y
-            x, y = x - q @ along, y - q @ missed
-            blocks.append(Block(r, along, missed, x, y, np.sum(q**2, axis=1)))
-            gradient += x.T @ y
-            information += x.T @ x
-        point.cost = cost
+        point.cost = self.prior_cost(point.values)
+        for run in slopes:
+            point.cost += self._loss(run.residual)
+            block = Block.of(run, self._weight(run.residual))
+            blocks.append(block)
+            gradient += block.jacobian.T @ block.residual
+            information += block.jacobian.T @ block.jacobian
         for index, prior in self.priors:
             weight_of_prior = (self.noise / prior.deviation) ** 2
             gradient[index] += weight_of_prior * (point.values[index] - prior.value)
             information[index, index] += weight_of_prior
         return Linearised(blocks, gradient, information)
 
-    def differences(self, point: Point) -> list[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]]:
-        """Return each run's residual and its differences by the parameters and by the initial state.
+    def secants(self, slopes: Sequence[Slopes], before: Point, point: Point) -> list[Slopes] | None:
+        """Return the slopes at `point` as the step there from `before` shows them; None where none can be told.
+
+        Contacts leave steps that short no smooth slope, and a plant that needs other substeps is simulated anew.
+        """
+        self.choose_substeps(point)
+        if self.plant.has_contacts or not before.substeps == point.substeps == tuple(self.substeps):
+            return None
+        change = point.values - before.values
+        there = zip(slopes, before.starts, point.starts, point.residuals, strict=True)
+        return [run.moved(change, new - old, left) for run, old, new, left in there if left is not None]
+
+    def differences(self, point: Point) -> list[Slopes]:
+        """Return each run's residual and its slopes by the parameters and by the initial state, of differences.
 
         Central, one-sided at a bound and where one side is no plant.
         """
@@ -313,7 +305,7 @@ class Problem:
                 (a, high), (b, low) = (*sides, (centre, residual), (centre, residual))[:2]
                 if a.at(k) != b.at(k):
                     slopes[:, k] = (high - low) / (a.at(k) - b.at(k))
-            sets.append((residual, slopes[:, : self.free.size], slopes[:, self.free.size :]))
+            sets.append(Slopes(residual, slopes[:, : self.free.size], slopes[:, self.free.size :]))
         return sets
 
     def _moves(self, centre: _Trial, i: int) -> list[Any]:
@@ -365,7 +357,8 @@ class Problem:
 
     def _loss(self, residual: NDArray[np.float64]) -> float:
         if not np.isfinite(self.outlier):
-            return float(residual @ residual)
+            with np.errstate(over="ignore"):  # a trial may be as far off
+                return float(residual @ residual)
         size = np.abs(residual)
         return float(np.sum(np.where(size <= self.outlier, size**2, self.outlier * (2.0 * size - self.outlier))))
 
@@ -373,18 +366,16 @@ class Problem:
         """Return the square root of the weights with which least squares follow the loss."""
         return np.sqrt(np.minimum(1.0, self.outlier / np.maximum(np.abs(residual), 1e-300)))
 
-    def step(
-        self,
-        point: Point,
-        blocks: list[Block],
-        gradient: NDArray[np.float64],
-        information: NDArray[np.float64],
-        damping: float,
-    ) -> Point:
+    def unbounded(self, point: Point, gradient: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which parameters no end of their range keeps from going down the `gradient`, shape (k,)."""
+        at_end = ((point.values <= self.low) & (gradient > 0)) | ((point.values >= self.high) & (gradient < 0))
+        return np.asarray(~at_end)
+
+    def step(self, point: Point, found: Linearised, damping: float) -> Point:
         """Return the trial that the damped normal equations propose, at most half of each parameter away."""
+        gradient, information = found.gradient, found.information
         scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
-        held = ((point.values <= self.low) & (gradient > 0)) | ((point.values >= self.high) & (gradient < 0))
-        free = ~held
+        free = self.unbounded(point, gradient)
         normal = (information / np.outer(scale, scale) + damping * np.eye(scale.size))[np.ix_(free, free)]
         change = np.zeros(scale.size)
         change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
@@ -397,9 +388,10 @@ class Problem:
             start - np.linalg.lstsq(block.factor, block.missed + block.along @ moved, rcond=UNFELT)[0]
             if start.size
             else start
-            for start, block in zip(point.starts, blocks, strict=True)
+            for start, block in zip(point.starts, found.blocks, strict=True)
         ]
-        trial = Point(values, starts)
+        changes = [new - old for new, old in zip(starts, point.starts, strict=True)]
+        trial = Point(values, starts, promised=found.promised(moved, changes))
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
         return trial
 

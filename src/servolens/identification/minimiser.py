@@ -17,12 +17,19 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.identification.error_problem import Problem
+    from servolens.identification.linear_model import Linearised
 
 __all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_minimum"]
 
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
 error; of hypotheses that are compared, a tenth."""
+FIRST_DAMPING, LEAST_DAMPING, LEAST_FACTOR, REJECTED = 1e-3, 1e-12, 0.1, 8
+"""Of the normal equations, in units of their diagonal: where a descent begins, the least, by what it falls at most with
+one step; trials from one point, damped 2, 4, 8 … times more each, up to 3·10⁸ times."""
+KEPT = 0.25
+"""Share of the promised fall below which a step's slopes are no guide to the next (as for trust regions: Nocedal and
+Wright, *Numerical Optimization*, 2nd edition 2006, algorithm 4.1)."""
 ALONG = np.concatenate([np.geomspace(0.2, 0.97, 20), np.geomspace(1.03, 5.0, 20)]) - 1.0
 """How far to look along the least-determined direction, in sizes of the parameter that changes most."""
 LOWEST, APART, LOOKS, SHORT = 3, 0.1, 3, 20
@@ -36,24 +43,61 @@ below which it explains more."""
 
 
 def descend(problem: Problem, point: Point, iterations: int, negligible: float = NEGLIGIBLE) -> tuple[Point, bool]:
-    """Return where the search ends and whether that is an optimum: a step gains no more than the `negligible`."""
-    damping = 1e-3
-    for _ in range(iterations):
-        if problem.is_spent:
-            break
-        blocks, gradient, information = problem.linearise(point)
-        for _ in range(12):
-            trial = problem.step(point, blocks, gradient, information, damping)
-            if trial.cost < point.cost:
-                break
-            damping *= 5.0
-        else:
+    """Return where the search ends and whether that is an optimum: no step gains more than the `negligible`.
+
+    Levenberg and Marquardt's method; the damping follows from how much of the promised fall a step brings, and between
+    differences the slopes follow from the steps themselves (Madsen, Nielsen and Tingleff, *Methods for Non-Linear
+    Least Squares Problems*, 2nd edition 2004, sections 3.2 and 3.4). Where the fit is to end, differences confirm it.
+    """
+    damping, left, slopes, is_exact = FIRST_DAMPING, iterations, None, True
+    while left > 0 and not problem.is_spent:
+        if slopes is None:
+            problem.choose_substeps(point)
+            slopes, is_exact = problem.differences(point), True
+        found = problem.equations(point, slopes)
+        is_last = found.most(problem.unbounded(point, found.gradient)) < negligible * point.cost
+        if is_last and (is_exact or negligible > NEGLIGIBLE):
+            return _ended(problem, point, found, damping, negligible), True
+        lower, needed = (
+            (None, damping) if is_last else _lower(problem, point, found, damping, REJECTED if is_exact else 1)
+        )
+        if lower is None and is_exact:
             return point, bool(np.isfinite(point.cost))
-        gained = 1.0 - trial.cost / point.cost
-        point, damping = trial, max(damping / 10.0, 1e-12)
-        if gained < negligible:
-            return point, True
+        if lower is None:
+            slopes = None
+            continue
+        fall, left = point.cost - lower.cost, left - 1
+        if is_exact and fall < negligible * point.cost:
+            return lower, True
+        kept = fall / lower.promised if lower.promised > 0.0 else 0.0
+        damping = _damping(damping, kept) if needed == damping else needed
+        is_guide = kept > KEPT and fall >= negligible * point.cost
+        slopes = problem.secants(slopes, point, lower) if is_guide else None
+        point, is_exact = lower, False
     return point, False
+
+
+def _damping(damping: float, kept: float) -> float:
+    """Return the damping after a step that kept so much of what was promised."""
+    return max(damping * max(LEAST_FACTOR, 1.0 - (2.0 * kept - 1.0) ** 3), LEAST_DAMPING)
+
+
+def _lower(problem: Problem, point: Point, found: Linearised, damping: float, times: int) -> tuple[Point | None, float]:
+    """Return the first of so many trials, each damped more, that is lower than `point`, if any, and the damping."""
+    factor = 2.0
+    for _ in range(times):
+        trial = problem.step(point, found, damping)
+        if trial.cost < point.cost:
+            return trial, damping
+        damping, factor = damping * factor, 2.0 * factor
+    return None, damping
+
+
+def _ended(problem: Problem, point: Point, found: Linearised, damping: float, negligible: float) -> Point:
+    """Return `point`, or the last step from it, if so little is still of interest."""
+    if negligible > NEGLIGIBLE:
+        return point
+    return min(point, problem.step(point, found, damping), key=lambda end: end.cost)
 
 
 def lowest_minimum(problem: Problem, point: Point, iterations: int, *, converged: bool) -> tuple[Point, bool]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.identification.error_problem import Block
+    from servolens.identification.linear_model import Block
     from servolens.identification.options import FitOptions
     from servolens.identification.runs import Run
     from servolens.identification.segments import Segment

@@ -12,7 +12,8 @@ from servolens.identification.error_problem import COARSE
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from servolens.identification.error_problem import Linearised, Point, Problem
+    from servolens.identification.error_problem import Point, Problem
+    from servolens.identification.linear_model import Linearised
 
 __all__ = ["linearised_widely"]
 
