@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.diagnosis.ordering import (
+    beside_shaking,
     by_total,
     by_worst,
     chosen_for_extension,
@@ -24,7 +25,8 @@ from servolens.diagnosis.ordering import (
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.effects import Drive, catalogue, effect_class
 from servolens.errors import InputError
-from servolens.identification.likelihood import FEW, FULL, NO_BETTER, SOME
+from servolens.identification.hypothesis import NO_BETTER
+from servolens.identification.likelihood import FEW, FULL, SOME
 from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
@@ -68,8 +70,10 @@ class Explorer:
         known: Sequence[Hypothesis],
         is_enough: Callable[[Hypothesis], bool],
         share: float,
+        ends: Callable[[Hypothesis, float], bool] = lambda _found, _allowance: False,
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
+        self._ends, self.has_ended = ends, False
         self.likelihood = trials.likelihood
         self.worked, self._share = self.likelihood.work, share
         self.judged: list[Hypothesis] = [*known]
@@ -104,9 +108,12 @@ class Explorer:
         return SHARE * max(self.left, kept * self._share * self.effort.work) / max(jobs, 1)
 
     def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the way from `base` to the best of those `begun`, if one is likelier."""
+        """Return the way from `base` to the best of those `begun`, if one is likelier.
+
+        Those that were found as if nothing shook an axis that seems shaken are fitted beside the noise of `base` too.
+        """
         self.singles += distinct([h for h in begun if len(h.causes) == 1])
-        found = self._judged([(h.plant, h) for h in distinct(begun)])
+        found = self._judged([(h.plant, h) for h in beside_shaking(distinct(begun), base.noise)])
         if not found or found[0].total >= base.total:
             return [base]
         best = self.improved(found[0])
@@ -136,6 +143,9 @@ class Explorer:
             if not best.causes:
                 return [best], False
             path = self._steps(path, best)
+            self.has_ended = not self.is_enough(best) and self._ends(best, self._allowance(1))
+            if self.has_ended:
+                break
             further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
             beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False

@@ -16,13 +16,15 @@ from servolens.identification.phases import own_phases
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from servolens.effects.base import Seen
     from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.noise import NoiseModel
     from servolens.identification.starting import Screen
 
 __all__ = [
+    "beside_shaking",
     "best_of_each",
     "by_total",
     "by_worst",
@@ -89,7 +91,8 @@ def simplified(plant: Plant, seen: Seen) -> Iterator[Plant]:
     """Yield `plant` with one effect in a form that does without something."""
     for effect in plant.effects:
         for simple in effect.simplified(seen):
-            yield replace(plant, effects=tuple(simple if e is effect else e for e in plant.effects))
+            with suppress(InputError):  # where that stands already
+                yield replace(plant, effects=tuple(simple if e is effect else e for e in plant.effects))
 
 
 def united(plant: Plant) -> Iterator[Plant]:
@@ -120,6 +123,14 @@ def with_twins(plant: Plant) -> Iterator[Plant]:
             values = {spec.name: getattr(effect, spec.name) for spec in effect.parameters()}
             with suppress(InputError):
                 yield plant.without_effect(effect.name).with_effect(Plant.effect_from(effect.twin, values))
+
+
+def beside_shaking(found: Iterable[Hypothesis], noise: NoiseModel) -> Iterator[Hypothesis]:
+    """Yield each hypothesis, and where it was found as if nothing shook the axis, the same beside shaking `noise`."""
+    for hypothesis in found:
+        yield hypothesis
+        if hypothesis.noise.rate == 0.0 < noise.rate:
+            yield replace(hypothesis, noise=noise)
 
 
 def _mean_level(friction: DryFriction, motion: Screen) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.explorer import INDISTINCT, SHARE, Explorer
-from servolens.diagnosis.ordering import best_of_each, by_total, is_last_resort
+from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
 
 if TYPE_CHECKING:
@@ -76,8 +76,9 @@ def search(
 
     An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
     before all are found, and so hides that together they leave nothing. If what is found then is likelier than gain and
-    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer; else a second
-    search begins there, and the likelier of both is returned.
+    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer. If beside
+    causes that were found shaking explains the rest, so that nothing depends on the inputs, the axis is shaken. There,
+    or where that search ends, a second one begins, and the likelier of both is returned.
 
     Parameters
     ----------
@@ -100,22 +101,30 @@ def search(
     is_one = base.noise.rate == 0.0 or trials.likelihood.simulates or bool(begun)
     if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
         return _searched(trials, base, effort, tell, known, is_enough, begun)
-    unshaken = trials.unshaken()
+    unshaken, shaken = trials.unshaken(), trials.shaken()
+    beside: list[Hypothesis] = []
+
+    def is_shaken(found: Hypothesis, allowance: float) -> bool:
+        for like in beside_shaking([found], base.noise):
+            other = shaken.likelihood.judged(found.plant, like, allowance=0.5 * allowance)
+            if other is not None and other.noise.rate > 0.0 and other.total < found.total and is_enough(other):
+                beside.append(other)
+        return bool(beside)
+
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        budget = _Budget(UNSHAKEN, LIKELIER, promising=base.total)
+        budget = _Budget(UNSHAKEN, LIKELIER, base.total, is_shaken)
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
-    left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
     trials.likelihood.count(unshaken.likelihood.work)
+    left = replace(effort, work=max(effort.work - unshaken.likelihood.work - shaken.likelihood.work, 0.0))
     telling = [h for h in first.judged if h.causes and not is_last_resort(h)]
     further = [h for h in first.singles[: effort.judged] if not is_last_resort(h)]
-    begun = [*(h for h in first.path[1:] if not is_last_resort(h)), *telling[: effort.judged], *further]
+    begun = [*beside, *(h for h in first.path[1:] if not is_last_resort(h)), *telling[: effort.judged], *further]
     is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
-    shaken = trials.shaken()
     second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
     trials.likelihood.count(shaken.likelihood.work)
     second = _without_observer(trials, second, SHARE * effort.work)
@@ -146,11 +155,15 @@ def _without_observer(trials: Trials, found: Search, work: float) -> Search:
 @final
 @dataclass(frozen=True, slots=True)
 class _Budget:
-    """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one."""
+    """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one.
+
+    It `ends` with a hypothesis of which that is said, within so much work.
+    """
 
     share: float = 1.0
     longer: float = 1.0
     promising: float = -math.inf
+    ends: Callable[[Hypothesis, float], bool] = lambda _found, _work: False
 
 
 def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
@@ -173,9 +186,11 @@ def _searched(
     What was found beside another, `begun`, is where it begins.
     """
     budget = budget or _Budget()
-    explorer = Explorer(trials, effort, tell, known, is_enough, budget.share)
+    explorer = Explorer(trials, effort, tell, known, is_enough, budget.share, budget.ends)
     reached = explorer.path_to_the_best(base, begun)
     path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * budget.share * effort.work)
+    if explorer.has_ended:
+        return _as_search(explorer, path)
     if is_enough(path[-1]):
         early = False
     else:
@@ -187,7 +202,9 @@ def _searched(
             explorer.grant(budget.longer)
             path, early = explorer.walked(path, budget.longer * effort.work)
     chosen = explorer.settled(path[-1])
-    path = [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen]
-    return Search(
-        tuple(path), best_of_each(explorer.judged), tuple(sorted(explorer.singles, key=by_total)), ended_early=early
-    )
+    return _as_search(explorer, [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], ended_early=early)
+
+
+def _as_search(explorer: Explorer, path: Sequence[Hypothesis], *, ended_early: bool = False) -> Search:
+    singles = tuple(sorted(explorer.singles, key=by_total))
+    return Search(tuple(path), best_of_each(explorer.judged), singles, ended_early=ended_early)

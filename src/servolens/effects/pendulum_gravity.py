@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, final
 from servolens.effects._grids import within
 from servolens.effects.base import parameter
 from servolens.effects.kinds import Force
+from servolens.effects.return_spring import ReturnSpring
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +63,12 @@ class PendulumGravity(Force):
         """See :meth:`servolens.effects.base.Effect.is_whole`."""
         spring = copysign(1.0, self.amplitude) * cos(0.5 * (seen.low + seen.high) + self.phase)
         return seen.travel >= LEAST_TRAVEL or spring < -STANDS
+
+    def simplified(self, seen: Seen) -> Iterator[ReturnSpring]:
+        """See :meth:`servolens.effects.base.Effect.simplified`: the spring that it is near where the arm hangs."""
+        stiffness = self.amplitude * cos(self.phase)
+        if stiffness > 0.0:
+            yield ReturnSpring(stiffness=stiffness)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[PendulumGravity]:

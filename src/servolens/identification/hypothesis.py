@@ -14,7 +14,10 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
-__all__ = ["Hypothesis"]
+__all__ = ["NO_BETTER", "Hypothesis"]
+
+NO_BETTER = 0.5
+"""Fall of −2 log-likelihood that is none."""
 
 
 @final

@@ -12,7 +12,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import COARSE, FINE, Problem
-from servolens.identification.hypothesis import Hypothesis
+from servolens.identification.hypothesis import NO_BETTER, Hypothesis
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.noise import TOLD_APART, NoiseModel
 from servolens.identification.noise_search import NoiseTrials
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["FEW", "FULL", "NO_BETTER", "SOME", "Likelihood", "found_last"]
+__all__ = ["FEW", "FULL", "SOME", "Likelihood", "found_last"]
 
 RATES = (0.0, 0.5, 2.0, 8.0)
 """Rates of the observer that are compared, in units of the loops' own: none, slower, about as fast, faster."""
@@ -44,8 +44,8 @@ MOST_SUBSTEPS = 12
 """In a millisecond; plants that need more are left out: what is so fast cannot be told from what is rigid."""
 MOST_SAMPLES = 16_000
 """Of all records together; of longer ones every few samples are compared."""
-MOST_ROUNDS, NO_BETTER = 6, 0.5
-"""Times that plant and noise are fitted in turn; fall of −2 log-likelihood below which they agree."""
+MOST_ROUNDS = 6
+"""Times that plant and noise are fitted in turn."""
 
 
 @final

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.hypothesis import NO_BETTER
 from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel, instants
+from servolens.identification.parabola import Parabola
 from servolens.identification.rounding import dominates
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
@@ -24,8 +26,10 @@ __all__ = ["NoiseTrials"]
 
 CORNER, CORNERS = 4.0, (0.05, 64.0)
 """Corner of what shakes the axis with which rates are compared first, and its range, in units of the loops' rate."""
-MOST_MOVES, FINEST = 16, 0.25
-"""Steps from one model of what shakes the axis to a likelier one; share of the longest at which none is refined."""
+MOST_MOVES, FEW_MOVES = 16, 2
+"""Steps from one model of what shakes the axis to a likelier one, and where the plant is fitted in turn."""
+REACH, FINEST = 4.0, 0.25
+"""How far one goes, in widths of what is looked at around it; least width, in octaves."""
 
 
 @final
@@ -68,9 +72,9 @@ class NoiseTrials:
     def search(self, noise: NoiseModel, rates: Sequence[float]) -> None:
         """Look at a simulation beside `noise`, at the jitter that its residual shows, and at `rates` of shaking.
 
-        Rate and corner of the shaking that is likeliest are improved in turn, by factors, until neither gets likelier:
-        beside white noise of the sensor, for a filter would whiten what an observer that is too slow leaves, and so
-        hide the better one. The noise is coloured at the end, where that is likelier.
+        Rate and corner of the shaking that is likeliest are improved beside white noise of the sensor, for a filter
+        would whiten what an observer that is too slow leaves, and so hide the better one. The noise is coloured at the
+        end, where that is likelier.
         Of an axis whose instants move the input may be as late as the reading, or on time.
         Without any `rates` only that of the noise is looked at beside which the starts were fitted.
         """
@@ -87,14 +91,40 @@ class NoiseTrials:
         if self.like.rate > 0.0:
             found = [replace(noise, rate=self.like.rate, corner=self.like.corner)]
         best = self._likeliest(noise, found)
-        share = FINEST if self.like.rate > 0.0 else 1.0  # where it was the likeliest beside another plant it is close
-        for _ in range(MOST_MOVES if best.rate > 0.0 and rates else 0):
-            moved = self._likeliest(best, [*_neighbours(best, likelihood.rate, share)])
-            if moved is best and share <= FINEST:
-                break
-            share, best = (0.5 * share if moved is best else min(2.0 * share, 1.0)), moved
         if best.rate > 0.0:
-            self.look(best, is_coloured=True)
+            self.look(self._improved(best) if rates else best, is_coloured=True)
+
+    def _improved(self, noise: NoiseModel) -> NoiseModel:
+        """Return noise of the likeliest rate and corner near these, by Newton's method on their logarithms.
+
+        It ends where a parabola through the neighbours promises no better ones.
+        """
+        unit, look = self.likelihood.rate, self.look
+
+        def at(place: NDArray[np.float64]) -> NoiseModel:
+            return replace(
+                noise, rate=noise.rate * 2.0 ** float(place[0]), corner=noise.corner * 2.0 ** float(place[1])
+            )
+
+        def misfit(place: NDArray[np.float64]) -> float:
+            is_inside = CORNERS[0] * unit <= at(place).corner <= CORNERS[1] * unit
+            return look(at(place)) if is_inside else np.inf
+
+        place = np.zeros(2)
+        is_close = self.like.rate > 0.0  # it was the likeliest beside another plant, which is fitted in turn
+        width = FINEST if is_close else 1.0
+        for _ in range(FEW_MOVES if is_close else MOST_MOVES):
+            around = Parabola.of(misfit, place, width)
+            reach = REACH * width
+            if around.falls(reach) < NO_BETTER:
+                break
+            step = around.step(reach)
+            found = min([place, *around.places, place + step], key=misfit)
+            if found is place and width <= FINEST:
+                break
+            wide = 0.5 * width if found is place else 0.5 * float(np.max(np.abs(found - place)))
+            place, width = found, min(max(wide, FINEST), 1.0)
+        return at(place)
 
     def _likeliest(self, noise: NoiseModel, others: Sequence[NoiseModel]) -> NoiseModel:
         return min([noise, *others], key=self.look)
@@ -148,17 +178,3 @@ class NoiseTrials:
         if self.best is None or misfit < self.best[1]:
             self.best = noise, misfit
         return misfit
-
-
-def _neighbours(noise: NoiseModel, unit: float, share: float) -> Iterator[NoiseModel]:
-    """Yield noise that shakes the axis twice as fast or half, or with a corner three times as high or a third.
-
-    Or by a `share` of that, on a logarithmic scale. Another corner leaves the spectrum as it was below it, or, as
-    rate⁴·corner², above it: one of both is what the records tell best.
-    """
-    for factor in (2.0**share, 0.5**share):
-        yield replace(noise, rate=factor * noise.rate)
-    for factor in (3.0**share, 3.0**-share):
-        if CORNERS[0] * unit <= factor * noise.corner <= CORNERS[1] * unit:
-            yield replace(noise, corner=factor * noise.corner)
-            yield replace(noise, corner=factor * noise.corner, rate=noise.rate / factor**0.5)
