@@ -10,9 +10,12 @@ from scipy.stats import beta
 import servolens
 from servolens import lab
 from servolens.effects import CoulombFriction
+from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
 from servolens.identification.noise import NoiseModel
+from servolens.identification.options import FitOptions
 from servolens.identification.repeats import common_share, repeats, spread_of
+from servolens.simulation.loop import simulate
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
 CART = servolens.Plant(gain=GAIN, damping=DAMPING)
@@ -126,3 +129,21 @@ def test_an_error_that_repeats_in_each_run_is_no_shaking():
     twice, plants = [record, record], [CART, CART]
     assert loop_error(plants, twice, [first, first], noise, 11.0).depends
     assert not loop_error(plants, twice, [first, second], noise, 11.0).depends
+
+
+@pytest.mark.parametrize("deviation", [1e-6, 0.2e-6])
+def test_slow_noise_as_large_as_an_encoder_step_is_no_rounding(deviation):
+    """From sample to sample it hardly changes, so that the highest frequencies show the rounding alone."""
+    step = 1e-6
+    noise = lab.SensorNoise(deviation=deviation, autoregression=(0.97,))
+    setup = lab.Setup(surroundings=lab.Surroundings(noise=noise, encoder=step))
+    truth = lab.Truth(gain=GAIN, damping=DAMPING)
+    records = [lab.step_record(truth, kp=60.0, setup=setup, seed=720450 + k) for k in range(2)]
+    likelihood = Likelihood(records, CART, FitOptions())
+    assert likelihood.white.share > 0.8
+    found = likelihood.judged(CART)
+    rounding, slow = step**2 / 12.0, deviation**2
+    assert found.noise.share == pytest.approx(rounding / (rounding + slow), rel=0.3)
+    missed = [error for draw in drawn_loop_errors([CART] * 2, records, found.noise) for error in draw]
+    still = [simulate(CART, record).position - record.position for record in records]
+    assert np.std(np.concatenate(missed)) == pytest.approx(np.std(np.concatenate(still)), rel=0.25)

@@ -13,7 +13,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME
 from servolens.identification.repeats import repeats, spread_of
-from servolens.identification.rounding import DOMINATES, dominates
+from servolens.identification.rounding import dominates
 from servolens.identification.segments import begins_with_its_step
 from servolens.units import readable
 
@@ -86,7 +86,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
         slow = gains.noise * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
         if slow > share * gains.noise:  # less is within the error of the noise itself
             told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
-    if dominates(noise) and noise.rounding**2 / 12.0 > DOMINATES * noise.spread**2:
+    if dominates(noise):
         told += f"; rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, dominates"
     groups = repeats(case.records)
     if groups:

@@ -110,7 +110,7 @@ class Likelihood:
         are observed as slowly as that.
         """
         other = copy(self)
-        other.white = replace(self.white, share=0.0, discount=self.remembered)
+        other.white = replace(self.white, rounding=0.0, discount=self.remembered)
         other.simulates, other.work = True, 0
         return other
 

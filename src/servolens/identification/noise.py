@@ -62,8 +62,6 @@ class NoiseModel:
         Of the autoregressive part, beside its size: its order, or those of slow noise beside white noise.
     rounding : float
         Step of the encoder [m or rad]; 0 where it is not known.
-    share : float
-        Of the noise's variance that is rounding, 0 to 1: at rest it does not average out.
     spread : float
         Standard deviation of the noise [m or rad]; of an observer's innovations in units of what it expects of a
         sensor's noise of 1.
@@ -96,7 +94,6 @@ class NoiseModel:
     filters: tuple[NDArray[np.float64], ...]
     scales: NDArray[np.float64]
     rounding: float
-    share: float
     spread: float
     floor: float
     least: float = 0.0
@@ -114,22 +111,26 @@ class NoiseModel:
     @classmethod
     def white(cls, deviation: float, rounding: float = 0.0) -> NoiseModel:
         """Return white noise of a standard `deviation`, with the encoder's `rounding`."""
-        step = rounding**2 / 12.0
-        total = max(deviation**2, step, 1e-300)
+        total = float(np.sqrt(max(deviation**2, rounding**2 / 12.0, 1e-300)))
         return cls(
             rate=0.0,
             filters=(np.ones(1),),
-            scales=np.array([np.sqrt(total)]),
+            scales=np.array([total]),
             rounding=rounding,
-            share=min(step / total, 1.0),
-            spread=float(np.sqrt(total)),
-            floor=float(np.sqrt(total)),
+            spread=total,
+            floor=total,
         )
 
     @property
     def is_observed(self) -> bool:
         """Whether the axis is observed, for something shakes it or its instants are not those that are stated."""
         return self.rate > 0.0 or self.jitter > 0.0
+
+    @property
+    def share(self) -> float:
+        """Of the noise's variance that is rounding, 0 to 1: at rest it does not average out. 0 of an axis observed."""
+        total = max(self.spread, self.floor, 1e-150)
+        return 0.0 if self.is_observed else min(self.rounding**2 / 12.0 / total**2, 1.0)
 
     def shaking(self, sample_time: float) -> tuple[float, float]:
         """Return which share of the acceleration that shakes the axis is left a sample later, and its variance.
@@ -156,7 +157,6 @@ class NoiseModel:
             self,
             filters=white.filters,
             scales=white.scales,
-            share=white.share,
             parameters=0,
             is_fitted=False,
             counts_followed=False,
