@@ -51,7 +51,7 @@ FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
 STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
-SHARE, SPENT = 0.25, 0.25
+SHARE, SPENT = 0.4, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for: so much is kept for fits to their optimum."""
 INDISTINCT = 10.0

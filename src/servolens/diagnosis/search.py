@@ -98,9 +98,11 @@ def search(
     begun : sequence of Hypothesis
         What an earlier search has found, if any: this one begins there, and none without shaking is made before it.
     """
-    is_one = base.noise.rate == 0.0 or trials.likelihood.simulates or bool(begun)
+    if begun:
+        return _searched(trials, base, effort, tell, known, is_enough, begun, _Budget(goes_on=True))
+    is_one = base.noise.rate == 0.0 or trials.likelihood.simulates
     if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
-        return _searched(trials, base, effort, tell, known, is_enough, begun)
+        return _searched(trials, base, effort, tell, known, is_enough)
     unshaken, shaken = trials.unshaken(), trials.shaken()
     beside: list[Hypothesis] = []
 
@@ -157,13 +159,15 @@ def _without_observer(trials: Trials, found: Search, work: float) -> Search:
 class _Budget:
     """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one.
 
-    It `ends` with a hypothesis of which that is said, within so much work.
+    It `ends` with a hypothesis of which that is said, within so much work; `goes_on` where it begins, even if something
+    is left there.
     """
 
     share: float = 1.0
     longer: float = 1.0
     promising: float = -math.inf
     ends: Callable[[Hypothesis, float], bool] = lambda _found, _work: False
+    goes_on: bool = False
 
 
 def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
@@ -188,7 +192,8 @@ def _searched(
     budget = budget or _Budget()
     explorer = Explorer(trials, effort, tell, known, is_enough, budget.share, budget.ends)
     reached = explorer.path_to_the_best(base, begun)
-    path, early = explorer.walked(reached if is_enough(reached[-1]) else [base], SIMPLE * budget.share * effort.work)
+    first = reached if budget.goes_on or is_enough(reached[-1]) else [base]
+    path, early = explorer.walked(first, SIMPLE * budget.share * effort.work)
     if explorer.has_ended:
         return _as_search(explorer, path)
     if is_enough(path[-1]):
