@@ -39,4 +39,5 @@ EFFORT = {
     "normal": Effort(causes=4, fitted=10, judged=3, beam=1, work=1.6e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
-"""A hundred million samples and substeps take eight seconds of one processor, what goes with them as long again."""
+"""To simulate a hundred million samples and substeps takes about eight seconds of one processor; a search that may so
+many, about twice as long."""

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["INDISTINCT", "SHARE", "Explorer"]
+__all__ = ["INDISTINCT", "Explorer"]
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from servolens.diagnosis.explorer import INDISTINCT, SHARE, Explorer
+from servolens.diagnosis.explorer import INDISTINCT, Explorer
 from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
 
@@ -21,13 +21,16 @@ if TYPE_CHECKING:
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
 
-__all__ = ["Search", "improved_path", "search"]
+__all__ = ["ALONE", "Search", "improved_path", "search"]
 
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
 UNSHAKEN, LIKELIER = 0.4, 0.7
 """Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
 something likelier than that the axis is shaken. Chosen likewise."""
+
+ALONE = 0.25
+"""Of the effort, what one hypothesis may take that is fitted otherwise after a search."""
 
 
 @final
@@ -76,9 +79,9 @@ def search(
 
     An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
     before all are found, and so hides that together they leave nothing. If what is found then is likelier than gain and
-    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer. If beside
-    causes that were found shaking explains the rest, so that nothing depends on the inputs, the axis is shaken. There,
-    or where that search ends, a second one begins, and the likelier of both is returned.
+    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer. That search
+    ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs. Where it
+    ends a second one begins, and the likelier of both is returned.
 
     Parameters
     ----------
@@ -103,15 +106,17 @@ def search(
     is_one = base.noise.rate == 0.0 or trials.likelihood.simulates
     if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
         return _searched(trials, base, effort, tell, known, is_enough)
-    unshaken, shaken = trials.unshaken(), trials.shaken()
-    beside: list[Hypothesis] = []
+    unshaken, beside = trials.unshaken(), [*known]
 
-    def is_shaken(found: Hypothesis, allowance: float) -> bool:
+    def is_shaken(found: Hypothesis, work: float) -> bool:
+        shaken = trials.shaken().likelihood
         for like in beside_shaking([found], base.noise):
-            other = shaken.likelihood.judged(found.plant, like, allowance=0.5 * allowance)
+            other = shaken.judged(found.plant, like, allowance=0.5 * work)
             if other is not None and other.noise.rate > 0.0 and other.total < found.total and is_enough(other):
                 beside.append(other)
-        return bool(beside)
+                break
+        unshaken.likelihood.count(shaken.work)
+        return len(beside) > len(known)
 
     try:
         told = _part(tell, 0.0, UNSHAKEN)
@@ -119,17 +124,19 @@ def search(
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
-    trials.likelihood.count(unshaken.likelihood.work)
-    left = replace(effort, work=max(effort.work - unshaken.likelihood.work - shaken.likelihood.work, 0.0))
-    telling = [h for h in first.judged if h.causes and not is_last_resort(h)]
-    further = [h for h in first.singles[: effort.judged] if not is_last_resort(h)]
-    begun = [*beside, *(h for h in first.path[1:] if not is_last_resort(h)), *telling[: effort.judged], *further]
+    finally:
+        trials.likelihood.count(unshaken.likelihood.work)
     is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
-    second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), known, is_enough, begun)
+    telling = [h for h in first.judged if h.causes and not is_last_resort(h)]
+    further = (*beside[len(known) :], *first.path[1:], *telling[: effort.judged], *first.singles[: effort.judged])
+    begun = [h for h in further if not is_last_resort(h)]
+    left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
+    shaken = trials.shaken()
+    second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), beside, is_enough, begun)
     trials.likelihood.count(shaken.likelihood.work)
-    second = _without_observer(trials, second, SHARE * effort.work)
+    second = _without_observer(trials, second, ALONE * effort.work)
     likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
 
@@ -159,8 +166,8 @@ def _without_observer(trials: Trials, found: Search, work: float) -> Search:
 class _Budget:
     """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one.
 
-    It `ends` with a hypothesis of which that is said, within so much work; `goes_on` where it begins, even if something
-    is left there.
+    The search `ends` at once with a hypothesis for which that function, given the work it may do, is true. It
+    `goes_on` from where it begins even if that leaves something which depends on the inputs.
     """
 
     share: float = 1.0
@@ -201,6 +208,8 @@ def _searched(
     else:
         explorer.with_last_resorts = True
         further, early = explorer.walked([base], budget.share * effort.work)
+        if explorer.has_ended:
+            return _as_search(explorer, further)
         path = min(path, further, reached, key=lambda steps: steps[-1].total)
         is_promising = path[-1].total < budget.promising and not is_enough(path[-1])
         if early and is_promising and explorer.has_more(budget.longer * effort.work):

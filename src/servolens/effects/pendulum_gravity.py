@@ -65,7 +65,7 @@ class PendulumGravity(Force):
         return seen.travel >= LEAST_TRAVEL or spring < -STANDS
 
     def simplified(self, seen: Seen) -> Iterator[ReturnSpring]:
-        """See :meth:`servolens.effects.base.Effect.simplified`: the spring that it is near where the arm hangs."""
+        """See :meth:`servolens.effects.base.Effect.simplified`: a spring as stiff as it is at position 0."""
         stiffness = self.amplitude * cos(self.phase)
         if stiffness > 0.0:
             yield ReturnSpring(stiffness=stiffness)

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
-from servolens.identification.linear_model import Block, Linearised, Slopes
+from servolens.identification.linear_model import UNFELT, Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.runs import one_by_one
 from servolens.identification.uncertainty import apparent_noise
@@ -36,8 +36,6 @@ MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
 """Substeps of all simulations of one linearisation from which on the runs are shared among threads."""
-UNFELT = 1e-4
-"""Of an initial position's effect, the share up to which a velocity has none: an axis that sticks loses it at once."""
 
 
 @final
@@ -281,8 +279,9 @@ class Problem:
         if self.plant.has_contacts or not before.substeps == point.substeps == tuple(self.substeps):
             return None
         change = point.values - before.values
-        there = zip(slopes, before.starts, point.starts, point.residuals, strict=True)
-        return [run.moved(change, new - old, left) for run, old, new, left in there if left is not None]
+        left = [residual for residual in point.residuals if residual is not None]  # all of a point that was reached
+        there = zip(slopes, before.starts, point.starts, left, strict=True)
+        return [run.moved(change, new - old, residual) for run, old, new, residual in there]
 
     def differences(self, point: Point) -> list[Slopes]:
         """Return each run's residual and its slopes by the parameters and by the initial state, of differences.

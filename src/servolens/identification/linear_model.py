@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Block", "Linearised", "Slopes"]
+__all__ = ["UNFELT", "Block", "Linearised", "Slopes"]
+
+UNFELT = 1e-4
+"""Of an initial position's effect, the share up to which a velocity has none: an axis that sticks loses it at once."""
 
 
 class Slopes(NamedTuple):
@@ -50,6 +53,14 @@ class Block(NamedTuple):
     residual: NDArray[np.float64]
     leverage: NDArray[np.float64]
 
+    @property
+    def felt(self) -> float:
+        """By how much the cost falls with the initial state, but for directions of which the run shows nothing."""
+        if self.missed.size == 0:
+            return 0.0
+        directions, sizes, _ = np.linalg.svd(self.factor)
+        return float(np.sum((directions.T @ self.missed)[sizes > UNFELT * sizes[0]] ** 2))
+
     @classmethod
     def of(cls, slopes: Slopes, weight: NDArray[np.float64]) -> Block:
         """Return the block of a run whose samples have these weights, shape (n,)."""
@@ -70,7 +81,7 @@ class Linearised(NamedTuple):
     def most(self, free: NDArray[np.bool_]) -> float:
         """Return by how much the cost falls at most where these parameters are `free`, if it is as linear as this."""
         free = free & (np.diag(self.information) > 0.0)
-        states = sum(float(block.missed @ block.missed) for block in self.blocks)
+        states = sum(block.felt for block in self.blocks)
         if not free.any():
             return states
         information = self.information[np.ix_(free, free)]

@@ -15,7 +15,7 @@ import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
-from servolens.identification.rounding import DRAWS, drawn_noise, is_rounded, spectrum_of
+from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
@@ -146,8 +146,8 @@ def drawn_loop_errors(
     """
     stream = np.random.default_rng(2)
     still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
-    step = noise.rounding if is_rounded(noise) else 0.0
-    spectrum = spectrum_of(noise) * (1.0 - noise.share if step > 0.0 else 1.0)
+    step = noise.rounding if noise.rate == 0.0 else 0.0
+    spectrum = spectrum_of(noise) * (1.0 - noise.share)
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]

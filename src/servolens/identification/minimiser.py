@@ -24,9 +24,11 @@ __all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_mi
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
 error; of hypotheses that are compared, a tenth."""
-FIRST_DAMPING, LEAST_DAMPING, LEAST_FACTOR, REJECTED = 1e-3, 1e-12, 0.1, 8
-"""Of the normal equations, in units of their diagonal: where a descent begins, the least, by what it falls at most with
-one step; trials from one point, damped 2, 4, 8 … times more each, up to 3·10⁸ times."""
+FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, LEAST_FACTOR = 1e-3, 1e-12, 1e12, 0.1
+"""Of the normal equations, in units of their diagonal: where a descent begins, the least, the most, by what it falls at
+most with one step."""
+SECANT = 0.25
+"""Iterations as which a step counts whose slopes follow from the steps before: it costs about as much less."""
 KEPT = 0.25
 """Share of the promised fall below which a step's slopes are no guide to the next (as for trust regions: Nocedal and
 Wright, *Numerical Optimization*, 2nd edition 2006, algorithm 4.1)."""
@@ -47,32 +49,28 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
 
     Levenberg and Marquardt's method; the damping follows from how much of the promised fall a step brings, and between
     differences the slopes follow from the steps themselves (Madsen, Nielsen and Tingleff, *Methods for Non-Linear
-    Least Squares Problems*, 2nd edition 2004, sections 3.2 and 3.4). Where the fit is to end, differences confirm it.
+    Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end.
     """
-    damping, left, slopes, is_exact = FIRST_DAMPING, iterations, None, True
-    while left > 0 and not problem.is_spent:
+    damping, left, slopes, is_exact = FIRST_DAMPING, float(iterations), None, True
+    while left > 0.0 and not problem.is_spent:
         if slopes is None:
             problem.choose_substeps(point)
             slopes, is_exact = problem.differences(point), True
         found = problem.equations(point, slopes)
-        is_last = found.most(problem.unbounded(point, found.gradient)) < negligible * point.cost
-        if is_last and (is_exact or negligible > NEGLIGIBLE):
+        gain = negligible * point.cost
+        is_last = found.most(problem.unbounded(point, found.gradient)) < gain
+        if is_last and is_exact:
             return _ended(problem, point, found, damping, negligible), True
-        lower, needed = (
-            (None, damping) if is_last else _lower(problem, point, found, damping, REJECTED if is_exact else 1)
-        )
+        lower, needed = (None, damping) if is_last else _lower(problem, point, found, damping, gain, once=not is_exact)
         if lower is None and is_exact:
             return point, bool(np.isfinite(point.cost))
         if lower is None:
             slopes = None
             continue
-        fall, left = point.cost - lower.cost, left - 1
-        if is_exact and fall < negligible * point.cost:
-            return lower, True
+        fall, left = point.cost - lower.cost, left - (1.0 if is_exact else SECANT)
         kept = fall / lower.promised if lower.promised > 0.0 else 0.0
         damping = _damping(damping, kept) if needed == damping else needed
-        is_guide = kept > KEPT and fall >= negligible * point.cost
-        slopes = problem.secants(slopes, point, lower) if is_guide else None
+        slopes = problem.secants(slopes, point, lower) if kept > KEPT and fall >= gain else None
         point, is_exact = lower, False
     return point, False
 
@@ -82,19 +80,25 @@ def _damping(damping: float, kept: float) -> float:
     return max(damping * max(LEAST_FACTOR, 1.0 - (2.0 * kept - 1.0) ** 3), LEAST_DAMPING)
 
 
-def _lower(problem: Problem, point: Point, found: Linearised, damping: float, times: int) -> tuple[Point | None, float]:
-    """Return the first of so many trials, each damped more, that is lower than `point`, if any, and the damping."""
+def _lower(
+    problem: Problem, point: Point, found: Linearised, damping: float, gain: float, *, once: bool
+) -> tuple[Point | None, float]:
+    """Return the first of several trials, each damped more, that is lower than `point`, and the damping; None if none.
+
+    The last promises less than the `gain` that counts. Only `once` where the slopes may be to blame.
+    """
     factor = 2.0
-    for _ in range(times):
+    while True:
         trial = problem.step(point, found, damping)
         if trial.cost < point.cost:
             return trial, damping
+        if once or 0.0 <= trial.promised < gain or damping > MOST_DAMPING:
+            return None, damping
         damping, factor = damping * factor, 2.0 * factor
-    return None, damping
 
 
 def _ended(problem: Problem, point: Point, found: Linearised, damping: float, negligible: float) -> Point:
-    """Return `point`, or the last step from it, if so little is still of interest."""
+    """Return `point`; or the last step from it, if so little is still of interest."""
     if negligible > NEGLIGIBLE:
         return point
     return min(point, problem.step(point, found, damping), key=lambda end: end.cost)

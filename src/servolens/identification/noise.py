@@ -128,7 +128,7 @@ class NoiseModel:
 
     @property
     def share(self) -> float:
-        """Of the noise's variance that is rounding, 0 to 1: at rest it does not average out. 0 of an axis observed."""
+        """Of the noise's variance that is rounding, 0 to 1: at rest it does not average out. 0 of innovations."""
         total = max(self.spread, self.floor, 1e-150)
         return 0.0 if self.is_observed else min(self.rounding**2 / 12.0 / total**2, 1.0)
 
@@ -157,6 +157,8 @@ class NoiseModel:
             self,
             filters=white.filters,
             scales=white.scales,
+            spread=white.spread,
+            floor=white.floor,
             parameters=0,
             is_fitted=False,
             counts_followed=False,

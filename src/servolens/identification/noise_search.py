@@ -100,6 +100,7 @@ class NoiseTrials:
         It ends where a parabola through the neighbours promises no better ones.
         """
         unit, look = self.likelihood.rate, self.look
+        noise = replace(noise, corner=min(max(noise.corner, CORNERS[0] * unit), CORNERS[1] * unit))
 
         def at(place: NDArray[np.float64]) -> NoiseModel:
             return replace(

@@ -29,7 +29,7 @@ class Parabola(NamedTuple):
         if that leads down nowhere.
         """
         centre, slope, curvature = function(place), np.zeros(2), np.eye(2)
-        places = []
+        places, is_level = [], False
         for k, axis in enumerate(np.eye(2)):
             sides = [place - width * axis, place + width * axis]
             low, high = (function(side) for side in sides)
@@ -40,6 +40,10 @@ class Parabola(NamedTuple):
             elif min(low, high) < centre:
                 slope[k] = (centre - low if np.isfinite(low) else high - centre) / width
                 curvature[k, k] = 0.0
+            else:
+                is_level = True
+        if is_level:
+            return cls(slope, curvature, places)
         aside = place - width * np.where(slope > 0.0, 1.0, -1.0)
         places.append(aside)
         left = function(aside) - centre - float(slope @ (aside - place))

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
 
 __all__ = [
-    "DOMINATES",
     "DRAWS",
     "LOOPS",
     "dominates",
