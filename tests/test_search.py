@@ -2,11 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from servolens import Plant, diagnose, lab
-from servolens.diagnosis.ordering import with_twins
-from servolens.effects import ActuatorLag, CoulombFriction, SensorLag
+from servolens.diagnosis.case import Case
+from servolens.diagnosis.effort import EFFORT
+from servolens.diagnosis.ordering import beside_shaking, with_twins
+from servolens.diagnosis.search import search
+from servolens.effects import (
+    ActuatorLag,
+    CoulombFriction,
+    PendulumGravity,
+    ReturnSpring,
+    Seen,
+    SensorLag,
+    catalogue,
+)
+from servolens.identification.hypothesis import Hypothesis
+from servolens.identification.noise import NoiseModel
+
+HUNG = Seen(
+    low=0.0, high=0.4, usual=(0.0, 0.3), speed=0.6, command=10.0, gain=1.9, damping=6.0,
+    sample_time=1e-3, duration=10.0, noise=1e-5,
+)  # fmt: skip
 
 
 def causes_of(campaign):
@@ -61,3 +82,30 @@ def test_lag_is_tried_elsewhere_in_the_loop(effect, other):
 def test_two_lags_are_not_exchanged():
     lags = (ActuatorLag(time_constant=0.004), SensorLag(time_constant=0.002))
     assert not list(with_twins(Plant(gain=2.0, damping=5.0, effects=lags)))
+
+
+def test_search_as_if_nothing_shook_the_axis_ends_where_shaking_explains_the_rest():
+    campaign = lab.hidden_campaign(720462, effects=["return_spring"], world="shaken")
+    case = Case(campaign.records, campaign.heldout, {}, len(catalogue()))
+    assert case.base.noise.rate > 0.0
+    found = search(case.trials, case.base, EFFORT["normal"], is_enough=case.is_enough)
+    assert found.chosen.causes == ("return_spring",)
+    assert found.chosen.noise.rate > 0.0
+    assert case.likelihood.work < 0.4 * EFFORT["normal"].work  # what the search as if nothing shook it may take
+
+
+def test_gravity_that_is_no_more_than_a_spring_has_one_as_its_simple_form():
+    (spring,) = PendulumGravity(amplitude=2.0, phase=0.5).simplified(HUNG)
+    assert isinstance(spring, ReturnSpring)
+    moved = 1e-6
+    pull = 2.0 * (np.sin(0.5 + moved) - np.sin(0.5 - moved)) / (2.0 * moved)
+    assert spring.stiffness == pytest.approx(pull, rel=1e-6)
+    assert not [*PendulumGravity(amplitude=2.0, phase=np.pi).simplified(HUNG)]  # that pushes away
+
+
+def test_what_was_found_as_if_nothing_shook_the_axis_is_tried_beside_both_noises():
+    still = Hypothesis(Plant(gain=1.0, damping=1.0), NoiseModel.white(1e-6), (), 0.0, 0.0, unpowered=False, local={})
+    shaken = replace(still, noise=replace(still.noise, rate=30.0))
+    tried = [h.noise.rate for h in beside_shaking([still, shaken], shaken.noise)]
+    assert tried == [0.0, 30.0, 30.0]
+    assert [*beside_shaking([still], still.noise)] == [still]
