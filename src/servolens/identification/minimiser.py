@@ -27,8 +27,6 @@ error; of hypotheses that are compared, a tenth."""
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, LEAST_FACTOR = 1e-3, 1e-12, 1e12, 0.1
 """Of the normal equations, in units of their diagonal: where a descent begins, the least, the most, by what it falls at
 most with one step."""
-SECANT = 0.25
-"""Iterations as which a step counts whose slopes follow from the steps before: it costs about as much less."""
 KEPT = 0.25
 """Share of the promised fall below which a step's slopes are no guide to the next (as for trust regions: Nocedal and
 Wright, *Numerical Optimization*, 2nd edition 2006, algorithm 4.1)."""
@@ -51,8 +49,8 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
     differences the slopes follow from the steps themselves (Madsen, Nielsen and Tingleff, *Methods for Non-Linear
     Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end.
     """
-    damping, left, slopes, is_exact = FIRST_DAMPING, float(iterations), None, True
-    while left > 0.0 and not problem.is_spent:
+    damping, left, slopes, is_exact = FIRST_DAMPING, iterations, None, True
+    while left > 0 and not problem.is_spent:
         if slopes is None:
             problem.choose_substeps(point)
             slopes, is_exact = problem.differences(point), True
@@ -67,7 +65,7 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
         if lower is None:
             slopes = None
             continue
-        fall, left = point.cost - lower.cost, left - (1.0 if is_exact else SECANT)
+        fall, left = point.cost - lower.cost, left - 1
         kept = fall / lower.promised if lower.promised > 0.0 else 0.0
         damping = _damping(damping, kept) if needed == damping else needed
         slopes = problem.secants(slopes, point, lower) if kept > KEPT and fall >= gain else None
