@@ -39,7 +39,8 @@ def test_the_minimiser_of_fits_reaches_certified_parameters_to_six_digits(name, 
     found = solved(problem, start)
     if (name, start) in FAR:
         assert found.squares > 1.1 * problem.residual_sum_of_squares
-        assert (~(found.deviations < np.abs(found.values))).any()
+        times = 10.0 if name == "MGH17" else 1e3  # there two terms of the curve grow against each other
+        assert not np.isfinite(found.deviations).all() or (found.deviations > times * np.abs(found.values)).any()
         return
     assert found.converged
     assert digits(found.values, problem.certified) >= 6.0
@@ -51,13 +52,11 @@ def test_the_minimiser_of_fits_reaches_certified_parameters_to_six_digits(name, 
 def test_a_fit_that_claims_an_optimum_has_the_certified_one(name, start):
     problem = PROBLEMS[name]
     found = fitted(problem, start)
-    if not found.converged or found.undetermined:
-        assert (name, start) in FAR or "stopped before" in found.status
-    elif name == ROUNDED:  # whose deviations are those of the rounding
-        assert digits(np.array(found.plant.effects[0].values), problem.certified) >= 9.0
-    else:
+    if found.converged and not found.undetermined:
         away = np.abs(np.array(found.plant.effects[0].values) - problem.certified) / problem.deviations
         assert away.max() < 0.01  # of a standard error: what a fit neglects
+    else:
+        assert (name, start) in FAR or "stopped before" in found.status
 
 
 @each_case
