@@ -286,7 +286,6 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
 
 
-@pytest.mark.xfail(reason="since the minimiser needs fewer differences, Stribeck friction is found and is enough")
 def test_friction_map_is_no_wave_of_friction_beside_cogging():
     campaign = lab.hidden_campaign(901200, effects=["friction_map"], world="coloured")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

@@ -70,7 +70,7 @@ class Explorer:
         known: Sequence[Hypothesis],
         is_enough: Callable[[Hypothesis], bool],
         share: float,
-        ends: Callable[[Hypothesis, float], bool] = lambda _found, _allowance: False,
+        ends: Callable[[Hypothesis, float], Hypothesis | None] = lambda _found, _allowance: None,
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self._ends, self.has_ended = ends, False
@@ -143,12 +143,20 @@ class Explorer:
             if not best.causes:
                 return [best], False
             path = self._steps(path, best)
-            self.has_ended = not self.is_enough(best) and self._ends(best, self._allowance(1))
+            self.has_ended = self._is_overtaken(best)
             if self.has_ended:
                 break
             further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
             beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False
+
+    def _is_overtaken(self, best: Hypothesis) -> bool:
+        """Tell whether the search ends with `best`: beside other noise it is likelier than any last resort is here."""
+        other = None if self.is_enough(best) else self._ends(best, self._allowance(1))
+        if other is None:
+            return False
+        resorts = self._judged([(plant, best) for plant in self._last_resorts(best)])
+        return not resorts or resorts[0].total >= other.total
 
     def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return `path` as it leads to the likeliest of all that was fitted."""
@@ -391,14 +399,17 @@ class Explorer:
         """
         if hypothesis.noise.rate > 0.0 or not self.is_enough(hypothesis):
             return hypothesis
-        test = ScoreTest(self.likelihood, hypothesis)
-        for name, cls in catalogue().items():
-            if cls.is_last_resort and set(cls.generalises) & set(hypothesis.causes):
-                starts = [s for s in self.trials.starts(test, name)[:1] if s.gain > self.trials.price(cls)]
-                found = self._judged([(start.plant, hypothesis) for start in starts])
-                if found and found[0].total < hypothesis.total:
-                    return self.improved(found[0])
-        return hypothesis
+        found = self._judged([(plant, hypothesis) for plant in self._last_resorts(hypothesis)])
+        return self.improved(found[0]) if found and found[0].total < hypothesis.total else hypothesis
+
+    def _last_resorts(self, hypothesis: Hypothesis) -> Iterator[Plant]:
+        """Yield the plant with a last resort in the place of causes that it generalises, or of their kin."""
+        for plant in (hypothesis.plant, *specialised(hypothesis.plant, self.trials.screen)):
+            test = ScoreTest(self.likelihood, replace(hypothesis, plant=plant))
+            for name, cls in catalogue().items():
+                if cls.is_last_resort and set(cls.generalises) & {effect.name for effect in plant.effects}:
+                    starts = self.trials.starts(test, name)[:1]
+                    yield from (start.plant for start in starts if start.gain > self.trials.price(cls))
 
     def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""

@@ -80,8 +80,8 @@ def search(
     An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
     before all are found, and so hides that together they leave nothing. If what is found then is likelier than gain and
     damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer. That search
-    ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs. Where it
-    ends a second one begins, and the likelier of both is returned.
+    ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs, unless a
+    last resort in their place is likelier. Where it ends a second one begins, and the likelier of both is returned.
 
     Parameters
     ----------
@@ -108,19 +108,18 @@ def search(
         return _searched(trials, base, effort, tell, known, is_enough)
     unshaken, beside = trials.unshaken(), [*known]
 
-    def is_shaken(found: Hypothesis, work: float) -> bool:
+    def shaken_likewise(found: Hypothesis, work: float) -> Hypothesis | None:
         shaken = trials.shaken().likelihood
-        for like in beside_shaking([found], base.noise):
-            other = shaken.judged(found.plant, like, allowance=0.5 * work)
-            if other is not None and other.noise.rate > 0.0 and other.total < found.total and is_enough(other):
-                beside.append(other)
-                break
+        fits = (shaken.judged(found.plant, like, allowance=0.5 * work) for like in beside_shaking([found], base.noise))
+        telling = (h for h in fits if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
+        other = next(telling, None)
         unshaken.likelihood.count(shaken.work)
-        return len(beside) > len(known)
+        beside.extend([other] if other else [])
+        return other
 
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        budget = _Budget(UNSHAKEN, LIKELIER, base.total, is_shaken)
+        budget = _Budget(UNSHAKEN, LIKELIER, base.total, shaken_likewise)
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)
@@ -166,14 +165,14 @@ def _without_observer(trials: Trials, found: Search, work: float) -> Search:
 class _Budget:
     """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one.
 
-    The search `ends` at once with a hypothesis for which that function, given the work it may do, is true. It
-    `goes_on` from where it begins even if that leaves something which depends on the inputs.
+    The search `ends` at once with a hypothesis if what that function makes of it, given the work it may do, is likelier
+    than its last resorts. It `goes_on` from where it begins even if that leaves something which depends on the inputs.
     """
 
     share: float = 1.0
     longer: float = 1.0
     promising: float = -math.inf
-    ends: Callable[[Hypothesis, float], bool] = lambda _found, _work: False
+    ends: Callable[[Hypothesis, float], Hypothesis | None] = lambda _found, _work: None
     goes_on: bool = False
 
 
