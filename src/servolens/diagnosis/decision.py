@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.errors import pooled
-from servolens.diagnosis.explorer import INDISTINCT
+from servolens.diagnosis.explorer import INDISTINCT, SPENT
 from servolens.diagnosis.remainder import held_errors, remainder_of
-from servolens.diagnosis.search import ALONE, Search, improved_path, search
+from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.phases import own_phases
@@ -185,15 +185,15 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
         work = SECOND * effort.work
-        known = simulating.fitted_to_simulations(list(begun.values()), ALONE * work)
-        other = search(simulating.trials, base, replace(effort, work=(1.0 - ALONE) * work), tell, known)
+        known = simulating.fitted_to_simulations(list(begun.values()), SPENT * work)
+        other = search(simulating.trials, base, replace(effort, work=(1.0 - SPENT) * work), tell, known)
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)
-    again = _refitted(case, other.path, ALONE * work)
+    again = _refitted(case, other.path, SPENT * work)
     explains = bool(again) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
-        refitted = improved_path(case.trials, found, again, replace(effort, work=ALONE * work), case.is_enough)
+        refitted = improved_path(case.trials, found, again, replace(effort, work=SPENT * work), case.is_enough)
         if case.is_enough(refitted.chosen) and not _is_stand_in(case, refitted.chosen):
             return Decision(case, refitted, refitted.path, ())
         return Decision(case, replace(found, path=again), again, ())

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["INDISTINCT", "Explorer"]
+__all__ = ["INDISTINCT", "SPENT", "Explorer"]
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5
@@ -53,7 +53,8 @@ STARTED = 2
 """Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SHARE, SPENT = 0.4, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for: so much is kept for fits to their optimum."""
+whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
+by one that is made after a search."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 

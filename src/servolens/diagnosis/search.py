@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
-from servolens.diagnosis.explorer import INDISTINCT, Explorer
+from servolens.diagnosis.explorer import INDISTINCT, SPENT, Explorer
 from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
 
@@ -21,16 +21,13 @@ if TYPE_CHECKING:
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
 
-__all__ = ["ALONE", "Search", "improved_path", "search"]
+__all__ = ["Search", "improved_path", "search"]
 
 SIMPLE = 0.75
 """Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
 UNSHAKEN, LIKELIER = 0.4, 0.7
 """Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
 something likelier than that the axis is shaken. Chosen likewise."""
-
-ALONE = 0.25
-"""Of the effort, what one hypothesis may take that is fitted otherwise after a search."""
 
 
 @final
@@ -135,7 +132,7 @@ def search(
     shaken = trials.shaken()
     second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), beside, is_enough, begun)
     trials.likelihood.count(shaken.likelihood.work)
-    second = _without_observer(trials, second, ALONE * effort.work)
+    second = _without_observer(trials, second, SPENT * effort.work)
     likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
 

@@ -12,6 +12,7 @@ from servolens.diagnosis.decision import decided
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
+from servolens.diagnosis.explorer import SPENT
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings
 from servolens.diagnosis.messages import missed_by_far, said
@@ -19,7 +20,6 @@ from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
 from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
-from servolens.diagnosis.search import ALONE
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
@@ -122,7 +122,7 @@ def _diagnosed(
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("Comparing errors with and without the causes", 90, 100)
     whole = [counting_followed(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
-    fits = [fitted(case.likelihood, h, ALONE * EFFORT[effort].work) for h in whole]
+    fits = [fitted(case.likelihood, h, SPENT * EFFORT[effort].work) for h in whole]
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)

@@ -24,9 +24,9 @@ __all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_mi
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard
 error; of hypotheses that are compared, a tenth."""
-FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING, LEAST_FACTOR = 1e-3, 1e-12, 1e12, 0.1
-"""Of the normal equations, in units of their diagonal: where a descent begins, the least, the most, by what it falls at
-most with one step."""
+FIRST_DAMPING, LEAST_DAMPING, LEAST_FACTOR = 1e-3, 1e-12, 0.1
+"""Of the normal equations, in units of their diagonal: where a descent begins, the least, by what it falls at most with
+one step."""
 KEPT = 0.25
 """Share of the promised fall below which a step's slopes are no guide to the next (as for trust regions: Nocedal and
 Wright, *Numerical Optimization*, 2nd edition 2006, algorithm 4.1)."""
@@ -83,14 +83,14 @@ def _lower(
 ) -> tuple[Point | None, float]:
     """Return the first of several trials, each damped more, that is lower than `point`, and the damping; None if none.
 
-    The last promises less than the `gain` that counts. Only `once` where the slopes may be to blame.
+    The last promises less than the `gain` that counts, or moves nothing. Only `once` where the slopes may be to blame.
     """
     factor = 2.0
     while True:
         trial = problem.step(point, found, damping)
         if trial.cost < point.cost:
             return trial, damping
-        if once or 0.0 <= trial.promised < gain or damping > MOST_DAMPING:
+        if once or 0.0 <= trial.promised < gain or np.array_equal(trial.values, point.values):
             return None, damping
         damping, factor = damping * factor, 2.0 * factor
 
