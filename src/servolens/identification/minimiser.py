@@ -90,9 +90,15 @@ def _lower(
         trial = problem.step(point, found, damping)
         if trial.cost < point.cost:
             return trial, damping
-        if once or 0.0 <= trial.promised < gain or np.array_equal(trial.values, point.values):
+        if once or 0.0 <= trial.promised < gain or not _moves(problem, point, trial):
             return None, damping
         damping, factor = damping * factor, 2.0 * factor
+
+
+def _moves(problem: Problem, point: Point, trial: Point) -> bool:
+    """Return whether a parameter of the `trial` differs from that of the `point` by more than numbers are exact."""
+    exact = np.finfo(float).eps * np.maximum(np.abs(point.values), problem.scale)
+    return bool((np.abs(trial.values - point.values) > exact).any())
 
 
 def _ended(problem: Problem, point: Point, found: Linearised, damping: float, negligible: float) -> Point:
