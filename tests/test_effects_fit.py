@@ -414,6 +414,30 @@ def test_held_parameter_stays_as_given_and_the_others_suffer_for_it():
     assert wrong.rms_error > right.rms_error
 
 
+@pytest.mark.parametrize("driven", ["voltage", "closed_loop"])
+def test_fit_of_which_every_parameter_is_held_only_evaluates(driven):
+    truth = axis(coulomb_friction={"level": 0.3})
+    record, plant = logged(truth), plant_of(truth)
+    held = servolens.fit(plant, record, fixed=tuple(plant.parameters), driven=driven)
+    assert held.plant == plant
+    assert {quantity.reason for quantity in held.quantities.values()} == {"given, not estimated"}
+    assert held.at_noise
+    assert not held.correlations
+    wrong = servolens.fit(plant, record, fixed={name: 0.5 * value for name, value in plant.named.items()})
+    assert wrong.rms_error > 100.0 * held.rms_error
+    with pytest.raises(InputError, match=r"those are none$"):
+        profile(held, "gain")
+
+
+def test_profile_of_the_only_parameter_that_was_fitted_is_the_parabola_of_its_standard_error():
+    truth = axis(coulomb_friction={"level": 0.3})
+    plant = plant_of(truth)
+    found = servolens.fit(plant, logged(truth), fixed=("gain", "damping"))
+    quantity = found.quantities["coulomb_friction.level"]
+    interval = profile(found, "coulomb_friction.level").interval
+    assert interval == pytest.approx(quantity.interval, abs=0.3 * quantity.stderr)
+
+
 def test_prior_as_good_as_the_data_pulls_half_of_the_way():
     record = logged(axis(coulomb_friction={"level": 0.35}))
     free = servolens.fit([CoulombFriction(level=0.5)], record).quantities["coulomb_friction.level"]

@@ -61,8 +61,8 @@ def _is_wider(problem: Problem, point: Point, found: Linearised, fine: NDArray[n
 
 
 def _widths(problem: Problem, point: Point, information: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the standard errors if the noise were white; None where the data do not determine all parameters."""
-    if not ((np.diag(information) > 0).all() and well_conditioned(information)):
+    """Return the standard errors if the noise were white; None where the data do not determine all, or none is free."""
+    if problem.free.size == 0 or not ((np.diag(information) > 0).all() and well_conditioned(information)):
         return None
     variance = problem.variance(point) * np.diag(np.linalg.inv(information))
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
