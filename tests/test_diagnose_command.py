@@ -508,6 +508,23 @@ def test_without_rivals_there_is_no_experiment(logged):
     assert proposed(STICKY["coulomb_friction"], {}, {}, logged, noise=NOISE) is None
 
 
+@pytest.mark.parametrize(
+    ("field", "value", "finds"),
+    [
+        ("kd", 1e308, True),
+        ("kp", -1e308, False),
+        ("reference", 1e-310, False),
+        ("sample_time", 1e308, False),
+        ("start", -1.7e308, False),
+    ],
+)
+def test_number_of_a_damaged_diagnosis_that_no_computer_doubles_is_no_error(logged, field, value, finds):
+    """Twice a kd of 1e308 is infinite; warnings are errors here."""
+    written = {**Logged.of(logged[0]).to_json(), "reference": 0.1 + (1.7e308 if field == "start" else 0.0)}
+    best = next_experiment(STICKY, [Logged.from_json({**written, field: value})], noise=NOISE)
+    assert (best is not None) is finds
+
+
 def test_loops_unstable_with_a_rival_are_not_proposed():
     record = step(PLAIN, 60, 4.0)
     rivals = {"delay": cart(Delay(time=0.05)), "sensor_lag": cart(SensorLag(time_constant=0.05))}

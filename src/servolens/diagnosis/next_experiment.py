@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any, NamedTuple, final
@@ -28,6 +29,8 @@ GAINS, DAMPINGS = 6, 4
 """How many kp and kd are tried."""
 SLOWER, FASTER = 0.5, 2.0
 """Times the logged gains between which those proposed lie."""
+LARGEST = math.sqrt(sys.float_info.max)
+"""Gain from which on its products are no numbers: none is proposed, for no loop had it."""
 MOST_SAMPLES = 3000
 """Of one level: a longer one adds rest and no knowledge."""
 MOST_RIVALS = 4
@@ -219,13 +222,15 @@ def _trials(largest: Logged, logged: Sequence[Logged], plant: Plant) -> list[Rec
     """Return candidates as records without measurements: a step and the way back, each for one level's time."""
     most = _most_voltage(logged)
     gains = _gains(logged, most / max(largest.amplitude, 1e-300), plant)
-    known = next((one.controller for one in (largest, *logged) if one.controller), Controller(kp=gains[0]))
     count = round(min(max(largest.duration / largest.sample_time, 4.0), MOST_SAMPLES))
     index = np.arange(REST + 2 * count)
+    travel = _digits(largest.reference - largest.start, 3)
+    if not gains or not math.isfinite(travel) or not math.isfinite(float(index[-1]) * largest.sample_time):
+        return []  # what was logged is beyond all numbers
+    known = next((one.controller for one in (largest, *logged) if one.controller), Controller(kp=gains[0]))
     time = index.astype(np.float64) * largest.sample_time
     away = (index >= REST) & (index < REST + count)
-    travel = _digits(largest.reference - largest.start, 3)
-    start = float(np.round(largest.start, max(2 - math.floor(math.log10(abs(travel) or 1.0)), 0))) + 0.0
+    start = round(largest.start, max(2 - math.floor(math.log10(abs(travel) or 1.0)), 0)) + 0.0
     limits = [one.voltage_limit for one in logged if one.voltage_limit is not None]
     return [
         Record(
@@ -251,6 +256,8 @@ def _gains(logged: Sequence[Logged], usual: float, plant: Plant) -> list[float]:
     used = [abs(one.controller.kp) for one in logged if one.controller and one.controller.kp] or [usual]
     sign = np.sign(next((one.controller.kp for one in logged if one.controller and one.controller.kp), plant.gain))
     low, high = SLOWER * min(used), FASTER * max(used)
+    if high > LARGEST:
+        return []
     return [float(sign * kp) for kp in _rounded(np.geomspace(low, high, GAINS)) if low <= kp <= high]
 
 
@@ -258,6 +265,8 @@ def _dampings(logged: Sequence[Logged], gains: Sequence[float], plant: Plant) ->
     """Return kd from none to twice the largest; where none was used, up to that which just avoids an overshoot."""
     used = [one.controller.kd for one in logged if one.controller and one.controller.kd]
     top = FASTER * max(used, key=abs) if used else _avoiding_overshoot(gains, plant)
+    if abs(top) > LARGEST:
+        return [0.0]
     sizes = _rounded(abs(top) * np.linspace(0.0, 1.0, DAMPINGS))
     return [0.0, *(float(np.sign(top) * kd) for kd in sizes if kd <= abs(top))]
 
