@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
@@ -16,6 +17,7 @@ from servolens.design.cover import Cover
 from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.plant import Plant
+from servolens.report.figures_design import columns, draw_settling
 
 
 def cart(gain: float, damping: float, *law: float) -> Plant:
@@ -176,6 +178,27 @@ def test_voltage_beyond_the_limit_is_infeasible_with_a_reason() -> None:
     assert design.reason is not None
     assert "asks for 10 V" in design.reason
     assert design.to_json()["kd"] is None
+
+
+@pytest.mark.parametrize("gain", [1e-12, -1e-30, 5e-324])
+def test_plant_that_does_not_answer_to_the_voltage_is_told_in_one_sentence(gain: float) -> None:
+    spec = PDSpec(kp=100.0, settling_time=0.5)
+    comparison = compare(MODELS["Lm1"], cart(gain, 6.0), spec)
+    design = comparison.nonlinear
+    assert design.reason == (
+        f"the plant does not answer to the voltage: with a gain of {gain:.2g} m/s²/V it stays where it is, and no gain"
+        " of a loop follows"
+    )
+    assert (design.feasible, design.certificate.searched) == (False, (0.0, 0.0))
+    assert comparison.linear.kd is not None
+    silent = compare(cart(gain, 6.0), cart(gain, 6.0), spec)
+    assert draw_settling(columns(silent), Figure().add_subplot()) is None  # and warns of nothing
+
+
+def test_short_settling_time_is_no_plant_that_does_not_answer() -> None:
+    design = tune(MODELS["Lm1"], PDSpec(kp=100.0, settling_time=0.003))
+    assert design.reason is not None
+    assert "the settling time of 0.003 s cannot be met" in design.reason
 
 
 def test_sticking_axis_that_stops_outside_the_band_is_infeasible() -> None:

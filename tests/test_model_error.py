@@ -67,6 +67,10 @@ def test_records_without_a_loop_tell_nothing():
     assert model_error(MODEL, records) is None
 
 
+def test_model_that_nothing_moves_has_no_relative_error():
+    assert model_error(replace(MODEL, gain=5e-324), steps({})) is None
+
+
 def test_the_gain_of_a_linear_loop_is_the_textbook_s():
     spec, kd = PDSpec(kp=100.0, settling_time=0.5, control="continuous"), 8.0
     frequency = np.array([0.5, 1.0, 2.0, 4.0, 8.0])

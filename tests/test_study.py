@@ -16,12 +16,14 @@ from servolens import design as designing
 from servolens.design import settling_time
 from servolens.effects import CoulombFriction, Saturation
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.model import Model
 from servolens.record import Controller
 from servolens.results import to_text, write_json
 from servolens.study import completed_spec, held_out_prediction, suggested_spec
+from servolens.study import workflow as study_workflow
 from servolens.study.workflow import OF_SIMPLER_MODELS
-from servolens.summaries import design_summary
+from servolens.summaries import compared_summary, design_summary
 from servolens.summaries.comparison import side_by_side
 
 CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
@@ -180,6 +182,21 @@ def test_spec_that_no_gain_meets_gives_none():
     assert not found.design.feasible
     assert not found.forced
     assert found.design.reason in found.to_json()["reason"]
+
+
+def test_no_gain_is_sought_for_an_axis_that_does_not_answer_to_the_voltage(cart, monkeypatch):
+    """Gains up to 1e16 were looked through, of a plant with a gain of next to nothing."""
+    silent = Finding(
+        code="gain_not_shown", severity="warning", message="nothing shows that the command moves the axis."
+    )
+    diagnosis = replace(cart.diagnosis, findings=(silent,))
+    monkeypatch.setattr(study_workflow, "diagnose", lambda *_, **__: diagnosis)
+    found = study_records(cart.records, SPEC, effort="quick")
+    assert (found.comparison, found.design) == (None, None)
+    assert found.lights["gain"].sentence == (
+        "No gain was sought: the plant does not answer to the voltage in these records, so no gain follows from them."
+    )
+    assert not [told for told in compared_summary(found).sentences if "kd" in told]
 
 
 def test_gain_far_beyond_the_records_is_withheld():

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
-__all__ = ["explain"]
+__all__ = ["explain", "unanswered"]
 
 ZOOMS, PARTS = 4, 8
 """How often the scan looks closer around the best gain, and at how many gains."""
@@ -78,6 +78,21 @@ def explain(
     if nearest:
         reason += f"; {_offer(nearest[0], spec.free, unit)}"
     return reason, conflict, nearest
+
+
+def unanswered(models: Iterable[Plant], spec: PDSpec) -> str | None:
+    """Return a sentence if a model does not answer to the voltage: the loop moves it by no more than simulations err.
+
+    Of a cascade none is judged: the gain that is sought there multiplies that of the plant.
+    """
+    for model in models:
+        share = 0.5 * (spec.rate(model.gain) * spec.settling_time) ** 2  # of the step, by all of the command from rest
+        if share < FEASIBLE:
+            return (
+                f"the plant does not answer to the voltage: with a gain of {model.gain:.2g}"
+                f" {model.length_unit}/s²/{model.command_unit} it stays where it is, and no gain of a loop follows"
+            )
+    return None
 
 
 def _step(models: Iterable[Plant], spec: PDSpec, kd: float) -> _Step | None:

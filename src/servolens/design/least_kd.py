@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from servolens.design.cover import Cover, last_gain
 from servolens.design.found import Certificate, Design
-from servolens.design.infeasible import explain
+from servolens.design.infeasible import explain, unanswered
 from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
@@ -70,16 +70,15 @@ def tune(
     >>> round(design.kd, 2)
     6.28
     """
-    models = tuple(plants) if isinstance(plants, Sequence) else (plants,)
-    if not models:
-        raise InputError("no model was given; a design needs at least one")
-    if len({(m.length_unit, m.command_unit) for m in models}) > 1:
-        raise InputError("the models have different units; a gain cannot hold for all of them")
+    models = _checked(plants)
     if (with_program or certify) and not (spec.is_pd and not spec.limits):
         raise InputError(
             "CasADi's program and the proof by enclosures are for PD only, and know no limits of the linearised loop;"
             " leave them out"
         )
+    silent = unanswered(models, spec)
+    if silent is not None:
+        return _unsearched(models, spec, silent)
     stated = spec.kd_max
     top = stated or max(last_gain(model, spec) for model in models)
     spec = replace(spec, kd_max=top)
@@ -111,6 +110,23 @@ def tune(
     if with_program:
         design = _with_program(models, design)
     return _certified(models, design, cover.scale, progress) if certify else design
+
+
+def _checked(plants: Plant | Sequence[Plant]) -> tuple[Plant, ...]:
+    """Return the plants; refuse none, and such of different units."""
+    models = tuple(plants) if isinstance(plants, Sequence) else (plants,)
+    if not models:
+        raise InputError("no model was given; a design needs at least one")
+    if len({(m.length_unit, m.command_unit) for m in models}) > 1:
+        raise InputError("the models have different units; a gain cannot hold for all of them")
+    return models
+
+
+def _unsearched(models: tuple[Plant, ...], spec: PDSpec, reason: str) -> Design:
+    """Return a design of plants for which no gain needs to be looked for, with the reason."""
+    watched = max(horizon(model, spec) for model in models)
+    certificate = Certificate(searched=(0.0, 0.0), gap=0.0, kind="sensitivity", horizon=watched)
+    return Design(plants=models, spec=spec, kd=None, intervals=(), certificate=certificate, reason=reason)
 
 
 def _all_hunt(settling: Sequence[tuple[float, float]], spec: PDSpec, worst: Hunting | None) -> str:

@@ -92,7 +92,10 @@ def _spectra(plant: Plant, record: Record) -> Spectra | None:
     moved, error = _transform(shown - shown[0]), _transform(left - left[0])
     pull, answer, given = _transform(drive), _transform(asked), _transform(run.voltage)
     frequencies = np.fft.rfftfreq(len(record), record.sample_time)
-    weight = 1.0 / np.sqrt(np.mean(np.abs(pull * moved) ** 2))
+    size = np.sqrt(np.mean(np.abs(pull * moved) ** 2))
+    if size == 0.0:
+        return None  # what the model says does not move has no error relative to that
+    weight = 1.0 / size
     signals = (error * pull * weight, answer * moved * weight, given * moved * weight, pull, pull - given)
     return tuple(signal[1:].astype(np.complex128) for signal in (frequencies, *signals))
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.design import settling_time, step_response
+from servolens.design.settle import horizon
 from servolens.errors import NumericalError
 from servolens.report.curves import curve
 from servolens.report.drawing import drawing, keys_from, keys_of
@@ -188,7 +189,7 @@ def _map_numbers(found: GainMap, names: GainNames) -> Numbers:
 def settling_curve(label: str, plant: Plant, spec: PDSpec, gains: NDArray[np.float64], role: Role) -> Curve:
     """Return settling time against the gain that is sought, broken where it jumps."""
     swing = 2.0 * np.pi / max(spec.rate(plant.gain), 1e-6)
-    watched = max(4.0 * spec.settling_time, 2.0 * swing)
+    watched = max(4.0 * spec.settling_time, min(2.0 * swing, horizon(plant, spec)))
     times = np.array([_settles(plant, spec, float(kd), watched) for kd in gains])
     jumps = np.flatnonzero(np.abs(np.diff(times)) > JUMP * swing) + 1
     return curve(label, np.insert(gains, jumps, np.nan), np.insert(times, jumps, np.nan), role)
@@ -215,7 +216,7 @@ def last_gain(designs: Sequence[Design]) -> float:
     """Return up to which gain figures of these designs reach."""
     ends = [high for design in designs for _, high in design.intervals]
     searched = max(design.certificate.searched[1] for design in designs)
-    return min(1.15 * max(ends), searched) if ends else searched
+    return min(1.15 * max(ends), searched) if ends else searched or 1.0  # where none was searched, any will do
 
 
 def _least(design: Design) -> str:

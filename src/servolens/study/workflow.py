@@ -48,6 +48,7 @@ OF_SIMPLER_MODELS = frozenset(
     {"beyond_the_law", "no_velocity_dependence", "not_simulated", "pieces_not_determined", "varying_not_determined"}
 )
 """Findings of the identification on models in whose place a diagnosis puts its own."""
+UNANSWERED = "the plant does not answer to the voltage in these records, so no gain follows from them"
 SEVERITIES = ("error", "warning", "note")
 
 
@@ -193,6 +194,8 @@ def _designed(
     fit = found.fit
     if found.model is None or fit is None:
         return found
+    if found.diagnosis is not None and any(known.code == "gain_not_shown" for known in found.diagnosis.findings):
+        return replace(found, why_none=UNANSWERED)
     progress("Searching for the least gains", 80, 100)
     model = with_amplifier(found.model, records)
     found = replace(found, model=model)
