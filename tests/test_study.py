@@ -150,6 +150,24 @@ def test_wrong_sign_leaves_no_gain():
     assert body["reason"]
 
 
+@pytest.mark.parametrize("force", [False, True])
+def test_causes_are_sought_in_wrong_data_by_force_alone(cart, monkeypatch, force):
+    asked = []
+
+    def diagnosed(records, **_):
+        asked.append(records)
+        return cart.diagnosis
+
+    monkeypatch.setattr(study_workflow, "diagnose", diagnosed)
+    monkeypatch.setattr(study_workflow, "identify", lambda *_, **__: cart.fit)
+    first, second = steps(CART, 60, 80)
+    wrong = second.with_({"voltage": -second.voltage})
+    found = study_records([first, wrong], SPEC, effort="quick", force=force)
+    assert len(asked) == force
+    assert (found.lights["data"].light, found.lights["gain"].light) == ("red", "red")
+    assert found.why_undiagnosed == ("" if force else "the data are wrong")
+
+
 def test_one_record_with_a_wrong_sign_among_right_ones_withholds_the_gain():
     first, second, third = steps(CART, 60, 80, 100)
     found = study_records([first, second, third.with_({"voltage": -third.voltage})], SPEC, effort="quick")

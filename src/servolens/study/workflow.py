@@ -11,7 +11,7 @@ import numpy as np
 from servolens.design import compare, recommend
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
-from servolens.errors import NumericalError, ServolensError
+from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
@@ -49,6 +49,7 @@ OF_SIMPLER_MODELS = frozenset(
 )
 """Findings of the identification on models in whose place a diagnosis puts its own."""
 UNANSWERED = "the plant does not answer to the voltage in these records, so no gain follows from them"
+WRONG = "the data are wrong"
 SEVERITIES = ("error", "warning", "note")
 
 
@@ -82,7 +83,7 @@ def study_records(
     effort : {"quick", "normal", "thorough"}
         How far the search for causes goes.
     force : bool
-        Whether to give a gain that is to be withheld.
+        Whether to give a gain that is to be withheld, and to seek causes in data whose sign or unit is wrong.
     progress : callable
         Is told (what, done, total).
     **settings
@@ -126,7 +127,8 @@ def study_records(
     )
     fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
     train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
-    modelled = _modelled(begun, train, tests, known, effort, progress)
+    is_sought = force or not fatal(_findings(check))
+    modelled = _modelled(begun, train, tests, known, effort, progress, is_sought=is_sought)
     found = _designed(modelled, train, spec, references, progress)
     return _judged(found, force=force)
 
@@ -138,22 +140,27 @@ def _modelled(
     priors: Mapping[str, Prior],
     effort: str,
     progress: Progress,
+    *,
+    is_sought: bool,
 ) -> Study:
-    """Add the models, and what the diagnosis says of them."""
+    """Add the models and, if causes are to be sought, what the diagnosis says of them."""
     if not records:
         return replace(found, why_undiagnosed="no record is fit for it")
     progress("Fitting models of gain and damping", 2, 100)
     law = {name: prior for name, prior in priors.items() if name in OF_THE_LAW}
-    fit, diagnosis = _side_by_side(
-        lambda: identify(records, priors=law),
-        lambda: diagnose(
+
+    def searched() -> Diagnosis:
+        if not is_sought:  # no gain is given of them: nobody should wait for a search
+            raise InputError(WRONG)
+        return diagnose(
             records,
             heldout=heldout,
             priors=priors,
             effort=effort,
             progress=lambda what, done, _: progress(what, 10 + round(0.7 * done), 100),
-        ),
-    )
+        )
+
+    fit, diagnosis = _side_by_side(lambda: identify(records, priors=law), searched)
     if isinstance(fit, ServolensError):
         if not fatal(_findings(found.check)):
             raise fit
