@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from servolens import read_record
 from servolens.errors import InputError
+from servolens.lab import NLM1, step_record
 from servolens.record import Controller, Record
 
 
@@ -22,6 +24,68 @@ def record(**changes):
         "controller": Controller(kp=2.0),
     }
     return Record(**{**given, **changes})
+
+
+RUN = step_record(NLM1, kp=60, kd=1 / 3, duration=0.5, seed=3)
+NOISE = np.random.default_rng(720441).normal(size=(3, len(RUN)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"reference": None},
+        {"voltage": None, "length_unit": "rad", "command_unit": "N m"},
+        {"command_unit": "%", "name": "Wagen 3 = größer, #4"},
+        {
+            "velocity": NOISE[0],
+            "feedforward": NOISE[1],
+            "enabled": (NOISE[2] > 0).astype(float),
+            "voltage_limit": 1 / 3,
+            "voltage_before": 0.0,
+            "inertia": 0.1 + 0.2,
+        },
+        {"controller": Controller(kp=1 / 7, ki=40, setpoint_weight=0.3, integral_before=0.7, control_period=0.002)},
+        {"controller": Controller(kp=-6, kd=-1, derivative_filter=0.3, derivative_window=2, derivative_on="error")},
+        {"controller": Controller(kp=60, kd=1, derivative="velocity"), "velocity": NOISE[0]},
+        {
+            "controller": Controller(kp=60, ki=3, anti_windup="back_calculation", tracking_time=0.1),
+            "voltage_limit": 9.0,
+        },
+        *(
+            {
+                "controller": Controller.cascade(kp=a, kv=b, kiv=abs(c) * np.sign(b), feedforward_speed=a * c),
+                "voltage_limit": 9.0,
+            }
+            for a, b, c in NOISE[:, :5].T.tolist()
+        ),
+    ],
+)
+def test_record_is_read_as_it_was_written_to_the_last_bit(tmp_path, changes):
+    written = RUN.with_(changes)
+    written.to_csv(tmp_path / "run.csv")
+    read = read_record(tmp_path / "run.csv")
+    for field in dataclasses.fields(Record):
+        if field.name not in ("source", "remarks"):
+            np.testing.assert_array_equal(getattr(read, field.name), getattr(written, field.name), field.name)
+    assert read.remarks == ()
+
+
+def test_name_of_several_lines_cannot_state_a_setting(tmp_path):
+    RUN.with_({"name": "run\n# kp = 99"}).to_csv(tmp_path / "run.csv")
+    read = read_record(tmp_path / "run.csv")
+    assert (read.name, read.controller) == ("run# kp = 99", RUN.controller)
+
+
+def test_loop_that_no_settings_state_is_not_written(tmp_path):
+    odd = RUN.with_({"controller": Controller(kp=60, ki=3, velocity_feedforward=1.0)})
+    with pytest.raises(
+        InputError, match="a loop with integral_rate or velocity_feedforward can be written as a cascad"
+    ):
+        odd.to_csv(tmp_path / "run.csv")
+    assert not [*tmp_path.iterdir()]
+    with pytest.raises(InputError, match=r"nowhere.run\.csv: cannot be written"):
+        RUN.to_csv(tmp_path / "nowhere" / "run.csv")
 
 
 def test_signals_are_read_only_copies():

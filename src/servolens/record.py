@@ -6,6 +6,7 @@ Signals are ``(n,)`` float64 in SI units (seconds, metres or radians, volts) and
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
@@ -13,8 +14,11 @@ import numpy as np
 from servolens.control_arithmetic import LoopSignals, answer
 from servolens.controller import Controller
 from servolens.errors import InputError
+from servolens.record_text import csv_text, loop_settings
+from servolens.results import write_atomically
 
 if TYPE_CHECKING:
+    import os
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
@@ -297,6 +301,41 @@ class Record:
             limit=self.voltage_limit,
         )
         return answer(controller, seen)
+
+    def to_csv(self, path: str | os.PathLike[str]) -> None:
+        """Write the record as a file from which :func:`servolens.read_record` makes it again, to the last bit.
+
+        What the file does not hold are `source` and `remarks`, which are its reader's. Where the loop is not known, who
+        reads the file looks for gains in the logged command, as in every log.
+
+        Parameters
+        ----------
+        path : path
+            The file; what is there is replaced.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or no settings state such a loop.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> import servolens as sl
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     sl.lab.step_record(sl.lab.NLM1, kp=60).to_csv(f"{folder}/run.csv")
+        ...     sl.read_record(f"{folder}/run.csv")
+        <Record kp 60, kd 0: 1501 samples in 1.5 s, position, reference, voltage; kp 60, kd 0>
+        """
+        length, command = self.length_unit, self.command_unit
+        settings: dict[str, object] = {"name": self.name}
+        if self.controller is not None:
+            settings |= loop_settings(self.controller, length, command)
+        for key in ("encoder_resolution", "voltage_limit", "voltage_before", "inertia"):
+            settings[key] = None if getattr(self, key) is None else float(getattr(self, key))
+        units = {"time": "s", "velocity": f"{length}/s", "voltage": command, "feedforward": command}
+        columns = {s if s == "enabled" else f"{s} [{units.get(s, length)}]": getattr(self, s) for s in SIGNALS}
+        write_atomically(Path(path), csv_text(settings, columns).encode("utf-8"))
 
     def _take(self, first: int, last: int) -> Record:
         taken = self._signals(first, last)

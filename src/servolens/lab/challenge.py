@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servolens.lab.hidden import HiddenCampaign
-    from servolens.record import Record
 
 __all__ = ["CaseScore", "Score", "challenge_case", "score_answers", "write_challenge"]
 
@@ -134,29 +133,10 @@ def write_challenge(folder: Path, seed: int, cases: int, world: str = "white") -
         own.mkdir()
         for kind, records in (("run", campaign.records), ("heldout", campaign.heldout)):
             for i, record in enumerate(records, 1):
-                write_atomically(own / f"{kind}-{i}.csv", _csv(record).encode("ascii"))
+                record.with_({"name": f"{kind}-{i}"}).to_csv(own / f"{kind}-{i}.csv")
     known = {effect: sorted(LAWS[effect].parameters) for effect in sorted(SIZES)}
     told = {"schema": "servolens.challenge/1", "world": world, "cases": names, "effects": known}
     write_atomically(folder / "challenge.json", to_text(told).encode("ascii"))
-
-
-def _csv(record: Record) -> str:
-    """Return a record as the text of a CSV file, its numbers to the last bit."""
-    loop, unit = record.controller, record.length_unit
-    head = []
-    if loop is not None:
-        head += [f"# kp = {loop.kp!r}", f"# kd = {loop.kd!r}", f"# derivative_filter = {loop.derivative_filter!r}"]
-    if record.encoder_resolution is not None:
-        head.append(f"# encoder_resolution = {record.encoder_resolution!r} {unit}")
-    columns = {
-        "time [s]": record.time,
-        f"reference [{unit}]": record.reference,
-        f"position [{unit}]": record.position,
-        f"voltage [{record.command_unit}]": record.voltage,
-    }
-    logged = {name: column.tolist() for name, column in columns.items() if column is not None}
-    rows = (",".join(map(repr, row)) for row in zip(*logged.values(), strict=True))
-    return "\n".join([*head, ",".join(logged), *rows, ""])
 
 
 @final
