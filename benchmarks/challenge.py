@@ -21,6 +21,7 @@ def main() -> None:
     os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "SERVOLENS_PROCESSORS": "1"})
     from entrants import ENTRANTS
 
+    from servolens.fleet.child import end_with_parent
     from servolens.lab.challenge import score_answers, write_challenge
 
     asked = _arguments(list(ENTRANTS))
@@ -30,7 +31,9 @@ def main() -> None:
         write_challenge(root, asked.seed, asked.cases, asked.world)
         cases = sorted(path for path in root.iterdir() if path.is_dir())
         for entrant in asked.entrants:
-            with ProcessPoolExecutor(asked.processes, get_context("spawn")) as pool:
+            with ProcessPoolExecutor(
+                asked.processes, get_context("spawn"), initializer=end_with_parent, initargs=(os.getpid(),)
+            ) as pool:
                 kept = [_place(asked, entrant, case) for case in cases]
                 answered = list(pool.map(answer, [entrant] * len(cases), cases, kept))
             answers = {case.name: found for case, (found, _) in zip(cases, answered, strict=True)}

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 from confusion_tables import line, report
 from hidden_cases import MAIN, SECTIONS, Case, Outcome, cases, hide, judged, run
 
+from servolens.fleet.child import end_with_parent
 from servolens.lab import WORLDS
 
 if TYPE_CHECKING:
@@ -59,7 +60,9 @@ def study(arguments: Sequence[str]) -> None:
     begun = time.perf_counter()
     with (
         asked.results.open("a", encoding="utf-8") as file,
-        ProcessPoolExecutor(asked.processes, mp_context=get_context("spawn")) as pool,
+        ProcessPoolExecutor(
+            asked.processes, get_context("spawn"), initializer=end_with_parent, initargs=(os.getpid(),)
+        ) as pool,
     ):
         jobs = [pool.submit(run, case, asked.limit) for case in todo]
         for count, job in enumerate(as_completed(jobs), start=1):

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens import lab
+from servolens.fleet.child import end_with_parent
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -154,7 +155,9 @@ def carried_out(study: str, whats: Sequence[str], work: Callable[[Job], Batch], 
     done = {} if asked.again else _read(asked.results)
     with (
         asked.results.open("a", encoding="utf-8") as file,
-        ProcessPoolExecutor(asked.processes, mp_context=get_context("spawn")) as pool,
+        ProcessPoolExecutor(
+            asked.processes, get_context("spawn"), initializer=end_with_parent, initargs=(os.getpid(),)
+        ) as pool,
     ):
         jobs = [pool.submit(work, job) for job in wanted if job not in done]
         for count, job in enumerate(as_completed(jobs), start=1):

@@ -14,7 +14,7 @@ import time
 from contextlib import suppress
 from typing import IO, Any
 
-__all__ = ["main", "memory_of"]
+__all__ = ["end_with_parent", "main", "memory_of"]
 
 PR_SET_PDEATHSIG = 1
 LOOK_INTERVAL = 1.0
@@ -24,7 +24,7 @@ PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 def main() -> None:
     """Answer each line of standard input, a job, with one line, its result; end when the input ends."""
-    _end_with_parent()
+    end_with_parent(int(sys.argv[1]))
     jobs = sys.stdin.buffer
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
@@ -36,6 +36,21 @@ def main() -> None:
         cost = {"cpu_seconds": time.process_time() - began, "memory": _tidy()}
         _answer(answers, {"result": result, "cost": cost})
     os._exit(0)  # a library's clean-up may crash or wait
+
+
+def end_with_parent(parent: int) -> None:
+    """Let this process end when its parent does, however and whenever that ends; on POSIX systems only.
+
+    Parameters
+    ----------
+    parent : int
+        Number of the process whose main thread started this one.
+    """
+    if os.name != "posix":
+        return
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 
 def memory_of(process: int) -> float | None:
@@ -63,16 +78,6 @@ def _tidy() -> float:
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
     return memory_of(os.getpid()) or 0.0
-
-
-def _end_with_parent() -> None:
-    """Let this process end when its parent does, however and whenever that ends."""
-    if os.name != "posix":
-        return  # it ends with its input, after the axis it is at
-    parent = int(sys.argv[1])
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 
 def _watch(parent: int) -> None:
