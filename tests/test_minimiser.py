@@ -6,10 +6,14 @@ import certified
 import numpy as np
 import pytest
 
+from servolens.effects import ConstantForce
 from servolens.identification import minimiser
 from servolens.identification.error_problem import Problem
 from servolens.identification.linear_model import Block, Linearised, Slopes
+from servolens.identification.options import FitOptions
 from servolens.identification.parabola import Parabola
+from servolens.identification.runs import OneByOne
+from servolens.plant import Plant
 
 RNG = np.random.default_rng(720440)
 
@@ -77,6 +81,28 @@ def test_most_steps_need_no_differences(name, monkeypatch):
     assert converged
     np.testing.assert_allclose(end.values, problem.certified, rtol=1e-4)
     assert 1 < counts["differences"] <= 0.6 * counts["steps"]
+
+
+class Ridge(OneByOne):
+    """A run whose initial state promises a fall beside where it stands, and lets the residual rise farther away."""
+
+    group, sample_time, samples, start, shifts = 0, 1.0, 2, np.zeros(1), (1e-3,)
+
+    def missed(self, plant, start, substeps):
+        (state,), (force,) = start, plant.effects[0].values
+        return np.array([1.0 - state if abs(state) <= 1e-3 else 1.0 + abs(state), 1.0 + force])
+
+    residual = missed
+
+
+def test_descent_ends_where_a_parameter_at_zero_moves_by_ever_less_and_a_promise_is_never_kept():
+    """No damping shortens the step of an initial state; that of a parameter at 0 never became nothing either."""
+    plant = Plant(gain=1.0, damping=1.0, effects=(ConstantForce(acceleration=0.0),))
+    search = Problem(plant, [Ridge()], FitOptions(held=("gain", "damping")), 1.0)
+    begun = search.start()
+    end, converged = minimiser.descend(search, begun, 60)
+    assert converged
+    assert (end.cost, end.values.tolist(), end.starts[0].tolist()) == (2.0, [0.0], [0.0])
 
 
 def quadratic(lowest: np.ndarray, curvature: np.ndarray):
