@@ -94,6 +94,21 @@ def test_search_as_if_nothing_shook_the_axis_ends_where_shaking_explains_the_res
     assert case.likelihood.work < 0.4 * EFFORT["normal"].work  # what the search as if nothing shook it may take
 
 
+def test_search_goes_on_from_what_an_earlier_one_has_found_though_that_leaves_something():
+    """Of friction and a spring the friction is known: what is looked for is a second cause, not the first one again."""
+    cart = lab.Truth(
+        gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, "return_spring": {"stiffness": 8.0}}
+    )
+    records = tuple(lab.step_record(cart, kp, noise=1e-5, seed=kp, sample_time=5e-3) for kp in (40, 80))
+    case = Case(records, (), {}, len(catalogue()))
+    friction = case.likelihood.judged(case.base.plant.with_effect(CoulombFriction(level=0.3)), case.base)
+    assert not case.is_enough(friction)
+    told, effort = [], replace(EFFORT["quick"], work=4e6)
+    found = search(case.trials, case.base, effort, lambda what, _: told.append(what), (), case.is_enough, [friction])
+    assert told[0] == "Looking for a second cause"
+    assert set(found.chosen.causes) == {"coulomb_friction", "return_spring"}
+
+
 def test_gravity_that_is_no_more_than_a_spring_has_one_as_its_simple_form():
     (spring,) = PendulumGravity(amplitude=2.0, phase=0.5).simplified(HUNG)
     assert isinstance(spring, ReturnSpring)
