@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -47,6 +46,11 @@ class ScoreTest:
         Of the records.
     hypothesis : Hypothesis
         The null, at its optimum.
+
+    Attributes
+    ----------
+    left : ndarray, shape (n,)
+        The whitened residual at right angles to the hypothesis' own directions, less the draws' mean.
     """
 
     def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
@@ -60,6 +64,8 @@ class ScoreTest:
         own = np.concatenate([part.sensitivity for part in parts])
         sizes = np.linalg.norm(own, axis=0)
         self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
+        self._draws: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self.left = self._less_mean(self.residual)  # now: jobs that share a test shall not wait for its draws
 
     @property
     def is_drawn(self) -> bool:
@@ -69,9 +75,14 @@ class ScoreTest:
     @property
     def drawn(self) -> NDArray[np.float64]:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
-        return self._drawn[1]
+        return self._mean_and_rest[1]
 
-    @cached_property
+    @property
+    def _mean_and_rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        if self._draws is None:
+            self._draws = self._drawn()
+        return self._draws
+
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The mean of the draws, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
         noise, starts = self.hypothesis.noise, self.hypothesis.starts
@@ -86,14 +97,9 @@ class ScoreTest:
         self._count(self.residual.size * (LOOPS if is_rounded(noise) else 2 * DRAWS))  # a loop, and an observer of it
         return self.free_of_own(np.concatenate(means)), self.free_of_own(np.concatenate(drawn))
 
-    @cached_property
-    def left(self) -> NDArray[np.float64]:
-        """The whitened residual at right angles to the hypothesis' own directions, less the draws' mean, shape (n,)."""
-        return self._less_mean(self.residual)
-
     def _less_mean(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         free = self.free_of_own(residual)
-        return free - self._drawn[0] if has_mean(self.hypothesis.noise) else free
+        return free - self._mean_and_rest[0] if has_mean(self.hypothesis.noise) else free
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
