@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +21,7 @@ from servolens.effects import CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.model import Model
+from servolens.processors import PROCESSORS
 from servolens.record import Controller
 from servolens.results import to_text, write_json
 from servolens.study import completed_spec, held_out_prediction, suggested_spec
@@ -401,3 +405,29 @@ def test_tune_says_what_it_takes(source, says):
 def test_proofs_are_for_models(cart):
     with pytest.raises(InputError, match="for plants and models"):
         tune(list(cart.records), SPEC, certify=True)
+
+
+BESIDE_EACH_OTHER = """
+from servolens import lab, study_records
+truth = lab.Truth(gain=0.8, damping=1.2)
+around = lab.Surroundings(noise=lab.SensorNoise(deviation=2e-5), encoder=4e-4)
+records = [
+    lab.step_record(truth, kp, kd, reference=(0.3, 0.1), duration=3.0, sample_time=4e-3, seed=kp,
+                    setup=lab.Setup(surroundings=around, name=f"kp {kp}"))
+    for kp, kd in ((20, 2.0), (30, 4.0), (12, 0.0))
+]
+print(study_records(records, effort="quick").diagnosis.verdict)
+"""
+
+
+def test_models_and_diagnosis_of_a_coarse_encoder_do_not_wait_for_each_other():
+    # each draws loops with its encoder, on the same threads
+    child = subprocess.run(
+        [sys.executable, "-c", BESIDE_EACH_OTHER],
+        capture_output=True,
+        text=True,
+        timeout=200,
+        env={**os.environ, PROCESSORS: "2"},
+        check=True,
+    )
+    assert child.stdout.split() == ["healthy"], child.stderr
