@@ -95,14 +95,14 @@ def plain_bic(records: Sequence[Record], heldout: Sequence[Record]) -> Answer:
         if least >= criterion:
             break
         plant, criterion = better, least
-    return {effect.name: dict(zip(_names(type(effect)), effect.values, strict=True)) for effect in plant.effects}
+    return {effect.name: {name: getattr(effect, name) for name in _names(type(effect))} for effect in plant.effects}
 
 
 ENTRANTS = {"servolens": servolens, "sparse regression": sparse_regression, "plain BIC": plain_bic}
 
 
 def _names(effect: type[Effect]) -> list[str]:
-    return [spec.name for spec in effect.parameters()]
+    return [spec.name for spec in effect.parameters() if spec.usual is None]
 
 
 def _units(records: Sequence[Record]) -> dict[str, Any]:
@@ -191,14 +191,17 @@ def _tried(plant: Plant, effect: Effect, records: Sequence[Record], samples: int
 
 def _fitted(plant: Plant, records: Sequence[Record], samples: int) -> tuple[Plant, float]:
     """Return the plant whose simulations miss the records least, and its BIC."""
-    specs = list(plant.parameters.values())
-    low, high = np.array([spec.low for spec in specs]), np.array([spec.high for spec in specs])
-    start = np.clip(plant.values, low + 1e-12, high)
+    specs = {name: spec for name, spec in plant.parameters.items() if name not in plant.usual}
+    low, high = np.array([[spec.low, spec.high] for spec in specs.values()]).T
+    start = np.clip([plant.named[name] for name in specs], low + 1e-12, high)
     travel = max(float(np.ptp(record.position)) for record in records)
+
+    def valued(values: NDArray[np.float64]) -> Plant:
+        return plant.with_named(dict(zip(specs, values.tolist(), strict=True)))
 
     def missed(values: NDArray[np.float64]) -> NDArray[np.float64]:
         try:
-            trial = plant.with_values(values.tolist())
+            trial = valued(values)
             return np.concatenate([simulate(trial, record).position - record.position for record in records])
         except ServolensError:
             return np.full(samples, LOST * travel)
@@ -206,4 +209,4 @@ def _fitted(plant: Plant, records: Sequence[Record], samples: int) -> tuple[Plan
     found = least_squares(missed, start, bounds=(low, high), x_scale="jac", diff_step=1e-4, max_nfev=CALLS)
     squares = max(2.0 * float(found.cost), 1e-300)
     criterion = samples * math.log(squares / samples) + start.size * math.log(samples)
-    return plant.with_values(found.x.tolist()), criterion
+    return valued(found.x), criterion

@@ -21,6 +21,7 @@ from servolens.effects import (
     ConstantForce,
     CoulombFriction,
     Delay,
+    EndStop,
     Force,
     PendulumGravity,
     PeriodicDisturbance,
@@ -43,6 +44,7 @@ from servolens.identification.refine import minimise_error
 from servolens.identification.runs import OneByOne, closed_runs
 from servolens.lab import LM1, Setup, Truth, hidden_campaign, step_record, step_records
 from servolens.lab.laws import LAWS
+from servolens.model import Model
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
 
 if TYPE_CHECKING:
@@ -107,7 +109,7 @@ def miss(fit: Fit, name: str, true: float) -> float:
 def misses(fit: Fit, truth: Truth) -> dict[str, float]:
     """Return the parameters that are too far from the truth."""
     plant = plant_of(truth)
-    values = {n: v for n, v in zip(plant.parameters, plant.values, strict=True) if n not in plant.derived}
+    values = {n: v for n, v in plant.named.items() if n not in (*plant.derived, *plant.usual)}
     values = {n: v for n, v in values.items() if n not in fit.options.held}
     off = {name: miss(fit, name, value) for name, value in values.items()}
     return {name: far for name, far in off.items() if far > FAR}
@@ -140,6 +142,46 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
     assert fit.quantities["end_stop.high"].value == pytest.approx(0.09, abs=2e-4)
     assert miss(fit, "gain", GAIN) < FAR
     assert miss(fit, "damping", DAMPING) < FAR
+
+
+def test_stop_that_bounces_is_fitted_with_its_contact():
+    truth = axis(end_stop={"low": -0.5, "high": 0.09, "contact_damping": 0.3})
+    fit = servolens.fit([EndStop(low=-0.5, high=0.093)], campaign(truth))
+    for name, true in (
+        ("gain", GAIN),
+        ("damping", DAMPING),
+        ("end_stop.high", 0.09),
+        ("end_stop.contact_damping", 0.3),
+    ):
+        assert miss(fit, name, true) < FAR
+    assert_at_noise(fit)
+
+
+@pytest.mark.slow
+def test_play_with_a_soft_contact_is_fitted_with_it():
+    own = {"gap": 0.002, "load_share": 0.35, "contact_frequency": 120.0, "contact_damping": 0.5}
+    truth = axis(backlash=own)
+    fit = servolens.fit(Backlash(gap=0.002, load_share=0.3), campaign(truth))
+    for name, true in (
+        ("gain", GAIN),
+        ("damping", DAMPING),
+        *((f"backlash.{key}", value) for key, value in own.items()),
+    ):
+        assert fit.quantities[name].value == pytest.approx(true, rel=0.02), name
+    assert_at_noise(fit)
+
+
+def test_usual_contact_is_no_parameter_of_a_fit():
+    """It has no row and no place in a file, and nobody can ask something of it."""
+    records = campaign(axis(end_stop={"low": -0.5, "high": 0.09}))
+    fit = servolens.fit([EndStop(low=-0.5, high=0.093)], records)
+    assert set(fit.quantities) == {"gain", "damping", "end_stop.low", "end_stop.high"}
+    assert_at_noise(fit)
+    again = Model.from_json(json.loads(json.dumps(fit.model.to_json())))
+    assert again.plant == fit.plant
+    np.testing.assert_array_equal(again.covariance, fit.model.covariance)
+    with pytest.raises(InputError, match="contact_damping has its usual value, which no fit changes"):
+        servolens.fit([EndStop(low=-0.5, high=0.093)], records, bounds={"end_stop.contact_damping": (0.1, 3.0)})
 
 
 def test_limit_of_the_amplifier_closes_the_loop_with_it():
@@ -276,7 +318,8 @@ def test_error_bars_hold_the_local_minima_that_explain_as_much():
     fit = servolens.fit(effects_of(hidden.truth, 1.3), hidden.records)
     assert not fit.refinement.is_smooth
     assert fit.rms_error < 1.05 * hidden.floor
-    for (name, quantity), value in zip(fit.model.quantities.items(), truth.values, strict=True):
+    for name, quantity in fit.quantities.items():
+        value = truth.named[name]
         assert abs(quantity.value - value) < 3.0 * quantity.stderr, name
         assert quantity.stderr < 0.05 * value
     assert np.nanmax(fit.refinement.colour) < 2.0, "local minima are no coloured residuals"
@@ -290,7 +333,7 @@ def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     truth = plant_of(hidden.truth)
     fit = servolens.fit(truth.effects, hidden.records)
     assert fit.driven == "voltage"
-    gain, damping, *play = zip(fit.model.quantities.values(), truth.values, strict=True)
+    gain, damping, *play = ((q, truth.named[name]) for name, q in fit.quantities.items())
     for found, true in (gain, damping):
         assert found.value == pytest.approx(true, rel=2e-3)
     for found, true in play:  # by a twentieth of a standard error local minima differ between processors

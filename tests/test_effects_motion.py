@@ -19,7 +19,7 @@ from servolens.effects import (
     PendulumGravity,
     QuadraticDrag,
 )
-from servolens.effects.backlash import CONTACT_RATE
+from servolens.effects.contact import CONTACT_RATE
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.record import Controller
@@ -215,6 +215,25 @@ def test_axis_pressed_against_a_stop_rests_where_the_spring_of_the_contact_says(
     run = simulate_voltage(plant_with(EndStop(low=-0.05, high=0.05)), time, np.full(time.size, side * 5.0))
     assert run.position[-1] == pytest.approx(side * (0.05 + GAIN * 5.0 / CONTACT_RATE**2), abs=1e-9)
     assert abs(run.velocity[-1]) < 1e-6
+
+
+def thrown_back(ratio: float) -> float:
+    """Return the share of the speed that a contact which only pushes throws back (Schwager and Pöschel 2007)."""
+    if ratio < 1.0:
+        root = np.sqrt(1.0 - ratio**2)
+        return float(np.exp(-ratio / root * np.arctan2(2.0 * ratio * root, 2.0 * ratio**2 - 1.0)))
+    root = np.sqrt(ratio**2 - 1.0)
+    return float(np.exp(-ratio / root * np.log((ratio + root) / (ratio - root))))
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.3, 0.7, 0.9, 3.0])
+def test_stop_throws_back_as_much_of_the_speed_as_its_damping_says(ratio):
+    time = grid(0.8)
+    plant = Plant(
+        gain=GAIN, damping=0.0, effects=(EndStop(low=-1.0, high=0.1, contact_frequency=200.0, contact_damping=ratio),)
+    )
+    run = simulate_voltage(plant, time, np.where(time < 0.2, 2.0, 0.0))
+    assert run.velocity[-1] == pytest.approx(-thrown_back(ratio) * run.velocity.max(), rel=1e-3)
 
 
 def test_loop_that_asks_for_more_than_the_travel_stands_at_the_stop():

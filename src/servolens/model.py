@@ -130,7 +130,8 @@ class Model:
 
     @property
     def quantities(self) -> dict[str, Quantity]:
-        """Every parameter by qualified name."""
+        """Every parameter by qualified name, but for those that have their usual values."""
+        usual = self.plant.usual
         variances = np.full(len(self.plant.values), np.nan) if self.covariance is None else np.diag(self.covariance)
         known = np.isfinite(variances) & (variances >= 0)
         return _Quantities(
@@ -144,6 +145,7 @@ class Model:
                 ),
             )
             for i, (name, value) in enumerate(zip(self.plant.parameters, self.plant.values, strict=True))
+            if name not in usual
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -153,7 +155,9 @@ class Model:
             {
                 "effect": effect.name,
                 "parameters": {
-                    spec.name: quantities[f"{effect.name}.{spec.name}"].to_json() for spec in effect.parameters()
+                    spec.name: quantities[f"{effect.name}.{spec.name}"].to_json()
+                    for spec in effect.parameters()
+                    if spec.name not in effect.usual
                 },
             }
             for effect in self.plant.effects
@@ -286,27 +290,39 @@ def _length_unit(data: Mapping[str, Any]) -> str:
 
 
 def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
+    """Return the covariance of all parameters; NaN of those that are not among the file's, for their value is usual."""
     rows = data.get("covariance")
     if rows is None:
-        quantities = [data["gain"], data["damping"]]
-        for item in data.get("effects", ()):
-            quantities += item["parameters"].values()
-        errors = [q.get("stderr") for q in quantities]
-        if all(e is None for e in errors):
-            return None
-        return np.diag([np.nan if e is None else float(e) ** 2 for e in errors])
-    named = rows if isinstance(rows, dict) else {"names": list(plant.parameters), "matrix": rows}
+        return _of_errors(data, plant)
+    fitted = [name for name in plant.parameters if name not in plant.usual]
+    named = rows if isinstance(rows, dict) else {"names": fitted, "matrix": rows}
+    names = list(named["names"])
     matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in named["matrix"]], dtype=np.float64)
-    if matrix.shape != (len(plant.values),) * 2:
-        raise InputError(f"covariance has shape {matrix.shape}, the model has {len(plant.values)} parameters")
-    if sorted(named["names"]) != sorted(plant.parameters):
-        raise InputError(f"covariance must name {', '.join(plant.parameters)}; got {str(named['names'])[:40]!r}")
-    order = [named["names"].index(name) for name in plant.parameters]
-    return matrix[np.ix_(order, order)]
+    if matrix.shape != (len(names),) * 2:
+        raise InputError(f"covariance has shape {matrix.shape}, the model has {len(fitted)} parameters")
+    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= plant.parameters.keys():
+        raise InputError(f"covariance must name {', '.join(fitted)}; got {str(names)[:40]!r}")
+    place = [list(plant.parameters).index(name) for name in names]
+    found = np.full((len(plant.values),) * 2, np.nan)
+    found[np.ix_(place, place)] = matrix
+    return found
+
+
+def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
+    """Return the covariance of parameters whose standard errors alone are stated; None where none is."""
+    stated = {"gain": data["gain"], "damping": data["damping"]}
+    for item in data.get("effects", ()):
+        stated |= {f"{item['effect']}.{name}": quantity for name, quantity in item["parameters"].items()}
+    errors = {name: quantity.get("stderr") for name, quantity in stated.items()}
+    if all(error is None for error in errors.values()):
+        return None
+    return np.diag([np.nan if (e := errors.get(name)) is None else float(e) ** 2 for name in plant.parameters])
 
 
 def _named_matrix(plant: Plant, matrix: NDArray[np.float64] | None) -> dict[str, Any] | None:
+    """Return the covariance with its names, without those of usual values."""
     if matrix is None:
         return None
-    rows = [[float(v) if np.isfinite(v) else None for v in row] for row in matrix]
-    return {"names": list(plant.parameters), "matrix": rows}
+    kept = [i for i, name in enumerate(plant.parameters) if name not in plant.usual]
+    rows = [[float(v) if np.isfinite(v) else None for v in row] for row in matrix[np.ix_(kept, kept)]]
+    return {"names": [list(plant.parameters)[i] for i in kept], "matrix": rows}

@@ -25,7 +25,7 @@ from servolens.effects import (
 from servolens.errors import InputError, described
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from servolens.record import Record
 
@@ -131,6 +131,11 @@ class Plant:
         return ("gain",) if any(isinstance(effect, Drive) for effect in self.effects) else ()
 
     @property
+    def usual(self) -> tuple[str, ...]:
+        """Names of the parameters that have their usual values, which no fit changes."""
+        return tuple(f"{effect.name}.{name}" for effect in self.effects for name in effect.usual)
+
+    @property
     def has_contacts(self) -> bool:
         """Whether contacts open and close within it: simulation errors are then non-smooth in its parameters."""
         return any(isinstance(effect, Transmission) and not effect.linear for effect in self.effects)
@@ -204,6 +209,12 @@ class Plant:
         """Return the plant without the effect called `name`, if it has it."""
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name != name))
 
+    def freed(self) -> Iterator[Plant]:
+        """Yield the plant with parameters of one effect off their usual values, for a fit to begin there."""
+        for effect in self.effects:
+            for other in effect.freed():
+                yield replace(self, effects=tuple(other if e is effect else e for e in self.effects))
+
     def effect(self, name: str) -> Effect | None:
         """Return the effect called `name`, or None."""
         return next((e for e in self.effects if e.name == name), None)
@@ -221,7 +232,8 @@ class Plant:
         """
         cls = (known or {}).get(name) or effect_class(name)
         wanted = [spec.name for spec in cls.parameters()]
-        if sorted(parameters) != sorted(wanted):
+        needed = {spec.name for spec in cls.parameters() if spec.usual is None}
+        if not needed <= set(parameters) <= set(wanted):
             given = ", ".join(parameters)[:40] or "none"
             raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {given}")
         return cls(**parameters)

@@ -316,9 +316,9 @@ class Explorer:
         )
 
     def improved(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` reduced and exchanged, until neither finds more."""
+        """Return `hypothesis` reduced, exchanged and freed, until none finds more."""
         while True:
-            best = self.exchanged(self.reduced(hypothesis))
+            best = self.freed(self.exchanged(self.reduced(hypothesis)))
             if best.total >= hypothesis.total - NO_BETTER:
                 return min(best, hypothesis, key=by_total)
             hypothesis = best
@@ -364,6 +364,20 @@ class Explorer:
             if (causes := frozenset(effect.name for effect in plant.effects)) not in known
         }
         return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=by_total)
+
+    def freed(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
+
+        That is far away for most, and so fitted on as long as it gets likelier.
+        """
+        plants = [*hypothesis.plant.freed()]
+        if not plants or self.is_enough(hypothesis):
+            return hypothesis
+        further = self._judged([(plant, hypothesis) for plant in plants])
+        while further and further[0].total < hypothesis.total - NO_BETTER:
+            hypothesis = further[0]
+            further = self._judged([(hypothesis.plant, hypothesis)]) if self.left > 0.0 else []
+        return hypothesis
 
     def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by one that explained about as much while it was alone."""

@@ -142,7 +142,7 @@ class Trials:
 
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter."""
-        return _entry_price(cls, self.candidates, self.likelihood.counted)
+        return _entry_price(_needed(cls), self.candidates, self.likelihood.counted)
 
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.
@@ -235,8 +235,13 @@ class Trials:
         return found
 
 
+def _needed(cls: type[Effect]) -> int:
+    """Return how many parameters of an effect have no usual value."""
+    return sum(spec.usual is None for spec in cls.parameters())
+
+
 @lru_cache(maxsize=1024)
-def _entry_price(cls: type[Effect], candidates: int, samples: float) -> float:
+def _entry_price(parameters: int, candidates: int, samples: float) -> float:
     """Return by how much −2 log-likelihood must fall for an effect to enter.
 
     The quantile of χ² with as many degrees of freedom as the effect has parameters (Wilks 1938), at the familywise
@@ -245,13 +250,14 @@ def _entry_price(cls: type[Effect], candidates: int, samples: float) -> float:
     """
     from scipy.stats import chi2
 
-    free = max(len(cls.parameters()), 1)
+    free = max(parameters, 1)
     entry = float(chi2.isf(FALSE_ALARM / max(candidates, 1), free))
     return max(entry, free * float(np.log(samples)))
 
 
 def _entry_prices(candidates: int, plant: Plant, samples: float) -> float:
-    return sum(_entry_price(type(effect), candidates, samples) for effect in plant.effects)
+    free = (len(effect.values) - len(effect.usual) for effect in plant.effects)
+    return sum(_entry_price(count, candidates, samples) for count in free)
 
 
 def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> bool:

@@ -17,7 +17,8 @@ COUNT, DENSE = 60, 200
 
 def within(cls: type[E], **values: float) -> E:
     """Return the effect with `values` clipped into their bounds."""
-    return cls(**{spec.name: float(np.clip(values[spec.name], spec.low, spec.high)) for spec in cls.parameters()})
+    specs = [spec for spec in cls.parameters() if spec.usual is None or spec.name in values]
+    return cls(**{spec.name: float(np.clip(values[spec.name], spec.low, spec.high)) for spec in specs})
 
 
 def pitches(seen: Seen) -> list[float]:

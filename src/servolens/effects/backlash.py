@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
+from servolens.effects.contact import CONTACTS, contact_damping, contact_frequency
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
 from servolens.effects.kinds import Transmission
@@ -14,16 +16,19 @@ if TYPE_CHECKING:
 
     from servolens.effects.base import Axis, Seen
 
-__all__ = ["CONTACT_RATE", "LOAD_DRAG", "Backlash"]
+__all__ = ["LOAD_DRAG", "Backlash"]
 
-CONTACT_RATE = 2000.0  # [rad/s] free-free frequency of motor and load in contact: far above any loop, and not rigid
 LOAD_DRAG = 2.0  # [1/s] per unit of the load's mass, so that a load between the flanks does not float for ever
 
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backlash(Transmission):
-    """Between motor and measured load there is play; they touch only at its ends."""
+    """Between motor and measured load there is play; they touch only at its ends.
+
+    The contact can only push. Its frequency and damping are those of a stiff one that is critically damped, unless the
+    records show others.
+    """
 
     name = "backlash"
     sentence = "Between motor and measured load there is play; they touch only at its ends."
@@ -45,14 +50,16 @@ class Backlash(Transmission):
 
     gap: float = parameter("g", "{x}", "all of the lost motion", per_mass=0)
     load_share: float = parameter(r"\mu", "1", "load over total moving mass", low=1e-6, high=1 - 1e-6, per_mass=0)
+    contact_frequency: float = contact_frequency()
+    contact_damping: float = contact_damping()
 
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.Transmission.physics`."""
         from casadi import fmax, if_else
 
-        reduced = p.load_share * (1 - p.load_share)
-        stiffness, damper = CONTACT_RATE * CONTACT_RATE * reduced, 2 * CONTACT_RATE * reduced  # critically damped
+        reduced, rate = p.load_share * (1 - p.load_share), 2 * pi * p.contact_frequency
+        stiffness, damper = rate * rate * reduced, 2 * p.contact_damping * rate * reduced
         ahead, speed = axis.position - axis.state.position, axis.velocity - axis.state.velocity
         above, below = ahead - p.gap / 2, -ahead - p.gap / 2
         pushing = if_else(above > 0, fmax(0, stiffness * above + damper * speed), 0)
@@ -69,6 +76,11 @@ class Backlash(Transmission):
     def share(p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.Transmission.share`."""
         return p.load_share
+
+    def freed(self) -> Iterator[Backlash]:
+        """See :meth:`servolens.effects.base.Effect.freed`: with a contact that gives way, bounces, or is dead."""
+        if {"contact_frequency", "contact_damping"} <= set(self.usual):
+            yield from (replace(self, **contact) for contact in CONTACTS)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Backlash]:

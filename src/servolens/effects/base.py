@@ -7,7 +7,7 @@ report derive from it; nothing restates it. The kinds of effects are in :mod:`se
 from __future__ import annotations
 
 from abc import ABC
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from math import isfinite
 from types import SimpleNamespace
@@ -81,6 +81,8 @@ class Parameter:
     per_mass : float, optional
         Power of 1/(moving mass) that it goes with: 1 for what is stated per unit of moving mass, 0 for what does not
         depend on it. Actuators, time shifts and sensors, which know no mass, need not state it.
+    usual : float, optional
+        Value where nobody knows better: an effect need not state it, and no fit changes it. Any other value is fitted.
     """
 
     name: str
@@ -90,6 +92,7 @@ class Parameter:
     high: float
     meaning: str
     per_mass: float | None = None
+    usual: float | None = None
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
@@ -108,11 +111,18 @@ class Parameter:
 
 
 def parameter(
-    symbol: str, unit: str, meaning: str, *, low: float = 0.0, high: float = 1e12, per_mass: float | None = None
+    symbol: str,
+    unit: str,
+    meaning: str,
+    *,
+    low: float = 0.0,
+    high: float = 1e12,
+    per_mass: float | None = None,
+    usual: float | None = None,
 ) -> Any:
     """Declare a field of an effect as its parameter; see :class:`Parameter`."""
     told = {"symbol": symbol, "unit": unit, "meaning": meaning, "low": low, "high": high, "per_mass": per_mass}
-    return field(metadata=told)
+    return field(default=MISSING if usual is None else usual, metadata={**told, "usual": usual})
 
 
 @final
@@ -243,6 +253,15 @@ class Effect(ABC):
         """
         middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
         yield cls(**middle)
+
+    def freed(self) -> Iterator[Self]:
+        """Yield the effect with parameters off their usual values, from which a fit of these is worth starting."""
+        yield from ()
+
+    @property
+    def usual(self) -> tuple[str, ...]:
+        """Names of the parameters that have their usual values: no fit changes them."""
+        return tuple(spec.name for spec in _parameters(type(self)) if getattr(self, spec.name) == spec.usual)
 
     def simplified(self, seen: Seen) -> Iterator[Effect]:
         """Yield forms of it that do without something which the records may not show."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, nextafter
+from math import inf, nextafter, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
+from servolens.effects.contact import CONTACT_RATE, CONTACTS, contact_damping, contact_frequency
 from servolens.effects._grids import within
-from servolens.effects.backlash import CONTACT_RATE
 from servolens.effects.base import parameter
 from servolens.effects.kinds import Force
 from servolens.errors import InputError
@@ -35,8 +35,8 @@ NOT_REACHED = 100.0
 class EndStop(Force):
     """The axis runs into a hard limit of its travel.
 
-    The contact is critically damped and can only push. Its stiffness gives ``CONTACT_RATE`` [rad/s] with the moving
-    mass, as the contacts of a backlash do: a push of 10 m/s² enters it by 2.5 µm.
+    The contact can only push. Its frequency with the moving mass and its damping are those of a stiff one that is
+    critically damped, unless the records show others: a push of 10 m/s² enters that by 2.5 µm.
     """
 
     name = "end_stop"
@@ -61,6 +61,8 @@ class EndStop(Force):
 
     low: float = parameter(r"y_\mathrm{min}", "{x}", "position of the lower stop", low=-1e12, per_mass=0)
     high: float = parameter(r"y_\mathrm{max}", "{x}", "position of the upper stop", low=-1e12, per_mass=0)
+    contact_frequency: float = contact_frequency()
+    contact_damping: float = contact_damping()
 
     def __post_init__(self) -> None:
         Force.__post_init__(self)
@@ -72,7 +74,8 @@ class EndStop(Force):
         """See :meth:`servolens.effects.kinds.Force.physics`."""
         from casadi import fmax, if_else
 
-        stiffness, damper = CONTACT_RATE * CONTACT_RATE, 2 * CONTACT_RATE  # critically damped
+        rate = 2 * pi * p.contact_frequency
+        stiffness, damper = rate * rate, 2 * p.contact_damping * rate
         above, below = axis.position - p.high, p.low - axis.position
         back = if_else(above > 0, fmax(0, stiffness * above + damper * axis.velocity), 0)
         forth = if_else(below > 0, fmax(0, stiffness * below - damper * axis.velocity), 0)
@@ -95,6 +98,11 @@ class EndStop(Force):
                 if first < last:
                     yield within(cls, low=first, high=last)
 
+    def freed(self) -> Iterator[EndStop]:
+        """See :meth:`servolens.effects.base.Effect.freed`: with a contact that gives way, bounces, or is dead."""
+        if {"contact_frequency", "contact_damping"} <= set(self.usual):
+            yield from (replace(self, **contact) for contact in CONTACTS)
+
     def simplified(self, seen: Seen) -> Iterator[EndStop]:
         """See :meth:`servolens.effects.base.Effect.simplified`: with one of two stops that may never be reached."""
         away = NOT_REACHED * seen.travel
@@ -104,7 +112,7 @@ class EndStop(Force):
 
     def shifted(self, by: float) -> EndStop:
         """See :meth:`servolens.effects.base.Effect.shifted`: both stops, but for one that is not there."""
-        low, high = (v if v == none else v + by for v, none in zip(self.values, self.absent_at.values(), strict=True))
+        low, high = (v if v == none else v + by for v, none in zip(self.values, self.absent_at.values(), strict=False))
         return replace(self, low=low, high=high)
 
     def is_whole(self, seen: Seen) -> bool:

@@ -58,7 +58,12 @@ class Candidates:
             If no start can be simulated.
         """
         found: list[Hypothesis] = []
-        stages: list[Callable[[Sequence[Hypothesis]], list[Plant]]] = [self._at_once, self._one_by_one, self._rescaled]
+        stages: list[Callable[[Sequence[Hypothesis]], list[Plant]]] = [
+            self._at_once,
+            self._one_by_one,
+            self._freed,
+            self._rescaled,
+        ]
         for stage in stages:
             tried = [h for start in stage(found) if (h := self._tried(start)) is not None]
             tried.sort(key=lambda h: h.total)
@@ -108,6 +113,10 @@ class Candidates:
         for effect in plant.effects if len(plant.effects) > 1 else ():
             again = self._with(again, again.effect(effect.name) or effect)
         return [self._in_order(p) for p in (plant, again)]
+
+    def _freed(self, found: Sequence[Hypothesis]) -> list[Plant]:
+        """Return the likeliest plant so far with parameters of one effect off their usual values."""
+        return [plant for h in found[:1] for plant in h.plant.freed()]
 
     def _rescaled(self, found: Sequence[Hypothesis]) -> list[Plant]:
         """Return the likeliest plants so far with other inertias, all forces in proportion, or the motor's alone."""

@@ -93,7 +93,7 @@ class Problem:
         held, local, priors = options.held, options.local, options.priors
         names, specs = list(plant.parameters), list(plant.parameters.values())
         self.plant, self.runs, self.names = plant, runs, names
-        estimated = [name for name in names if name not in held and name not in plant.derived]
+        estimated = [name for name in names if name not in (*held, *plant.derived, *plant.usual)]
         shared = [(names.index(name), 0) for name in estimated if name not in local]
         groups = sorted({run.group for run in runs})
         own = [(names.index(name), group) for name in estimated if name in local for group in groups]

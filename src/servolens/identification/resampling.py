@@ -145,7 +145,9 @@ def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
         raise InputError(f"repeats must be at least 2, got {repeats}")
     runs = _runs(fit)
     left = [run.residual(*where) for run, where in zip(runs, _ends(fit, runs), strict=True)]
-    names = [name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived)]
+    names = [
+        name for name in fit.plant.parameters if name not in (*fit.options.held, *fit.plant.derived, *fit.plant.usual)
+    ]
     index = [list(fit.plant.parameters).index(name) for name in names]
     found, failed = [], 0
     for stream in np.random.default_rng(seed).spawn(repeats):
@@ -180,7 +182,7 @@ def _ends(fit: Fit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64
 
 def _fitted(fit: Fit, name: str) -> int:
     names = list(fit.plant.parameters)
-    fixed = (*fit.options.held, *fit.plant.derived, *fit.options.local)
+    fixed = (*fit.options.held, *fit.plant.derived, *fit.plant.usual, *fit.options.local)
     if name not in names or name in fixed:
         known = ", ".join(n for n in names if n not in fixed) or "none"
         raise InputError(f"{name[:40]!r} is no parameter that was fitted for all records; those are {known}")

@@ -84,7 +84,7 @@ class ScoreTest:
         return self._draws
 
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The mean of the draws, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
+        """Return the draws' mean, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
         noise, starts = self.hypothesis.noise, self.hypothesis.starts
         if not self.is_drawn:
             white = np.random.default_rng(4).standard_normal((self.residual.size, DRAWS))

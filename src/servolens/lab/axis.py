@@ -12,7 +12,7 @@ import math
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
-from servolens.lab.laws import CONTACT_RATE, EXTERNAL, FADED, LAWS, LOAD_DRAG, Instant, across
+from servolens.lab.laws import EXTERNAL, FADED, LAWS, LOAD_DRAG, Instant, across, contact_pace
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,7 +92,7 @@ class Axis:
         unmodelled: UnmodelledEffect | None = None,
         shaken: bool = False,
     ) -> None:
-        own = {name: SimpleNamespace(**values) for name, values in truth.effects.items()}
+        own = {name: LAWS[name].numbers(values) for name, values in truth.effects.items()}
         self.m, self._gain, self._damping, self._angle = m, truth.gain, truth.damping, angle
         self._load_friction = own["load_friction"].share if "load_friction" in own else 0.0
         transmitted = EXTERNAL if self._load_friction else frozenset()
@@ -150,8 +150,9 @@ class Axis:
             rate = haste(p, abs(state[0]), speed, acceleration, m)
             step = m.minimum(step, self._angle / m.maximum(rate, 1e-9))
         if self._stop is not None:
-            moves = m.maximum(speed, acceleration / CONTACT_RATE) > SETTLED
-            pressed = m.where(moves, 0.6, 2.5) * self._angle / CONTACT_RATE
+            rate = contact_pace(self._stop)
+            moves = m.maximum(speed, acceleration / rate) > SETTLED
+            pressed = m.where(moves, 0.6, 2.5) * self._angle / rate
             step = m.where(body.mode.stop != 0.0, m.minimum(step, pressed), step)
         if self._dahl is not None:
             length = self._dahl.level / self._dahl.stiffness
@@ -287,10 +288,11 @@ class Axis:
         return slips + (anchor[1] - slips) * self.m.exp(-self._dahl.stiffness / self._dahl.level * travel)
 
     def _stop_force(self, state: State, side: Any) -> Any:
-        """Return the force of the end stop that is pressed, 0 where none is; critically damped."""
+        """Return the force of the end stop that is pressed, 0 where none is."""
         assert self._stop is not None  # noqa: S101 - asked for only where there is one
         edge = self.m.where(side > 0.0, self._stop.high, self._stop.low)
-        return (CONTACT_RATE * (state[0] - edge) + 2.0 * state[1]) * CONTACT_RATE * (side != 0.0)
+        rate, ratio = 2.0 * math.pi * self._stop.contact_frequency, self._stop.contact_damping
+        return (rate * (state[0] - edge) + 2.0 * ratio * state[1]) * rate * (side != 0.0)
 
     def _stop_guard(self, state: State, side: Any) -> Any:
         """Return what is positive while a pressed stop presses, or while an axis between the stops touches neither."""
@@ -348,5 +350,5 @@ def _joint(own: dict[str, SimpleNamespace]) -> tuple[_Joint | None, float]:
         return _Joint(2.0 * math.pi * p.frequency, p.damping_ratio, p.load_ratio, None), p.load_ratio
     if "backlash" in own:
         p = own["backlash"]
-        return _Joint(CONTACT_RATE, 1.0, p.load_share, p.gap), p.load_share
+        return _Joint(2.0 * math.pi * p.contact_frequency, p.contact_damping, p.load_share, p.gap), p.load_share
     return None, 0.0

@@ -134,7 +134,7 @@ def write_challenge(folder: Path, seed: int, cases: int, world: str = "white") -
         for kind, records in (("run", campaign.records), ("heldout", campaign.heldout)):
             for i, record in enumerate(records, 1):
                 record.with_({"name": f"{kind}-{i}"}).to_csv(own / f"{kind}-{i}.csv")
-    known = {effect: sorted(LAWS[effect].parameters) for effect in sorted(SIZES)}
+    known = {effect: sorted(LAWS[effect].parameters.keys() - LAWS[effect].usual.keys()) for effect in sorted(SIZES)}
     told = {"schema": "servolens.challenge/1", "world": world, "cases": names, "effects": known}
     write_atomically(folder / "challenge.json", to_text(told).encode("ascii"))
 

@@ -10,7 +10,7 @@ To add a force or a friction: write its function, add its line to :data:`LAWS`.
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ARRAYS",
-    "CONTACT_RATE",
     "EXTERNAL",
     "FADED",
     "FLOATS",
@@ -31,11 +30,12 @@ __all__ = [
     "Law",
     "Range",
     "across",
+    "contact_pace",
 ]
 
-CONTACT_RATE = 2000.0
-"""Frequency of hard contacts [rad/s], critically damped: free–free, of two masses pressed together at the end of the
-lost motion; of the whole mass in an end stop."""
+USUAL_CONTACT = {"contact_frequency": 1000.0 / math.pi, "contact_damping": 1.0}
+"""Of hard contacts: frequency [Hz], free–free, of two masses pressed together at the end of the lost motion; of the
+whole mass in an end stop; and damping ratio."""
 EXTERNAL = frozenset(
     {"return_spring", "hardening_spring", "constant_force", "pendulum_gravity", "cogging", "periodic_disturbance"}
 )
@@ -105,6 +105,7 @@ class Range(NamedTuple):
 
 ANY, NOT_NEGATIVE, POSITIVE, SHARE = Range(), Range(0.0), Range(0.0, within=True), Range(0.0, 1.0, within=True)
 FRACTION = Range(0.0, 0.999)
+CONTACT = {"contact_frequency": POSITIVE, "contact_damping": NOT_NEGATIVE}
 
 
 class Law(NamedTuple):
@@ -122,6 +123,8 @@ class Law(NamedTuple):
         p → the quickest rate that the effect brings in [1/s].
     haste : callable, optional
         (p, |x|, |v|, |acceleration|, m) → the rate at which it changes just now [1/s], where that hangs on the motion.
+    usual : mapping of str to float
+        Values of the parameters that need not be given.
     """
 
     kind: Literal["force", "friction", "command", "memory"]
@@ -129,6 +132,16 @@ class Law(NamedTuple):
     function: Callable[[Any, Any, Any], Any] | None = None
     pace: Callable[[Any], float] | None = None
     haste: Callable[[Any, Any, Any, Any, Any], Any] | None = None
+    usual: Mapping[str, float] = MappingProxyType({})
+
+    def numbers(self, given: Mapping[str, float]) -> SimpleNamespace:
+        """Return all numbers of the effect, of which some are `given`."""
+        return SimpleNamespace(**{**self.usual, **given})
+
+
+def contact_pace(p: Any) -> float:
+    """Return the quickest rate of a contact [1/s]."""
+    return float(2.0 * math.pi * p.contact_frequency * max(1.0, 2.0 * p.contact_damping - 1.0))
 
 
 def _saturation(command: Any, p: Any, m: Any) -> Any:
@@ -300,8 +313,13 @@ LAWS = {
         _friction_map,
         haste=lambda p, x, speed, acceleration, m: 0.4 * across((p.high - p.low) / 4.0, speed, acceleration, m),
     ),
-    "end_stop": Law("memory", {"low": ANY, "high": ANY}),
-    "backlash": Law("memory", {"gap": NOT_NEGATIVE, "load_share": SHARE}, pace=lambda p: CONTACT_RATE / 2.5),
+    "end_stop": Law("memory", {"low": ANY, "high": ANY, **CONTACT}, usual=USUAL_CONTACT),
+    "backlash": Law(
+        "memory",
+        {"gap": NOT_NEGATIVE, "load_share": SHARE, **CONTACT},
+        pace=lambda p: contact_pace(p) / 2.5,
+        usual=USUAL_CONTACT,
+    ),
     "flexible_coupling": Law(
         "memory",
         {"frequency": POSITIVE, "damping_ratio": NOT_NEGATIVE, "load_ratio": SHARE},

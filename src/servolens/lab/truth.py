@@ -70,10 +70,10 @@ class Truth:
 def _checked(name: str, values: Mapping[str, float]) -> dict[str, float]:
     if name not in LAWS:
         raise InputError(f"the laboratory has no effect {name[:40]!r}; {names_like(name, sorted(LAWS), 'it has')}")
-    wanted = LAWS[name].parameters
-    if sorted(values) != sorted(wanted):
+    wanted, usual = LAWS[name].parameters, LAWS[name].usual
+    if not wanted.keys() - usual.keys() <= set(values) <= set(wanted):
         raise InputError(f"truth: {name} needs {', '.join(wanted)}; got {', '.join(values) or 'none'}")
-    numbers = {key: _finite(values[key], f"truth: {name}.{key}") for key in wanted}
+    numbers = {key: _finite(values[key], f"truth: {name}.{key}") for key in wanted if key in values}
     for key, number in numbers.items():
         if not wanted[key].holds(number):
             raise InputError(f"truth: {name}.{key} must {wanted[key]}, got {number:g}")

@@ -55,7 +55,9 @@ def _accuracy(fit: Fit) -> str:
 
 def _how(fit: Fit) -> str:
     driven = "in closed loop from the reference" if fit.driven == "closed_loop" else "driven by the voltage"
-    count = len(fit.plant.parameters) - len({*fit.options.held, *fit.plant.derived, *fit.refinement.at_bound})
+    plant = fit.plant
+    held = {*fit.options.held, *plant.derived, *plant.usual, *fit.refinement.at_bound}
+    count = len(plant.parameters) - len(held)
     return f"Simulated {driven}; {count} parameters fitted. {fit.refinement.status.rstrip('.').capitalize()}."
 
 
