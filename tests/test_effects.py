@@ -20,7 +20,6 @@ from servolens import effects
 from servolens.dynamics import dynamics
 from servolens.effects import CATALOGUE, DryFriction, Effect, Presliding, Seen, SpeedServo, StribeckFriction
 from servolens.effects.backlash import LOAD_DRAG, Backlash
-from servolens.effects.contact import CONTACT_RATE
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.report.svg import formula_svg
@@ -30,6 +29,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+CONTACT_RATE = 2000.0  # usual, rad/s
 INSTANTS = 60
 
 # What users' files rely on: kind, and parameters with their units, in this order.

@@ -19,7 +19,6 @@ from servolens.effects import (
     PendulumGravity,
     QuadraticDrag,
 )
-from servolens.effects.contact import CONTACT_RATE
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.record import Controller
@@ -29,6 +28,9 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
 
 GAIN, DAMPING, SHARE = 1.9, 6.0, 0.25
+
+
+CONTACT_RATE = 2000.0  # usual, rad/s
 
 
 def plant_with(*effects: Effect, damping: float = DAMPING) -> Plant:

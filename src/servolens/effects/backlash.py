@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from math import pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.effects.contact import CONTACTS, contact_damping, contact_frequency
+from servolens.effects._contact import CONTACTS, contact_damping, contact_frequency
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
 from servolens.effects.kinds import Transmission

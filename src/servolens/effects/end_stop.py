@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from math import inf, nextafter, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.effects.contact import CONTACT_RATE, CONTACTS, contact_damping, contact_frequency
+from servolens.effects._contact import CONTACT_RATE, CONTACTS, contact_damping, contact_frequency
 from servolens.effects._grids import within
 from servolens.effects.base import parameter
 from servolens.effects.kinds import Force
