@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servolens import lab
+from servolens import Controller, lab, simulate_loop
 from servolens.design import PDSpec, recommend, settling_time, trust, tune
 from servolens.design.scenarios import UnexplainedForce, drawn
-from servolens.effects import CoulombFriction, PeriodicDisturbance, VelocityDecayDamping
+from servolens.effects import CoulombFriction, DeadZone, PeriodicDisturbance, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.model_evidence import DataRange, Evidence, Remainder
@@ -339,3 +339,32 @@ def test_withheld_design_keeps_its_intervals_alone(least):
     assert (body["kd"], body["recommended"], body["gains"]["kd"]) == (None, None, None)
     assert body["intervals"] == [list(interval) for interval in least.intervals]
     assert body["reason"] == "The model is wrong."
+
+
+def test_gain_that_the_sensors_noise_spoils_is_not_recommended():
+    """In a dead zone the axis coasts to a stop: how far is luck where the derivative of the noise drives it."""
+    coasting = Plant(gain=5.0, damping=2.5, effects=(DeadZone(width=0.4),))
+    spec = PDSpec(kp=30.0, settling_time=2.1, reference=0.2, sample_time=2e-3)
+    noisy = Evidence(range=DataRange(voltage=10.0, speed=1.0, step=0.2), noise=2e-5)
+    found = tune(coasting, spec)
+    kds = [recommend(Model(plant=coasting, evidence=e), found).recommended.kd for e in (None, noisy)]
+
+    def settles(kd):
+        time = spec.sample_time * np.arange(4000)
+        errors = 2e-5 * np.random.default_rng(3).standard_normal((20, time.size))
+        runs = [
+            simulate_loop(coasting, Controller(kp=30.0, kd=kd), time, np.full(time.size, 0.2), sensor_error=error)
+            for error in errors
+        ]
+        left = [np.abs(run.position[time >= spec.settling_time] / 0.2 - 1.0).max() for run in runs]
+        return sum(one <= spec.band for one in left)
+
+    assert settles(kds[0]) < 16
+    assert settles(kds[1]) == 20
+
+
+def test_noise_of_a_models_records_stands_in_its_file():
+    model = Model(plant=NLM3, evidence=Evidence(range=SHOWN, noise=2e-5))
+    assert Model.from_json(model.to_json()).evidence.noise == 2e-5
+    with pytest.raises(InputError, match="noise must be a number that is not negative"):
+        Model.from_json({**model.to_json(), "noise": -1.0})

@@ -167,6 +167,8 @@ class Evidence:
         Sentences of the findings for which the model is worthless.
     model_error : ModelError or None
         Its relative error at each frequency; None where no loop of the records can be simulated.
+    noise : float or None
+        Standard deviation of the sensor's noise from sample to sample [m or rad]; None where nobody looked.
     """
 
     range: DataRange
@@ -175,6 +177,7 @@ class Evidence:
     heldout_of_step: float | None = None
     fatal: tuple[str, ...] = ()
     model_error: ModelError | None = None
+    noise: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that stand beside those of the plant in ``servolens.model/1``; finite numbers only."""
@@ -186,6 +189,7 @@ class Evidence:
                 "heldout_of_step": self.heldout_of_step,
                 "fatal": self.fatal,
                 "model_error": None if self.model_error is None else self.model_error.to_json(),
+                "noise": self.noise,
             }
         )
         return result
@@ -201,7 +205,8 @@ class Evidence:
         """
         if data.get("range") is None:
             return None
-        verdict, remainder, heldout = (data.get(name) for name in ("verdict", "remainder", "heldout_of_step"))
+        verdict, remainder = data.get("verdict"), data.get("remainder")
+        heldout, noise = data.get("heldout_of_step"), data.get("noise")
         return cls(
             range=DataRange.from_json(data["range"]),
             verdict=None if verdict is None else str(verdict),
@@ -209,6 +214,7 @@ class Evidence:
             heldout_of_step=None if heldout is None else _size(heldout, "heldout_of_step"),
             fatal=tuple(str(sentence) for sentence in data.get("fatal") or ()),
             model_error=None if data.get("model_error") is None else ModelError.from_json(data["model_error"]),
+            noise=None if noise is None else _size(noise, "noise"),
         )
 
 

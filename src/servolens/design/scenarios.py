@@ -1,4 +1,4 @@
-"""What may be otherwise than a model says: parameters, a force that nothing explains, and the gain itself."""
+"""What may be otherwise than a model says: parameters, a force that nothing explains, the sensor, the gain itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.design.settle import evaluate
+from servolens.design.settle import SensorNoise, evaluate
 from servolens.effects import Force, parameter
 from servolens.errors import InputError
 
@@ -88,12 +88,15 @@ class Scenario:
         What the gains of the loop are multiplied by.
     back : bool
         Whether the step is the one back, from the reference to 0.
+    noise : SensorNoise or None
+        What the loop measures beside the position, as the records showed it.
     """
 
     plant: Plant
     spec: PDSpec
     realised: float
     back: bool
+    noise: SensorNoise | None = None
 
     def in_loop(self, spec: PDSpec) -> Scenario:
         """Return the same axis and step in the loop of another spec."""
@@ -101,7 +104,8 @@ class Scenario:
 
     def response(self, kd: float, duration: float | None = None) -> Response:
         """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
-        return evaluate(self.plant, self.spec, self.realised * kd, back=self.back, duration=duration)
+        kd = self.realised * kd
+        return evaluate(self.plant, self.spec, kd, back=self.back, duration=duration, noise=self.noise)
 
 
 def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: np.random.Generator) -> list[Scenario]:
@@ -113,7 +117,7 @@ def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: 
         realised = 1.0 + float(random.uniform(-TOLERANCE, TOLERANCE))
         spec = spec.scaled(realised)
         plant = _pushed(_plant(model, random), model, random)
-        found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back))
+        found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back, noise=_noise(model, random)))
     return found
 
 
@@ -129,6 +133,13 @@ def counted(responses: Sequence[Response]) -> tuple[float, tuple[float, float]]:
 def without_force(plant: Plant) -> Plant:
     """Return the plant of a scenario without what the model leaves unexplained."""
     return replace(plant, effects=tuple(e for e in plant.effects if not isinstance(e, UnexplainedForce)))
+
+
+def _noise(model: Model, random: np.random.Generator) -> SensorNoise | None:
+    """Draw the noise of the sensor, if the records showed some."""
+    seed = int(random.integers(2**31))
+    deviation = None if model.evidence is None else model.evidence.noise
+    return SensorNoise(deviation, seed) if deviation else None
 
 
 def _plant(model: Model, random: np.random.Generator) -> Plant:

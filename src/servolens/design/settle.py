@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
-__all__ = ["FEASIBLE", "evaluate", "horizon", "settling_time", "step_response"]
+__all__ = ["FEASIBLE", "SensorNoise", "evaluate", "horizon", "settling_time", "step_response"]
 
 FEASIBLE = 1e-9
 """A constraint, as a fraction of the step, may be exceeded by this much: the simulation's own error."""
@@ -68,15 +68,32 @@ def settling_time(
     return float(time[last] + share * (time[last + 1] - time[last]) - time[0])
 
 
-def step_response(plant: Plant, spec: PDSpec, kd: float, duration: float, *, back: bool = False) -> Simulation:
-    """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0."""
+class SensorNoise(NamedTuple):
+    """White noise of the position that the loop measures: its standard deviation [m or rad], and the seed of a draw."""
+
+    deviation: float
+    seed: int
+
+    def drawn(self, samples: int) -> NDArray[np.float64]:
+        """Return it, shape (samples,): of fewer samples the same ones."""
+        return self.deviation * np.random.default_rng(self.seed).standard_normal(samples)
+
+
+def step_response(
+    plant: Plant, spec: PDSpec, kd: float, duration: float, *, back: bool = False, noise: SensorNoise | None = None
+) -> Simulation:
+    """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0.
+
+    A loop that is sampled answers to the `noise` of the sensor, if there is some.
+    """
     time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)
     begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
     reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
-    trial = closed_trial(spec.loop(kd), time, reference, limit=limit, patience=RUNS_AWAY)
+    error = None if noise is None else noise.drawn(time.size)
+    trial = closed_trial(spec.loop(kd), time, reference, limit=limit, sensor_error=error, patience=RUNS_AWAY)
     return trial.simulated(plant, start, substeps_for(plant, spec.sample_time))
 
 
@@ -88,7 +105,15 @@ def _instants(sample_time: float, count: int) -> NDArray[np.float64]:
     return time
 
 
-def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, duration: float | None = None) -> Response:
+def evaluate(
+    plant: Plant,
+    spec: PDSpec,
+    kd: float,
+    *,
+    back: bool = False,
+    duration: float | None = None,
+    noise: SensorNoise | None = None,
+) -> Response:
     """Simulate the step and measure it against the spec.
 
     Parameters
@@ -103,9 +128,11 @@ def evaluate(plant: Plant, spec: PDSpec, kd: float, *, back: bool = False, durat
         Whether the step is the one back, from the reference to 0.
     duration : float, optional
         How long the step is watched [s]; None for as long as :func:`horizon` tells.
+    noise : SensorNoise, optional
+        Of the position that the loop measures; it is the axis itself that has to settle.
     """
     try:
-        run = step_response(plant, spec, kd, duration or horizon(plant, spec), back=back)
+        run = step_response(plant, spec, kd, duration or horizon(plant, spec), back=back, noise=noise)
     except NumericalError:
         nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "peak_speed": np.inf, "final_error": np.inf}
         return Response(kd=kd, settling_time=None, meets=False, stable=False, **nothing)

@@ -107,6 +107,7 @@ def evidence_of(
         heldout_of_step=max(missed, default=None),
         fatal=tuple(against),
         model_error=model_error(chosen.plant, (*case.records, *case.heldout)),
+        noise=case.likelihood.white.spread,
     )
 
 

@@ -13,7 +13,7 @@ from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of, without_gaps
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.runs import Inputs, Simulation, run_one
-from servolens.simulation.settings import NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
+from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -33,8 +33,6 @@ Part = TypeVar("Part")
 
 ANY_NUMBER = 0.0
 """Most pieces into which substeps may be split, where there is no such limit."""
-SHAKEN = 2.0
-"""What the rule is told where the axis is shaken or its sensor errs; see :mod:`.digital`."""
 
 
 def simulate(
@@ -190,7 +188,7 @@ def _shaking(
             if values.shape != time.shape:
                 raise InputError(f"time has {time.size} samples, the {what} {values.size}")
             disturbed[:, column] = values
-    return (SHAKEN, *NO_OBSERVER[1:]), disturbed
+    return DISTURBED, disturbed
 
 
 def simulate_voltage(

@@ -12,7 +12,7 @@ from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError
 from servolens.simulation.grids import sample_time_of
 from servolens.simulation.runs import Inputs, run_all, run_one
-from servolens.simulation.settings import NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
+from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -88,26 +88,31 @@ def closed_trial(
     feedforward: NDArray[np.float64] | None = None,
     before: float | None = None,
     limit: float | None = None,
+    sensor_error: NDArray[np.float64] | None = None,
     patience: float = PATIENCE,
 ) -> Trial:
     """Return the trial of plants in a digital loop.
 
     Parameters
     ----------
-    controller, time, reference, feedforward, before, limit
+    controller, time, reference, feedforward, before, limit, sensor_error
         As of :func:`servolens.simulation.simulate_loop`.
     patience : float
         Pieces into which a substep may be split on average.
     """
     period = sample_time_of(time)
     loop = loop_settings(controller, period)
+    corrects, disturbed = NO_OBSERVER, None
+    if sensor_error is not None:
+        corrects, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
 
     def settings(plant: Plant, substeps: int) -> list[float]:
         granted = patience * time.size * max(substeps, ONE_OF)
         law = law_settings(plant, controller, period, limit)
-        return [1.0, *loop, 0.0, granted, *known(before), *NO_OBSERVER, *law]
+        return [1.0, *loop, 0.0, granted, *known(before), *corrects, *law]
 
-    return Trial(Inputs(time, np.zeros(time.size) if feedforward is None else feedforward, reference), settings)
+    added = np.zeros(time.size) if feedforward is None else feedforward
+    return Trial(Inputs(time, added, reference, disturbed), settings)
 
 
 def observed_trial(
