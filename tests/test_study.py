@@ -20,7 +20,7 @@ from servolens.findings import Finding
 from servolens.model import Model
 from servolens.record import Controller
 from servolens.results import to_text, write_json
-from servolens.study import completed_spec, held_out_prediction, suggested_spec
+from servolens.study import completed_spec, default_sentence, held_out_prediction, suggested_spec
 from servolens.study import workflow as study_workflow
 from servolens.study.workflow import OF_SIMPLER_MODELS
 from servolens.summaries import compared_summary, design_summary
@@ -286,10 +286,46 @@ def test_missing_fields_of_the_spec_are_those_of_the_fastest_loop():
         setup=lab.Setup(controller=Controller(kp=60.0, kd=1.0, derivative_filter=0.5)),
     )
     spec = completed_spec([slow, fast], {"settling_time": 0.7})
-    assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.12)
+    assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.1)
     assert spec.sample_time == pytest.approx(2e-3)
     given = completed_spec([slow, fast], {"settling_time": 0.7, "kp": 30.0, "reference": 0.05, "sample_time": 1e-3})
     assert (given.kp, given.sample_time, given.reference) == (30.0, 1e-3, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("given", "kp", "reference"),
+    [
+        pytest.param({}, 60.0, 0.06, id="nothing"),
+        pytest.param({"kp": 20.0}, 20.0, 0.15, id="a small kp"),
+        pytest.param({"kp": 50.0}, 50.0, 0.06, id="a kp that few records show"),
+        pytest.param({"kp": 90.0}, 90.0, 0.06, id="a kp beyond the records"),
+        pytest.param({"reference": 0.1}, 40.0, 0.1, id="a step that few records show"),
+        pytest.param({"reference": 0.3}, 25.0, 0.3, id="a step beyond the records"),
+        pytest.param({"kp": 60.0, "reference": 0.15}, 60.0, 0.15, id="both"),
+    ],
+)
+def test_kp_and_step_that_are_not_given_are_of_one_record(given, kp, reference):
+    """The largest kp and the largest step of different records were a combination that nobody had run."""
+    sizes = ((40, 0.1), (60, 0.05), (25, 0.15), (60, 0.06))
+    runs = [lab.step_record(CART, gain, reference=step) for gain, step in sizes]
+    spec = completed_spec(runs, {"settling_time": 0.5, **given})
+    assert (spec.kp, spec.reference) == (kp, reference)
+
+
+def test_red_light_says_what_was_taken_from_a_record(cart):
+    runs = [
+        replace(lab.step_record(CART, 60, reference=0.05), name="fast"),
+        replace(lab.step_record(CART, 25, reference=0.15), name="far"),
+    ]
+    said = default_sentence(runs, {})
+    assert said == "Kp and the step are, by default, those of fast; --kp and --reference ask for others."
+    assert default_sentence(runs, {"kp": 25.0}) == "The step is, by default, that of far; --reference asks for another."
+    assert default_sentence(runs, {"kp": 25.0, "reference": 0.1}) == ""
+    found = study_records(cart.records, replace(SPEC, settling_time=0.05), effort="quick")
+    told = found.noting(said)
+    assert told.lights["gain"].sentence == told.design.lights["gain"].sentence
+    assert told.lights["gain"].sentence == f"{found.lights['gain'].sentence} {said}"
+    assert cart.noting(said) is cart
 
 
 def test_kp_that_no_record_states_must_be_given(cart):
