@@ -501,6 +501,27 @@ def test_wrong_sign_is_said_first():
     assert diagnose(record.with_({"voltage": -np.asarray(record.voltage)})).findings[0].code == "wrong_sign"
 
 
+@pytest.mark.parametrize(
+    ("wrong", "code"),
+    [
+        pytest.param(lambda y: -y, "wrong_sign", id="sign"),
+        pytest.param(np.degrees, "units_contradict", id="degrees for radians"),
+    ],
+)
+def test_no_axis_is_healthy_whose_logs_have_a_wrong_sign_or_unit(wrong, code):
+    """The voltage explained the motion down to the noise: of a plant that the loop had never moved so."""
+    setup = lab.Setup(controller=Controller(kp=5.0, kd=0.05), length_unit="rad")
+    run = lab.step_record(lab.Truth(gain=100.0, damping=10.0), reference=0.5, noise=1e-4, seed=1, setup=setup)
+    diagnosis = diagnose(run.with_({"position": wrong(run.position)}))
+    assert code in {finding.code for finding in diagnosis.findings if finding.severity == "error"}
+    assert diagnosis.verdict == "unexplained"
+    assert (diagnosis.model.evidence.verdict, diagnosis.causes) == ("unexplained", ())
+    first, second, *more = diagnosis_summary(diagnosis).sentences
+    assert first == "A sign or a unit in the logs is wrong: nothing can be said of the axis before it is corrected."
+    assert second.startswith("Correct the logs first: ")
+    assert not [said for said in more if "explain" in said or "misses" in said]
+
+
 def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
     cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     records = [lab.step_record(cart, kp, noise=1e-5, seed=kp).slice(0.025, 1.4) for kp in (40, 80, 60)]

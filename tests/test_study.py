@@ -23,7 +23,7 @@ from servolens.results import to_text, write_json
 from servolens.study import completed_spec, default_sentence, held_out_prediction, suggested_spec
 from servolens.study import workflow as study_workflow
 from servolens.study.workflow import OF_SIMPLER_MODELS
-from servolens.summaries import compared_summary, design_summary
+from servolens.summaries import compared_summary, design_summary, tuning_summaries
 from servolens.summaries.comparison import side_by_side
 
 CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
@@ -148,6 +148,18 @@ def test_wrong_sign_leaves_no_gain():
     body = json.loads(to_text(found.to_json()))
     assert (body["kd"], body["recommended"]) == (None, None)
     assert body["reason"]
+
+
+def test_wrong_sign_has_one_remedy():
+    """Who changed the sign, as was said first, and then inverted the command was wrong again."""
+    (record,) = steps(CART, 60)
+    found = study_records(record.with_({"position": -record.position}), SPEC, effort="quick")
+    told = [said for summary in tuning_summaries(found) for said in summary.sentences]
+    told += [finding.message for finding in found.findings] + [found.to_json()["reason"]]
+    assert [said for said in told if "change the sign" in said]
+    assert not [said for said in told if "invert" in said]
+    assert not [finding for finding in found.findings if finding.code != "wrong_sign"]
+    assert told.count("No gain is given: see its light.") == 1
 
 
 @pytest.mark.parametrize("force", [False, True])

@@ -29,6 +29,7 @@ from servolens.identification.restricted import counting_followed
 from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
 from servolens.processors import single_threaded_blas
+from servolens.quality import fatal
 from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
@@ -44,6 +45,10 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
+
+ON_WRONG_DATA: dict[Verdict, Verdict] = {"healthy": "unexplained", "explained": "partly_explained"}
+"""What a verdict becomes where a sign or a unit is wrong: the loop that made the records was another one, so that no
+simulation of it shows that nothing is left."""
 
 
 @single_threaded_blas
@@ -126,6 +131,7 @@ def _diagnosed(
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
+    verdict = ON_WRONG_DATA.get(verdict, verdict) if fatal(findings) else verdict
     if verdict in ("unexplained", "healthy"):
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])

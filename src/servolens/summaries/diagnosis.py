@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
 from servolens.effects import catalogue
+from servolens.quality import fatal
 from servolens.rendering import grouped
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
@@ -116,6 +117,8 @@ def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the sentence that matters most; where the logs are in doubt, it says so."""
+    if _is_wrong(diagnosis):
+        return "A sign or a unit in the logs is wrong: nothing can be said of the axis before it is corrected."
     told = _verdict(diagnosis)
     if not findings_of_logs(diagnosis):
         return capital(told)
@@ -154,6 +157,8 @@ def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the remainder is worth where there is one, and what the records are too short to show."""
+    if _is_wrong(diagnosis):
+        return []
     told = _left(diagnosis)
     if diagnosis.verdict in ("partly_explained", "unexplained") and diagnosis.remainder.depends_on_inputs:
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
@@ -327,6 +332,11 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     if not rest.material:
         return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
+
+
+def _is_wrong(diagnosis: Diagnosis) -> bool:
+    """Tell whether a wrong sign or unit has left nothing to be said of the axis."""
+    return not diagnosis.causes and bool(fatal(diagnosis.findings))
 
 
 def _has(diagnosis: Diagnosis, code: str) -> bool:

@@ -74,7 +74,8 @@ def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, 
         return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
     if design.kd is None:
         why = sentence(design.reason)
-        return ("No gain meets the spec: see its light." if why in study.lights["gain"].sentence else why,)
+        said = "No gain is given" if study.lights["data"].light == "red" else "No gain meets the spec"
+        return (f"{said}: see its light." if why in study.lights["gain"].sentence else why,)
     unit = f"{record.command_unit} s/{record.length_unit}"
     forced = ("Forced: these gains would be withheld.",) if study.forced else ()
     least = f"Least: {design.spec.free} = {least_gain(design)} {unit}"
