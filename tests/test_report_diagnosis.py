@@ -14,7 +14,7 @@ from servolens import lab
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.diagnosis.result import Cause
-from servolens.effects import CATALOGUE
+from servolens.effects import CATALOGUE, PeriodicDisturbance
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.model import UNDETERMINED, Quantity
@@ -420,7 +420,15 @@ def test_all_causes_stand_in_bold_among_the_effects_that_were_tried(rubbing, mon
 
 def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help(rubbing):
     worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=1.0))
-    assert "the held-out error rises from" in verdict_sentence(worse)
+    assert (
+        verdict_sentence(worse)
+        .partition("; but ")[2]
+        .startswith("simulations miss more with it: the held-out error is 1000 mm with it, ")
+    )
+    late = Finding(code="position_shifted", severity="warning", message="shift the column.", record="kp 40")
+    assert "; but simulations of the loop as the logs state it miss more" in verdict_sentence(
+        replace(worse, findings=(late,))
+    )
     assert "the held-out error falls from" in verdict_sentence(rubbing)
 
 
@@ -466,5 +474,19 @@ def test_loop_that_a_log_states_wrongly_is_named_as_the_reason_of_what_is_left()
     runs = [
         replace(run, controller=replace(run.controller, kp=1.25 * run.controller.kp)) for run in steps({}, (40, 80))
     ]
-    told = remaining_sentences(diagnose(runs))
+    diagnosis = diagnose(runs)
+    told = remaining_sentences(diagnosis)
     assert "with the loop as the logs state it" in told[0]
+    assert diagnosis.verdict == "healthy"
+    assert "driven by the logged voltage, gain and damping explain these records" in verdict_sentence(diagnosis)
+    assert "nothing else is wrong" not in verdict_sentence(diagnosis)
+
+
+def test_wave_is_not_the_reason_of_errors_that_its_phase_does_not_explain(rubbing):
+    """With the phases of each record simulations missed more than without the wave."""
+    wave = PeriodicDisturbance(amplitude=0.1, frequency=2.0, phase=0.0)
+    model = replace(rubbing.model, plant=rubbing.model.plant.with_effect(wave), covariance=None)
+    worse = replace(rubbing, model=model, extended=replace(rubbing.extended, heldout_rms_error=1.0))
+    assert "No simulation can predict that phase" in verdict_sentence(worse)
+    missed = replace(worse, remainder=replace(worse.remainder, rms=0.5))
+    assert "simulations miss more with it" in verdict_sentence(missed)

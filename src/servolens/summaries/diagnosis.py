@@ -43,7 +43,10 @@ FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
-OF_THE_LOOP = ("gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log")
+OF_THE_LOOP = (
+    "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
+    "position_shifted", "reference_shifted", "voltage_shifted", "units_contradict", "wrong_sign",
+)  # fmt: skip
 """Findings that what a log states of its loop is wrong: a simulation of that loop cannot be right."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
@@ -246,7 +249,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
     errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
     before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
-    if any(effect.phase_per_record for effect in diagnosis.plant.effects) and not errors[1] < errors[0]:
+    falls = errors[1] < errors[0]
+    has_phases = any(effect.phase_per_record for effect in diagnosis.plant.effects)
+    if has_phases and not falls and diagnosis.remainder.rms < errors[0]:
         times = number(diagnosis.remainder.times_noise or 1.0, 2)
         left = "no more than the noise" if times == "1" else f"{times} times the noise"
         return (
@@ -254,8 +259,14 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
-    goes = f"{'falls' if errors[1] < errors[0] else 'rises'} from {before} to" if before != after else "stays at"
-    return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
+    if before == after or falls:
+        goes = "stays at" if before == after else f"falls from {before} to"
+        return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
+    loop = " of the loop as the logs state it" if _is_of_the_loop(diagnosis) else ""
+    return (
+        f"{start}; but simulations{loop} miss more with {them}: the {held}error is {after} with {them}, {before}"
+        f" without (r.m.s., the noise is {noise})."
+    )
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
@@ -271,6 +282,10 @@ def _healthy(diagnosis: Diagnosis) -> str:
         )
     if in_bursts:
         return f"{explained}; the noise of the position, {noise} (r.m.s.), comes in bursts."
+    if _is_more_than_noise(diagnosis) and _is_of_the_loop(diagnosis):
+        return f"driven by the logged voltage, gain and damping explain {these} down to the noise, {noise} (r.m.s.)."
+    if _is_more_than_noise(diagnosis):
+        return f"{explained}; the sensor's noise is {noise} (r.m.s.)."
     return (
         f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
         " could show."
@@ -320,11 +335,11 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     size += " in the records held out" if rest.heldout else ""
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
-        if any(_has(diagnosis, code) for code in OF_THE_LOOP):
+        if _is_of_the_loop(diagnosis):
             told = f"In addition the simulation misses {size}, with the loop as the logs state it. {worth}"
         else:
             told = f"In addition the simulation misses {size}. It does not depend on what drives the axis. {worth}"
-        return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
+        return [told] if _is_more_than_noise(diagnosis) else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
     if diagnosis.verdict == "partly_explained":
@@ -337,6 +352,16 @@ def _left(diagnosis: Diagnosis) -> list[str]:
 def _is_wrong(diagnosis: Diagnosis) -> bool:
     """Tell whether a wrong sign or unit has left nothing to be said of the axis."""
     return not diagnosis.causes and bool(fatal(diagnosis.findings))
+
+
+def _is_of_the_loop(diagnosis: Diagnosis) -> bool:
+    """Tell whether a log states its loop wrongly."""
+    return any(_has(diagnosis, code) for code in OF_THE_LOOP)
+
+
+def _is_more_than_noise(diagnosis: Diagnosis) -> bool:
+    """Tell whether what a simulation misses is worth a sentence where nothing depends on the inputs."""
+    return (diagnosis.remainder.times_noise or 0.0) > BEYOND_NOISE
 
 
 def _has(diagnosis: Diagnosis, code: str) -> bool:
