@@ -17,7 +17,7 @@ from servolens.diagnosis.result import Cause
 from servolens.effects import CATALOGUE, PeriodicDisturbance
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.model import UNDETERMINED, Quantity
+from servolens.model import NOT_REACHED, UNDETERMINED, Quantity
 from servolens.plant import Plant
 from servolens.rendering import grouped
 from servolens.report import write_diagnosis_report
@@ -463,6 +463,10 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
     high = {"value": 0.1, "stderr": 1e-3}
     low = {"value": -17.0, "reason": UNDETERMINED}
     assert phrase("end_stop", low=low, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not determined)"
+    beyond = {"value": -5e6, "reason": NOT_REACHED}
+    assert (
+        phrase("end_stop", low=beyond, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not seen by these records)"
+    )
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
     assert phrase("delay", time=low).startswith("a delay, ")

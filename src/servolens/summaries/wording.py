@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from servolens.findings import listed
+from servolens.model import NOT_REACHED
+from servolens.plant import ENDLESS
 from servolens.units import prefixed, unit
 
 if TYPE_CHECKING:
@@ -35,8 +37,6 @@ __all__ = [
 
 DIGITS = 4
 LARGEST_PLAIN, SMALLEST_PLAIN = 1e6, 1e-4
-NOWHERE = 1e12
-"""Where a stop stands that no record has reached."""
 
 
 def number(value: float | None, digits: int = DIGITS) -> str:
@@ -119,7 +119,8 @@ def plus_minus(quantity: Quantity) -> str:
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
-        return "none seen" if abs(value) >= NOWHERE else f"{number(value)} (error not known)"
+        is_beyond = abs(value) >= ENDLESS or quantity.reason == NOT_REACHED
+        return "none seen" if is_beyond else f"{number(value)} (error not known)"
     share = f" ({percent(100 * error / abs(value))})" if abs(value) > error else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
