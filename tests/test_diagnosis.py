@@ -12,13 +12,15 @@ import pytest
 
 from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.decision import objection
+from servolens.diagnosis.decision import Decision, objection
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import Gains, pooled, residual
 from servolens.diagnosis.evidence import since_step
+from servolens.diagnosis.messages import said
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.diagnosis.reasons import distinctness, twins_of
-from servolens.diagnosis.search import search
+from servolens.diagnosis.remainder import remainder_of
+from servolens.diagnosis.search import Search, search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
@@ -163,6 +165,19 @@ def test_advice_on_what_shakes_the_axis_is_given_where_noise_does_not_hide_it(sh
     assert ("Look for vibration" in told) == is_advised
     assert ("by less than the sensor's noise, and nothing need be done." in told) != is_advised
     assert (diagnosis.remainder.rms > diagnosis.noise_floor) == is_advised
+
+
+@pytest.mark.parametrize("effects", [{}, {"actuator_lag": {"time_constant": 0.03}}], ids=["nothing left", "something left"])
+def test_longer_search_is_proposed_where_something_is_left_to_be_found(effects):
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, **effects})
+    case = Case(tuple(steps_of(axis, [(40, 0), (80, 0)])), (), {}, 1)
+    rubbing = case.likelihood.judged(Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),)))
+    assert case.is_enough(rubbing) == (not effects)
+    path = (case.base, rubbing)
+    gains = case.gains(path)
+    decision = Decision(case, Search(path, path, (), ended_early=True), path, ())
+    found = said(case, decision, rubbing, gains, "explained", remainder_of(case, rubbing, gains))
+    assert ("effort_spent" in {finding.code for finding in found}) == bool(effects)
 
 
 def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():

@@ -61,7 +61,7 @@ def said(
         told.append(_noise_in_loop(case, in_loop, gains.noise))
     if chosen.unpowered:
         told.append(_unpowered(case))
-    if decision.found.ended_early:
+    if decision.found.ended_early and remainder.depends_on_inputs:  # else nothing is left that a cause could explain
         message = "the search ended when its effort was spent; a thorough one (--effort thorough) may find more."
         told.append(Finding(code="effort_spent", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained") and not remainder.material:
