@@ -167,7 +167,9 @@ def test_advice_on_what_shakes_the_axis_is_given_where_noise_does_not_hide_it(sh
     assert (diagnosis.remainder.rms > diagnosis.noise_floor) == is_advised
 
 
-@pytest.mark.parametrize("effects", [{}, {"actuator_lag": {"time_constant": 0.03}}], ids=["nothing left", "something left"])
+@pytest.mark.parametrize(
+    "effects", [{}, {"actuator_lag": {"time_constant": 0.03}}], ids=["nothing left", "something left"]
+)
 def test_longer_search_is_proposed_where_something_is_left_to_be_found(effects):
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, **effects})
     case = Case(tuple(steps_of(axis, [(40, 0), (80, 0)])), (), {}, 1)

@@ -113,6 +113,16 @@ def test_gain_that_never_settles_on_the_diagnosed_plant_is_told_so(cart):
     assert {name: first for name, first, *_ in table.rows}["Settles on the diagnosed plant [s]"] == "never"
 
 
+@pytest.mark.parametrize(
+    ("by", "says"), [(9.5e-7, "no, 0.95 µs late"), (0.02, "no"), (-0.01, "no")], ids=["looks alike", "late", "else"]
+)
+def test_settling_time_that_looks_as_asked_is_told_with_what_it_misses(cart, by, says):
+    """Two columns showed the same gain and the same 0.25 s: one met the spec, the other did not."""
+    late = replace(cart.comparison.linear_on_diagnosed, settling_time=SPEC.settling_time + by, meets=False)
+    table = side_by_side(replace(cart.comparison, linear_on_diagnosed=late), "V s/m", "V")
+    assert {row[0]: row[1] for row in table.rows}["Meets the spec there"] == says
+
+
 def test_what_a_diagnosis_answers_is_no_finding_of_its_study(cart):
     assert {finding.code for finding in cart.fit.findings} & OF_SIMPLER_MODELS
     assert not {finding.code for finding in cart.findings} & OF_SIMPLER_MODELS
