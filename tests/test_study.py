@@ -265,6 +265,13 @@ def test_nothing_is_found_where_every_record_stands_still():
     assert found.diagnosis is None
     assert held_out_prediction(found) == (None, ())
     assert json.loads(to_text(found.to_json()))["kd"] is None
+    told, lights = tuning_summaries(found)
+    assert told.sentences[0] == "The record is unfit for identification as it is; the errors below say why."
+    assert not [said for said in told.sentences if "was sought" in said]
+    assert "constant_position" not in {finding.code for finding in told.findings}  # its light says it
+    data, *others = lights.sentences
+    assert "the position is 0 m throughout; check the sensor, or log a step." in data
+    assert others == ["Model: red. No model was found.", "Gain: red. No gain was sought: no model was found."]
     with pytest.raises(InputError, match="no gain can be designed: No model can be found"):
         tune(still, SPEC)
 
