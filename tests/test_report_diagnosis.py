@@ -454,7 +454,7 @@ def test_speed_of_rounding_is_told_as_zero():
 
 def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_the_table():
     def phrase(effect, **values):
-        quantities = {name: Quantity(unit="m", **fields) for name, fields in values.items()}
+        quantities = {name: Quantity(**{"unit": "m", **fields}) for name, fields in values.items()}
         cause = Cause(
             effect=effect, quantities=quantities, confidence=0.9, rivals=(), train=(2.0, 1.0), heldout=(2.0, 1.0)
         )
@@ -470,6 +470,12 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
     assert phrase("delay", time=low).startswith("a delay, ")
+    force = {"value": 1.0024, "stderr": 5e-4, "unit": "m/s^2"}
+    excess = {"value": -0.0076, "stderr": 0.0029, "unit": "m/s^2"}
+    speed = {"value": 0.0068, "stderr": 0.0046, "unit": "m/s"}
+    assert phrase("stribeck_friction", level=force, static_excess=excess, stribeck_speed=speed) == (
+        "Stribeck friction (level 1.0024 ± 0.0005 m/s², static excess −0.008 ± 0.003 m/s², stribeck speed 7 ± 5 mm/s)"
+    )
     levels = {f"positive_{i}": high for i in range(5)}
     assert phrase("friction_map", **levels).endswith("(5 parameters, in the table of the model)")
 

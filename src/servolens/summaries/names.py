@@ -58,7 +58,8 @@ def cause_phrase(cause: Cause) -> str:
     if len(known) >= MANY:
         return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
     is_told = {name: q.reason not in (UNDETERMINED, NOT_REACHED) for name, q in known.items()}
-    told = {name: value_and_error(q) for name, q in known.items() if is_told[name] or not any(is_told.values())}
+    shown = {name: q for name, q in known.items() if is_told[name] or not any(is_told.values())}
+    told = {name: value_and_error(q, beside=shown.values()) for name, q in shown.items()}
     if len(all_known) == 1 and told:
         return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
     named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
