@@ -678,6 +678,20 @@ def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     assert "records_contradict" in [finding.code for finding in diagnosis.findings]
 
 
+def test_two_axes_contradict_each_other_though_one_of_them_has_a_lag():
+    """Two causes in part explained what was another motor, with an amplifier of its own."""
+    quick = lab.Truth(gain=120.0, damping=8.0)
+    late = lab.Truth(gain=90.0, damping=5.0, effects={"actuator_lag": {"time_constant": 0.012}})
+    records = [
+        lab.step_record(axis, kp, kd, reference=(1.0, 0.3), duration=1.0, noise=1e-4, seed=i)
+        for i, (axis, kp, kd) in enumerate([(quick, 3.0, 0.02), (late, 4.0, 0.05)])
+    ]
+    diagnosis = diagnose(records, effort="quick")
+    assert (diagnosis.verdict, diagnosis.causes) == ("unexplained", ())
+    (told,) = [finding.message for finding in diagnosis.findings if finding.code == "records_contradict"]
+    assert "with a gain of 90 m/s²/V in kp 4, kd 0.05 and of 120 in kp 3, kd 0.02" in told.replace("m/s^2", "m/s²")
+
+
 def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     axis = lab.Truth(gain=21.5, damping=16.9, effects={"actuator_lag": {"time_constant": 2e-4}})
     runs = [(8, 0.0, 0.0), (30, 1.4, 0.1)]
