@@ -130,8 +130,7 @@ def _diagnosed(
     fits = [fitted(case.likelihood, h, SPENT * EFFORT[effort].work) for h in whole]
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
-    verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
-    verdict = ON_WRONG_DATA.get(verdict, verdict) if fatal(findings) else verdict
+    verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains, findings)
     if verdict in ("unexplained", "healthy"):
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])
@@ -199,7 +198,7 @@ def _check_priors(names: Iterable[str]) -> None:
             )
 
 
-def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
+def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains, findings: Sequence[Finding]) -> Verdict:
     """Judge what is left in the training records, and whether those held out are of the same axis.
 
     What comes in bursts is no noise that a model claims, whether or not it depends on the inputs.
@@ -208,7 +207,8 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     is_far = any(missed_by_far(case, chosen, gains))
     fails = is_far and pooled(held_errors(case, chosen, gains)) > MATERIAL * case.travel
     if case.explains(chosen) and not fails:
-        return "explained" if chosen.causes else "healthy"
+        verdict: Verdict = "explained" if chosen.causes else "healthy"
+        return ON_WRONG_DATA[verdict] if fatal(findings) else verdict
     return "partly_explained" if chosen.causes else "unexplained"
 
 
