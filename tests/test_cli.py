@@ -9,10 +9,11 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from servolens import lab
+from servolens import Controller, Record, lab
 from servolens.cli import group
 from servolens.commands import COMMANDS
 from servolens.errors import NumericalError
@@ -130,6 +131,16 @@ def mirrored(bench, tmp_path_factory):
     path = tmp_path_factory.mktemp("mirrored") / "mirrored.csv"
     write_csv(record.with_({"position": -record.position}), path)
     return path
+
+
+def test_refusal_names_a_record_once_that_is_called_like_its_file(here):
+    time = 0.001 * np.arange(5.0)
+    few = Record(time=time, position=time, reference=time, controller=Controller(kp=60.0), name="five")
+    few.to_csv(here / "five.csv")
+    said = refused(run("identify", "five.csv"))
+    assert said == "five.csv: the record has 5 samples; at least 20 are needed, log longer or faster"
+    few.with_({"name": "cart"}).to_csv(here / "five.csv")
+    assert refused(run("identify", "five.csv")).startswith("five.csv: cart: the record has 5 samples")
 
 
 def test_wrong_sign_makes_check_say_no(mirrored):

@@ -13,7 +13,7 @@ from servolens.design.scenarios import UnexplainedForce, drawn
 from servolens.effects import CoulombFriction, DeadZone, PeriodicDisturbance, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.model import Model
-from servolens.model_evidence import DataRange, Evidence, Remainder
+from servolens.model_evidence import DataRange, Evidence, Missed, Remainder
 from servolens.plant import Plant
 
 NLM3 = Plant(gain=1.91, damping=3.799, effects=(VelocityDecayDamping(alpha1=15.2528, alpha2=5.9934),))
@@ -268,6 +268,53 @@ def test_held_out_error_beyond_the_band_is_a_doubt(least):
     of_model, of_gain = lights(least, known)
     assert (of_model.light, of_gain.light) == ("amber", "amber")
     assert "2.9 %" in of_gain.sentence
+
+
+def missing(how, rms, step):
+    """Return the evidence of a model that misses so much of one record that it was not fitted to."""
+    missed = (
+        Missed(record="run 2", how=how, rms=rms, step=step),
+        Missed(record="run 1", how=how, rms=1e-6, step=0.1),
+    )
+    worst = max(one.of_step for one in missed)
+    return Evidence(range=SHOWN, remainder=leaving(0.01), heldout_of_step=worst, missed=missed)
+
+
+@pytest.mark.parametrize(
+    ("how", "who", "lesson"),
+    [
+        pytest.param("held_out", "run 2, which took no part in the fit", "fit this record too.", id="held out"),
+        pytest.param(
+            "left_out",
+            "run 2, as predicted by a fit to the other records",
+            "of another run it may miss as much.",
+            id="left out",
+        ),
+        pytest.param(
+            "end", "the end of run 2, as predicted by a fit without it", "of another run it may miss as much.", id="end"
+        ),
+    ],
+)
+def test_error_where_a_record_was_not_fitted_is_told_as_what_it_is(least, how, who, lesson):
+    """Records that are fitted were each left out in turn, and whoever logged them was told to fit them too."""
+    of_model, of_gain = lights(least, missing(how, 0.0029, 0.1))
+    assert of_model.light == of_gain.light == "amber"
+    assert of_model.sentence.endswith(f" but 2.9 mm (r.m.s.) of {who}, 2.9 % of its step of 100 mm: {lesson}")
+    assert of_gain.sentence == (
+        f"{who[0].upper()}{who[1:]}, is missed by 2.9 mm (r.m.s.), 2.9 % of its step of 100 mm, more than the band of"
+        " 1 %: when the axis settles is not certain."
+    )
+    assert lights(least, missing(how, 1e-4, 0.1))[0].light == "green"
+
+
+@pytest.mark.parametrize(("rms", "light"), [(0.0009, "green"), (0.0011, "amber")])
+def test_error_of_a_small_move_is_held_against_the_step_asked_for(least, rms, light):
+    """A slow move of 40 mm was missed by 2.5 % of itself, which was held against 1 % of a step of 120 mm."""
+    assert SPEC.reference == 0.1
+    of_model, of_gain = lights(least, missing("left_out", rms, 0.04))
+    assert of_gain.light == light
+    assert f"{100 * rms / 0.04:.2g} % of its step of 40 mm" in of_model.sentence
+    assert ("1.1 % of the step asked for, more than the band" in of_gain.sentence) == (light == "amber")
 
 
 AGAINST = {

@@ -12,13 +12,15 @@ import pytest
 
 from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.decision import objection
+from servolens.diagnosis.decision import Decision, objection
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import Gains, pooled, residual
 from servolens.diagnosis.evidence import since_step
+from servolens.diagnosis.messages import said
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.diagnosis.reasons import distinctness, twins_of
-from servolens.diagnosis.search import search
+from servolens.diagnosis.remainder import remainder_of
+from servolens.diagnosis.search import Search, search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
@@ -144,6 +146,40 @@ def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
     assert diagnosis.noise_floor == pytest.approx(floor, rel=0.2)
     if world == "shaken":
         assert diagnosis.remainder.acceleration_rms == pytest.approx(campaign.surroundings.shaking.deviation, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("shaking", "is_advised"),
+    [
+        pytest.param(lab.Shaking(deviation=1e-3, correlation_time=0.02), False, id="hidden"),
+        pytest.param(lab.Shaking(deviation=2e-2, correlation_time=0.05), True, id="seen"),
+    ],
+)
+def test_advice_on_what_shakes_the_axis_is_given_where_noise_does_not_hide_it(shaking, is_advised):
+    """A search for vibration was asked for that moved the axis by less than the sensor's noise."""
+    setup = lab.Setup(surroundings=lab.Surroundings(noise=lab.SensorNoise(deviation=1e-5), shaking=shaking))
+    axis = lab.Truth(gain=1.9, damping=6.0)
+    runs = [lab.step_record(axis, kp, encoder=0.0, seed=kp, duration=2.0, setup=setup) for kp in (40, 60)]
+    diagnosis = diagnose(runs)
+    (told,) = [finding.message for finding in diagnosis.findings if finding.code == "shaken_axis"]
+    assert ("Look for vibration" in told) == is_advised
+    assert ("by less than the sensor's noise, and nothing need be done." in told) != is_advised
+    assert (diagnosis.remainder.rms > diagnosis.noise_floor) == is_advised
+
+
+@pytest.mark.parametrize(
+    "effects", [{}, {"actuator_lag": {"time_constant": 0.03}}], ids=["nothing left", "something left"]
+)
+def test_longer_search_is_proposed_where_something_is_left_to_be_found(effects):
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, **effects})
+    case = Case(tuple(steps_of(axis, [(40, 0), (80, 0)])), (), {}, 1)
+    rubbing = case.likelihood.judged(Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),)))
+    assert case.is_enough(rubbing) == (not effects)
+    path = (case.base, rubbing)
+    gains = case.gains(path)
+    decision = Decision(case, Search(path, path, (), ended_early=True), path, ())
+    found = said(case, decision, rubbing, gains, "explained", remainder_of(case, rubbing, gains))
+    assert ("effort_spent" in {finding.code for finding in found}) == bool(effects)
 
 
 def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
@@ -501,6 +537,25 @@ def test_wrong_sign_is_said_first():
     assert diagnose(record.with_({"voltage": -np.asarray(record.voltage)})).findings[0].code == "wrong_sign"
 
 
+@pytest.mark.parametrize(
+    ("wrong", "code"),
+    [
+        pytest.param(lambda y: -y, "wrong_sign", id="sign"),
+        pytest.param(np.degrees, "units_contradict", id="degrees for radians"),
+    ],
+)
+def test_nothing_is_said_of_an_axis_whose_logs_have_a_wrong_sign_or_unit(wrong, code):
+    """The voltage explains the motion down to the noise, and findings change no verdict; but it is that of no axis."""
+    setup = lab.Setup(controller=Controller(kp=5.0, kd=0.05), length_unit="rad")
+    run = lab.step_record(lab.Truth(gain=100.0, damping=10.0), reference=0.5, noise=1e-4, seed=1, setup=setup)
+    diagnosis = diagnose(run.with_({"position": wrong(run.position)}))
+    assert code in {finding.code for finding in diagnosis.findings if finding.severity == "error"}
+    first, second, *more = diagnosis_summary(diagnosis).sentences
+    assert first == "A sign or a unit in the logs is wrong: nothing can be said of the axis before it is corrected."
+    assert second.startswith("Correct the logs first: ")
+    assert not [said for said in more if "explain" in said or "misses" in said]
+
+
 def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
     cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     records = [lab.step_record(cart, kp, noise=1e-5, seed=kp).slice(0.025, 1.4) for kp in (40, 80, 60)]
@@ -619,6 +674,20 @@ def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     diagnosis = diagnose(records)
     assert diagnosis.verdict == "unexplained"
     assert "records_contradict" in [finding.code for finding in diagnosis.findings]
+
+
+def test_two_axes_contradict_each_other_though_one_of_them_has_a_lag():
+    """Two causes in part explained what was another motor, with an amplifier of its own."""
+    quick = lab.Truth(gain=120.0, damping=8.0)
+    late = lab.Truth(gain=90.0, damping=5.0, effects={"actuator_lag": {"time_constant": 0.012}})
+    records = [
+        lab.step_record(axis, kp, kd, reference=(1.0, 0.3), duration=1.0, noise=1e-4, seed=i)
+        for i, (axis, kp, kd) in enumerate([(quick, 3.0, 0.02), (late, 4.0, 0.05)])
+    ]
+    diagnosis = diagnose(records, effort="quick")
+    assert (diagnosis.verdict, diagnosis.causes) == ("unexplained", ())
+    (told,) = [finding.message for finding in diagnosis.findings if finding.code == "records_contradict"]
+    assert "with a gain of 90 m/s²/V in kp 4, kd 0.05 and of 120 in kp 3, kd 0.02" in told.replace("m/s^2", "m/s²")
 
 
 def test_lag_far_below_the_sample_time_is_told_from_a_delay():

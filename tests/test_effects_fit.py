@@ -46,6 +46,7 @@ from servolens.lab import LM1, Setup, Truth, hidden_campaign, step_record, step_
 from servolens.lab.laws import LAWS
 from servolens.model import Model
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
+from servolens.summaries.wording import plus_minus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -138,7 +139,9 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
     truth = axis(end_stop={"low": -0.5, "high": 0.09})
     fit = servolens.fit(effects_of(truth, 1.03), campaign(truth))
     assert fit.quantities["end_stop.low"].stderr is None
-    assert fit.quantities["end_stop.low"].reason == "the data do not determine it"
+    assert fit.quantities["end_stop.low"].reason == "the records do not reach it"
+    assert codes(fit)["not_determined"] == "end_stop.low is not seen by these records, which do not reach it."
+    assert plus_minus(fit.quantities["end_stop.low"]) == "none seen"
     assert fit.quantities["end_stop.high"].value == pytest.approx(0.09, abs=2e-4)
     assert miss(fit, "gain", GAIN) < FAR
     assert miss(fit, "damping", DAMPING) < FAR
@@ -730,10 +733,8 @@ def test_profile_shows_that_a_limit_never_reached_has_no_upper_end():
     assert high is None
     assert low is not None
     assert low == pytest.approx(5.0, abs=0.02)
-    assert codes(fit)["not_determined"] == (
-        "the data do not determine saturation.limit: others explain them as well as 6."
-    )
-    assert fit.quantities["saturation.limit"].reason == "the data do not determine it"
+    assert codes(fit)["not_determined"] == "saturation.limit is not seen by these records, which do not reach it."
+    assert fit.quantities["saturation.limit"].reason == "the records do not reach it"
 
 
 # --- doubts

@@ -390,6 +390,15 @@ def test_no_record_and_no_motion_are_refused() -> None:
         identify(still)
 
 
+def test_record_of_a_few_samples_is_refused_as_that() -> None:
+    run = step_record(LM1, 60.0)
+    short = [replace(run.slice(0.0, 0.001 * last), name=f"run {last}") for last in (4, 6)]
+    with pytest.raises(InputError, match="run 4: the record has 5 samples; at least 20 are needed"):
+        identify(short[0])
+    with pytest.raises(InputError, match="run 4, run 6: none of the records has more than 7 samples; at least 20"):
+        identify(short)
+
+
 # --- coverage -------------------------------------------------------------------------------------------------------
 
 

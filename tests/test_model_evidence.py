@@ -15,7 +15,7 @@ from servolens.effects import CoulombFriction
 from servolens.errors import InputError
 from servolens.identification import identify
 from servolens.model import Model, read_model
-from servolens.model_evidence import DataRange, Evidence, Remainder
+from servolens.model_evidence import DataRange, Evidence, Missed, Remainder
 from servolens.plant import Plant
 from servolens.prediction import prediction_residual
 
@@ -35,6 +35,7 @@ KNOWN = Evidence(
     remainder=LEFT,
     heldout_of_step=0.002,
     fatal=("run 3: its voltage has the wrong sign.",),
+    missed=(Missed(record="run 3", how="left_out", rms=2e-4, step=0.1),),
 )
 PLANT = Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
 MATRIX = np.array([[1e-4, 2e-5, np.nan], [2e-5, 4e-3, np.nan], [np.nan, np.nan, np.nan]])
@@ -75,6 +76,10 @@ DAMAGED = {
     "range that is no number": {"range": {"voltage": "8 V", "speed": 1.0, "step": 0.1}},
     "range without a step": {"range": {"voltage": 8.0, "speed": 1.0}},
     "negative share": {"heldout_of_step": -0.1},
+    "record that is left out in no known way": {
+        "missed": [{"record": "run 3", "how": "half", "rms": 1e-4, "step": 0.1}]
+    },
+    "record without a step": {"missed": [{"record": "run 3", "how": "end", "rms": 1e-4, "step": 0.0}]},
     "remainder without its force": {"remainder": {"rms": 1e-4}},
     "covariance of other parameters": {"covariance": {"names": ["a", "b", "c"], "matrix": np.eye(3).tolist()}},
 }
@@ -116,8 +121,17 @@ def test_diagnosed_model_remembers_its_records():
     assert known.range.step == pytest.approx(0.1, rel=1e-3)
     assert known.range.speed == pytest.approx(np.abs(np.gradient(heldout.position, heldout.time)).max(), rel=0.1)
     assert known.heldout_of_step < 1e-3
+    assert [(one.record, one.how) for one in known.missed] == [(heldout.name, "held_out")]
     assert not known.remainder.material
     assert known.fatal == ()
+
+
+def test_records_that_are_left_out_in_turn_are_told_from_those_held_out():
+    runs = [lab.step_record(lab.LM1, kp, noise=1e-5, seed=kp) for kp in (40, 60)]
+    both = diagnose(runs, effort="quick").model.evidence
+    assert {(one.record, one.how) for one in both.missed} == {(runs[0].name, "left_out"), (runs[1].name, "end")}
+    (alone,) = diagnose(runs[0], effort="quick").model.evidence.missed
+    assert (alone.record, alone.how) == (runs[0].name, "end")
 
 
 def test_held_out_record_of_another_axis_speaks_against_the_model():

@@ -14,10 +14,10 @@ from servolens import lab
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.diagnosis.result import Cause
-from servolens.effects import CATALOGUE
+from servolens.effects import CATALOGUE, PeriodicDisturbance
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.model import UNDETERMINED, Quantity
+from servolens.model import NOT_REACHED, UNDETERMINED, Quantity
 from servolens.plant import Plant
 from servolens.rendering import grouped
 from servolens.report import write_diagnosis_report
@@ -420,7 +420,15 @@ def test_all_causes_stand_in_bold_among_the_effects_that_were_tried(rubbing, mon
 
 def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help(rubbing):
     worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=1.0))
-    assert "the held-out error rises from" in verdict_sentence(worse)
+    assert (
+        verdict_sentence(worse)
+        .partition("; but ")[2]
+        .startswith("simulations miss more with it: the held-out error is 1000 mm with it, ")
+    )
+    late = Finding(code="position_shifted", severity="warning", message="shift the column.", record="kp 40")
+    assert "; but simulations of the loop as the logs state it miss more" in verdict_sentence(
+        replace(worse, findings=(late,))
+    )
     assert "the held-out error falls from" in verdict_sentence(rubbing)
 
 
@@ -446,7 +454,7 @@ def test_speed_of_rounding_is_told_as_zero():
 
 def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_the_table():
     def phrase(effect, **values):
-        quantities = {name: Quantity(unit="m", **fields) for name, fields in values.items()}
+        quantities = {name: Quantity(**{"unit": "m", **fields}) for name, fields in values.items()}
         cause = Cause(
             effect=effect, quantities=quantities, confidence=0.9, rivals=(), train=(2.0, 1.0), heldout=(2.0, 1.0)
         )
@@ -455,9 +463,19 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
     high = {"value": 0.1, "stderr": 1e-3}
     low = {"value": -17.0, "reason": UNDETERMINED}
     assert phrase("end_stop", low=low, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not determined)"
+    beyond = {"value": -5e6, "reason": NOT_REACHED}
+    assert (
+        phrase("end_stop", low=beyond, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not seen by these records)"
+    )
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
     assert phrase("delay", time=low).startswith("a delay, ")
+    force = {"value": 1.0024, "stderr": 5e-4, "unit": "m/s^2"}
+    excess = {"value": -0.0076, "stderr": 0.0029, "unit": "m/s^2"}
+    speed = {"value": 0.0068, "stderr": 0.0046, "unit": "m/s"}
+    assert phrase("stribeck_friction", level=force, static_excess=excess, stribeck_speed=speed) == (
+        "Stribeck friction (level 1.0024 ± 0.0005 m/s², static excess −0.008 ± 0.003 m/s², stribeck speed 7 ± 5 mm/s)"
+    )
     levels = {f"positive_{i}": high for i in range(5)}
     assert phrase("friction_map", **levels).endswith("(5 parameters, in the table of the model)")
 
@@ -466,5 +484,19 @@ def test_loop_that_a_log_states_wrongly_is_named_as_the_reason_of_what_is_left()
     runs = [
         replace(run, controller=replace(run.controller, kp=1.25 * run.controller.kp)) for run in steps({}, (40, 80))
     ]
-    told = remaining_sentences(diagnose(runs))
+    diagnosis = diagnose(runs)
+    told = remaining_sentences(diagnosis)
     assert "with the loop as the logs state it" in told[0]
+    assert diagnosis.verdict == "healthy"
+    assert "driven by the logged voltage, gain and damping explain these records" in verdict_sentence(diagnosis)
+    assert "nothing else is wrong" not in verdict_sentence(diagnosis)
+
+
+def test_wave_is_not_the_reason_of_errors_that_its_phase_does_not_explain(rubbing):
+    """With the phases of each record simulations missed more than without the wave."""
+    wave = PeriodicDisturbance(amplitude=0.1, frequency=2.0, phase=0.0)
+    model = replace(rubbing.model, plant=rubbing.model.plant.with_effect(wave), covariance=None)
+    worse = replace(rubbing, model=model, extended=replace(rubbing.extended, heldout_rms_error=1.0))
+    assert "No simulation can predict that phase" in verdict_sentence(worse)
+    missed = replace(worse, remainder=replace(worse.remainder, rms=0.5))
+    assert "simulations miss more with it" in verdict_sentence(missed)

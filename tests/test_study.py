@@ -24,10 +24,10 @@ from servolens.model import Model
 from servolens.processors import PROCESSORS
 from servolens.record import Controller
 from servolens.results import to_text, write_json
-from servolens.study import completed_spec, held_out_prediction, suggested_spec
+from servolens.study import completed_spec, default_sentence, held_out_prediction, suggested_spec
 from servolens.study import workflow as study_workflow
 from servolens.study.workflow import OF_SIMPLER_MODELS
-from servolens.summaries import compared_summary, design_summary
+from servolens.summaries import compared_summary, design_summary, tuning_summaries
 from servolens.summaries.comparison import side_by_side
 
 CART = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
@@ -117,6 +117,16 @@ def test_gain_that_never_settles_on_the_diagnosed_plant_is_told_so(cart):
     assert {name: first for name, first, *_ in table.rows}["Settles on the diagnosed plant [s]"] == "never"
 
 
+@pytest.mark.parametrize(
+    ("by", "says"), [(9.5e-7, "no, 0.95 µs late"), (0.02, "no"), (-0.01, "no")], ids=["looks alike", "late", "else"]
+)
+def test_settling_time_that_looks_as_asked_is_told_with_what_it_misses(cart, by, says):
+    """Two columns showed the same gain and the same 0.25 s: one met the spec, the other did not."""
+    late = replace(cart.comparison.linear_on_diagnosed, settling_time=SPEC.settling_time + by, meets=False)
+    table = side_by_side(replace(cart.comparison, linear_on_diagnosed=late), "V s/m", "V")
+    assert {row[0]: row[1] for row in table.rows}["Meets the spec there"] == says
+
+
 def test_what_a_diagnosis_answers_is_no_finding_of_its_study(cart):
     assert {finding.code for finding in cart.fit.findings} & OF_SIMPLER_MODELS
     assert not {finding.code for finding in cart.findings} & OF_SIMPLER_MODELS
@@ -152,6 +162,18 @@ def test_wrong_sign_leaves_no_gain():
     body = json.loads(to_text(found.to_json()))
     assert (body["kd"], body["recommended"]) == (None, None)
     assert body["reason"]
+
+
+def test_wrong_sign_has_one_remedy():
+    """Who changed the sign, as was said first, and then inverted the command was wrong again."""
+    (record,) = steps(CART, 60)
+    found = study_records(record.with_({"position": -record.position}), SPEC, effort="quick")
+    told = [said for summary in tuning_summaries(found) for said in summary.sentences]
+    told += [finding.message for finding in found.findings] + [found.to_json()["reason"]]
+    assert [said for said in told if "change the sign" in said]
+    assert not [said for said in told if "invert" in said]
+    assert not [finding for finding in found.findings if finding.code != "wrong_sign"]
+    assert told.count("No gain is given: see its light.") == 1
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -218,7 +240,7 @@ def test_no_gain_is_sought_for_an_axis_that_does_not_answer_to_the_voltage(cart,
     assert found.lights["gain"].sentence == (
         "No gain was sought: the plant does not answer to the voltage in these records, so no gain follows from them."
     )
-    assert not [told for told in compared_summary(found).sentences if "kd" in told]
+    assert not [told for told in compared_summary(found).sentences if "kd =" in told]
 
 
 def test_gain_far_beyond_the_records_is_withheld():
@@ -247,6 +269,13 @@ def test_nothing_is_found_where_every_record_stands_still():
     assert found.diagnosis is None
     assert held_out_prediction(found) == (None, ())
     assert json.loads(to_text(found.to_json()))["kd"] is None
+    told, lights = tuning_summaries(found)
+    assert told.sentences[0] == "The record is unfit for identification as it is; the errors below say why."
+    assert not [said for said in told.sentences if "was sought" in said]
+    assert "constant_position" not in {finding.code for finding in told.findings}  # its light says it
+    data, *others = lights.sentences
+    assert "the position is 0 m throughout; check the sensor, or log a step." in data
+    assert others == ["Model: red. No model was found.", "Gain: red. No gain was sought: no model was found."]
     with pytest.raises(InputError, match="no gain can be designed: No model can be found"):
         tune(still, SPEC)
 
@@ -290,10 +319,46 @@ def test_missing_fields_of_the_spec_are_those_of_the_fastest_loop():
         setup=lab.Setup(controller=Controller(kp=60.0, kd=1.0, derivative_filter=0.5)),
     )
     spec = completed_spec([slow, fast], {"settling_time": 0.7})
-    assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.12)
+    assert (spec.kp, spec.derivative_filter, spec.reference) == (60.0, 0.5, 0.1)
     assert spec.sample_time == pytest.approx(2e-3)
     given = completed_spec([slow, fast], {"settling_time": 0.7, "kp": 30.0, "reference": 0.05, "sample_time": 1e-3})
     assert (given.kp, given.sample_time, given.reference) == (30.0, 1e-3, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("given", "kp", "reference"),
+    [
+        pytest.param({}, 60.0, 0.06, id="nothing"),
+        pytest.param({"kp": 20.0}, 20.0, 0.15, id="a small kp"),
+        pytest.param({"kp": 50.0}, 50.0, 0.06, id="a kp that few records show"),
+        pytest.param({"kp": 90.0}, 90.0, 0.06, id="a kp beyond the records"),
+        pytest.param({"reference": 0.1}, 40.0, 0.1, id="a step that few records show"),
+        pytest.param({"reference": 0.3}, 25.0, 0.3, id="a step beyond the records"),
+        pytest.param({"kp": 60.0, "reference": 0.15}, 60.0, 0.15, id="both"),
+    ],
+)
+def test_kp_and_step_that_are_not_given_are_of_one_record(given, kp, reference):
+    """The largest kp and the largest step of different records were a combination that nobody had run."""
+    sizes = ((40, 0.1), (60, 0.05), (25, 0.15), (60, 0.06))
+    runs = [lab.step_record(CART, gain, reference=step) for gain, step in sizes]
+    spec = completed_spec(runs, {"settling_time": 0.5, **given})
+    assert (spec.kp, spec.reference) == (kp, reference)
+
+
+def test_red_light_says_what_was_taken_from_a_record(cart):
+    runs = [
+        replace(lab.step_record(CART, 60, reference=0.05), name="fast"),
+        replace(lab.step_record(CART, 25, reference=0.15), name="far"),
+    ]
+    said = default_sentence(runs, {})
+    assert said == "Kp and the step are, by default, those of fast; --kp and --reference ask for others."
+    assert default_sentence(runs, {"kp": 25.0}) == "The step is, by default, that of far; --reference asks for another."
+    assert default_sentence(runs, {"kp": 25.0, "reference": 0.1}) == ""
+    found = study_records(cart.records, replace(SPEC, settling_time=0.05), effort="quick")
+    told = found.noting(said)
+    assert told.lights["gain"].sentence == told.design.lights["gain"].sentence
+    assert told.lights["gain"].sentence == f"{found.lights['gain'].sentence} {said}"
+    assert cart.noting(said) is cart
 
 
 def test_kp_that_no_record_states_must_be_given(cart):

@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 
     from servolens.effects import Effect
 
-__all__ = ["UNDETERMINED", "Model", "Quantity", "read_model"]
+__all__ = ["NOT_REACHED", "UNDETERMINED", "Model", "Quantity", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
 HOLDERS = ("servolens.fit/1", "servolens.diagnosis/1", "servolens.identification/1")
 """Results whose files hold a model."""
 UNDETERMINED = "the data do not determine it"
+NOT_REACHED = "the records do not reach it"
+"""Of a limit: where it lies beyond is not known, and the value that a search ended with says nothing."""
 """Reason for which a number has no standard error, and tells nothing."""
 OPTIONAL = ("inertia", "free_damping")
 """Numbers of a plant that stand in its file where they are known."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Literal, final, get_args
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from servolens.results import to_finite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["MATERIAL", "DataRange", "Evidence", "ModelError", "Remainder"]
+__all__ = ["MATERIAL", "DataRange", "Evidence", "How", "Missed", "ModelError", "Remainder"]
 
+How = Literal["held_out", "left_out", "end"]
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 
@@ -150,6 +151,47 @@ class ModelError:
 
 @final
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Missed:
+    """What a model misses of one record that it was not fitted to.
+
+    Attributes
+    ----------
+    record : str
+        Its name.
+    how : {"held_out", "left_out", "end"}
+        A record that took no part; one that is fitted too, by a fit to the others; or the last part of one, by a fit
+        without it.
+    rms : float
+        Of the simulation's error there [m or rad].
+    step : float
+        Of the record [m or rad].
+    """
+
+    record: str
+    how: How
+    rms: float
+    step: float
+
+    @property
+    def of_step(self) -> float:
+        """`rms` over the step."""
+        return self.rms / self.step
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the fields."""
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Missed:
+        """Build it from what :meth:`to_json` returned."""
+        how, step = data["how"], _size(data["step"], "missed.step")
+        if how not in get_args(How) or step == 0:
+            raise InputError("missed must say how each record was left out of the fit, and its step")
+        return cls(record=str(data["record"]), how=how, rms=_size(data["rms"], "missed.rms"), step=step)
+
+
+@final
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
     """How far the records support a model.
 
@@ -169,6 +211,8 @@ class Evidence:
         Its relative error at each frequency; None where no loop of the records can be simulated.
     noise : float or None
         Standard deviation of the sensor's noise from sample to sample [m or rad]; None where nobody looked.
+    missed : tuple of Missed
+        What `heldout_of_step` is the largest of; empty in older files.
     """
 
     range: DataRange
@@ -178,6 +222,7 @@ class Evidence:
     fatal: tuple[str, ...] = ()
     model_error: ModelError | None = None
     noise: float | None = None
+    missed: tuple[Missed, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that stand beside those of the plant in ``servolens.model/1``; finite numbers only."""
@@ -190,6 +235,7 @@ class Evidence:
                 "fatal": self.fatal,
                 "model_error": None if self.model_error is None else self.model_error.to_json(),
                 "noise": self.noise,
+                "missed": [missed.to_json() for missed in self.missed],
             }
         )
         return result
@@ -215,6 +261,7 @@ class Evidence:
             fatal=tuple(str(sentence) for sentence in data.get("fatal") or ()),
             model_error=None if data.get("model_error") is None else ModelError.from_json(data["model_error"]),
             noise=None if noise is None else _size(noise, "noise"),
+            missed=tuple(Missed.from_json(one) for one in data.get("missed") or ()),
         )
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["BASE_PARAMETERS", "Plant"]
+__all__ = ["BASE_PARAMETERS", "ENDLESS", "Plant"]
 
 BASE_PARAMETERS = (
     Parameter(

@@ -55,8 +55,8 @@ def tune(  # noqa: PLR0913 - a command's options
 
     Checks the records, identifies the axis, finds what gain and damping lack, and designs on the model that the data
     support best: the gain to use and the least one, with a light each for data, model and gain. Without --kp,
-    --sample-time, --derivative-filter and --reference: those of the records. Exit status 1 if no gain meets the
-    specification, or if it is withheld because its light is red.
+    --sample-time, --derivative-filter and --reference: those of the record with the largest kp. Exit status 1 if no
+    gain meets the specification, or if it is withheld because its light is red.
     """
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")
@@ -131,7 +131,7 @@ def _studied(
     """Read the records and study them."""
     check_outputs(outputs, (*recordings.paths, *heldout))
     check_page(outputs.get("--report"))
-    from servolens.study import completed_spec, study_records
+    from servolens.study import completed_spec, default_sentence, study_records
 
     known = priors_from(priors)
     with progress_bar() as progress:
@@ -140,7 +140,7 @@ def _studied(
         check_apart(records, others)
         wanted = completed_spec(records, spec.given)
         with about(*recordings.paths, *heldout):
-            return study_records(
+            found = study_records(
                 records,
                 wanted,
                 references=references,
@@ -150,3 +150,4 @@ def _studied(
                 force=force,
                 progress=progress,
             )
+        return found.noting(default_sentence(records, spec.given))

@@ -13,7 +13,7 @@ import numpy as np
 from servolens.diagnosis.errors import KEPT, Gains, pooled, residual
 from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.trials import Trials
-from servolens.effects import CoulombFriction
+from servolens.effects import ActuatorLag, CoulombFriction
 from servolens.errors import InputError, NumericalError
 from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
@@ -245,12 +245,14 @@ class Case:
     def contradiction(self) -> Finding | None:
         """Return a finding if each record by itself is explained, but by gains that no single axis has.
 
-        Explained by gain and damping, or with dry friction beside them: more effects would explain anything.
+        Explained by gain and damping, or with dry friction or a lag of the actuator beside them, the commonest of what
+        a single step shows: more effects would explain anything.
         """
         if len(self.records) < 2 or (self.base.noise.rate == 0.0 and self.is_enough(self.base)):
             return None
-        rubbing = self.trials.starts(ScoreTest(self.likelihood, self.base), CoulombFriction.name)
-        structures = [self.base.plant, *(start.plant for start in rubbing[:1])]
+        test = ScoreTest(self.likelihood, self.base)
+        begun = [self.trials.starts(test, name)[:1] for name in (CoulombFriction.name, ActuatorLag.name)]
+        structures = [self.base.plant, *(start.plant for starts in begun for start in starts)]
         plants = in_parallel(partial(self._by_itself, structures), self.records)
         return apart([p for p in plants if p], [r.name for r in self.records]) if all(plants) else None
 

@@ -15,6 +15,7 @@ from servolens.identification.likelihood import SOME
 from servolens.identification.repeats import repeats, spread_of
 from servolens.identification.rounding import dominates
 from servolens.identification.segments import begins_with_its_step
+from servolens.model_evidence import MATERIAL
 from servolens.units import readable
 
 if TYPE_CHECKING:
@@ -53,14 +54,14 @@ def said(
         )
         told.append(Finding(code="mains_ripple", severity="note", message=message))
     if chosen.noise.rate > 0.0 and not remainder.depends_on_inputs:
-        told.append(_shaken(case, remainder))
+        told.append(_shaken(case, remainder, gains.noise))
     told += _bursts(case, chosen)
     in_loop = case.noise_in_loop(chosen)
     if in_loop > MOVES * gains.noise:
         told.append(_noise_in_loop(case, in_loop, gains.noise))
     if chosen.unpowered:
         told.append(_unpowered(case))
-    if decision.found.ended_early:
+    if decision.found.ended_early and remainder.depends_on_inputs:  # else nothing is left that a cause could explain
         message = "the search ended when its effort was spent; a thorough one (--effort thorough) may find more."
         told.append(Finding(code="effort_spent", severity="note", message=message))
     if verdict in ("partly_explained", "unexplained") and not remainder.material:
@@ -95,17 +96,24 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
     return Finding(code="noise_model", severity="note", message=f"{told}.")
 
 
-def _shaken(case: Case, remainder: Remainder) -> Finding:
+def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:
+    """Tell how strongly the axis is shaken; what to do where that is more than the sensor's noise hides.
+
+    In the position, or in the command of a stiff loop, which hides it from the position.
+    """
     size, lasts = remainder.acceleration_rms, remainder.correlation_time
     lasts *= float(np.sqrt(np.pi))  # the integral of the squared correlation
     independent = sum(record.duration for record in case.records) / max(lasts, 1e-9)
     told = readable(size, f"{case.records[0].length_unit}/s^2", size * float(np.sqrt(0.5 / max(independent, 1.0))))
-    message = (
-        f"something shakes the axis irregularly, by about {told} (r.m.s.),"
-        f" {100 * remainder.of_motor:.2g} % of what the motor gives at most. It does not depend on the reference: it is"
-        " no cause of the catalogue, and no gain designed from a model removes it. Look for vibration, cables or a"
-        " machine nearby."
-    )
+    share = f"{100 * remainder.of_motor:.2g} % of what the motor gives at most"
+    message = f"something shakes the axis irregularly, by about {told} (r.m.s.), {share}"
+    if remainder.rms < noise and remainder.of_motor <= MATERIAL:
+        message += ": it moves the axis by less than the sensor's noise, and nothing need be done."
+    else:
+        message += (
+            ". It does not depend on the reference: it is no cause of the catalogue, and no gain designed from a model"
+            " removes it. Look for vibration, cables or a machine nearby."
+        )
     return Finding(code="shaken_axis", severity="note", message=message)
 
 

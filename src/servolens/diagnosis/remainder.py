@@ -11,7 +11,7 @@ from servolens.identification.data_range import data_range
 from servolens.identification.model_error import model_error
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import applied_voltage
-from servolens.model_evidence import MATERIAL, Evidence, Remainder
+from servolens.model_evidence import MATERIAL, Evidence, Missed, Remainder
 from servolens.quality import fatal
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from servolens.findings import Finding
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.noise import NoiseModel
+    from servolens.model_evidence import How
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -92,22 +93,29 @@ def evidence_of(
     case: Case, chosen: Hypothesis, gains: Gains, verdict: str, remainder: Remainder, findings: Sequence[Finding]
 ) -> Evidence:
     """Return what the records say for and against `chosen`, the last of `gains`."""
-    missed = [
-        pooled([error]) / record.step_size
-        for record, error in zip(case.heldout or case.records, held_errors(case, chosen, gains), strict=True)
-        if record.step_size > 0.0
-    ]
+    missed = _missed(case, held_errors(case, chosen, gains))
     against = [f"{finding.record}: {finding.message}" for finding in fatal(findings)]
-    if not np.isfinite([*missed, remainder.rms]).all():
+    if not np.isfinite([*(one.rms for one in missed), remainder.rms]).all():
         against.append("a record cannot be simulated with this model, or its simulation diverges")
     return Evidence(
         range=data_range((*case.records, *case.heldout)),
         verdict=verdict,
         remainder=remainder,
-        heldout_of_step=max(missed, default=None),
+        heldout_of_step=max((one.of_step for one in missed), default=None),
         fatal=tuple(against),
         model_error=model_error(chosen.plant, (*case.records, *case.heldout)),
         noise=case.likelihood.white.spread,
+        missed=missed,
+    )
+
+
+def _missed(case: Case, errors: Sequence[Array]) -> tuple[Missed, ...]:
+    """Return what is missed of each record where it was not fitted."""
+    hows: list[How] = ["held_out" for _ in case.heldout] or ["end" if cut else "left_out" for cut in case.cuts]
+    return tuple(
+        Missed(record=record.name, how=how, rms=pooled([error]), step=record.step_size)
+        for record, how, error in zip(case.heldout or case.records, hows, errors, strict=True)
+        if record.step_size > 0.0
     )
 
 

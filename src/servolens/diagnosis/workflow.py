@@ -45,7 +45,6 @@ if TYPE_CHECKING:
 
 __all__ = ["check_request", "diagnose"]
 
-
 @single_threaded_blas
 def diagnose(
     records: Records,

@@ -8,11 +8,13 @@ import numpy as np
 
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
+from servolens.plant import ENDLESS
 
 if TYPE_CHECKING:
     from servolens.identification.refine import Refinement
+    from servolens.plant import Plant
 
-__all__ = ["above_noise", "findings_of"]
+__all__ = ["above_noise", "findings_of", "is_limit"]
 
 HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
@@ -33,6 +35,13 @@ def above_noise(error: float, noise: float) -> tuple[Finding, ...]:
         " those of the best such model. Run servolens diagnose."
     )
     return (Finding(code="above_noise", severity="warning", message=message),)
+
+
+def is_limit(plant: Plant, name: str) -> bool:
+    """Tell whether a parameter is a limit that is absent when it is far away: where the data leave it open, it is."""
+    effect, _, own = name.rpartition(".")
+    found = plant.effect(effect) if effect else None
+    return found is not None and abs(found.absent_at.get(own, 0.0)) >= ENDLESS
 
 
 def _unfinished(refined: Refinement) -> list[Finding]:
@@ -68,7 +77,11 @@ def _vague(refined: Refinement) -> list[Finding]:
         Finding(
             code="not_determined",
             severity="note",
-            message=f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}.",
+            message=(
+                f"{name} is not seen by these records, which do not reach it."
+                if is_limit(refined.plant, name)
+                else f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}."
+            ),
         )
         for name in refined.undetermined
     ]

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.error_problem import Known
-from servolens.identification.fit_findings import findings_of
+from servolens.identification.fit_findings import findings_of, is_limit
 from servolens.identification.refine import Refinement, minimise_error
-from servolens.model import UNDETERMINED, Model
+from servolens.model import NOT_REACHED, UNDETERMINED, Model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -73,7 +73,7 @@ def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]
     """Return the model that a search ended with, and why parameters have no error bar: those `held` were given."""
     plant = refined.plant
     reasons = dict.fromkeys(plant.parameters, "its error could not be estimated")
-    reasons |= dict.fromkeys(refined.undetermined, UNDETERMINED)
+    reasons |= {name: NOT_REACHED if is_limit(plant, name) else UNDETERMINED for name in refined.undetermined}
     reasons |= dict.fromkeys(refined.at_bound, AT_BOUND)
     reasons |= dict.fromkeys(plant.derived, "it follows from other parameters")
     return Model(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens import encoder
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
@@ -124,6 +125,10 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
 
 def _too_little(records: Sequence[Record]) -> str:
     """Say why no motion can be fitted."""
+    most = max((len(record) for record in records), default=0)
+    if 0 < most < encoder.FEWEST_SAMPLES:
+        count = f"the record has {most}" if len(records) == 1 else f"none of the records has more than {most}"
+        return f"{count} samples; at least {encoder.FEWEST_SAMPLES} are needed, log longer or faster"
     if any(float(np.ptp(record.position)) > NO_REST * noise_level(record) for record in records):
         return (
             f"each motion is over, or interrupted by lost samples, after fewer than {FEWEST_SAMPLES} samples; log"

@@ -62,7 +62,7 @@ def study_lights(data: Light, model: Model | None, design: Design | None, why_no
     if design is None:
         of_gain = Light(light="red", sentence=f"No gain was sought: {why_none.rstrip('.')}.")
     elif data.light == "red":
-        of_gain = Light(light="red", sentence=f"A gain would rest on wrong data. {data.sentence}")
+        of_gain = Light(light="red", sentence="A gain would rest on wrong data; correct the records first.")
     return {"data": data, "model": of_model, "gain": of_gain}
 
 

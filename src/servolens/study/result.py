@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 if TYPE_CHECKING:
@@ -68,6 +68,19 @@ class Study:
     forced: bool
     suggested: bool
     findings: tuple[Finding, ...]
+
+    def noting(self, sentence: str) -> Study:
+        """Return the study with a sentence on its spec after that of a red gain, where only the spec is to blame."""
+        light, design = self.lights["gain"], self.design
+        is_of_the_spec = light.light == "red" and "red" not in (self.lights["data"].light, self.lights["model"].light)
+        if not sentence or design is None or not is_of_the_spec:
+            return self
+        lights = {**self.lights, "gain": replace(light, sentence=f"{light.sentence} {sentence}")}
+        told = replace(design, lights=lights)
+        comparison = self.comparison
+        if comparison is not None and comparison.diagnosed is not None:
+            comparison = replace(comparison, diagnosed=told)
+        return replace(self, lights=lights, design=told, comparison=comparison)
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.tuning/1`` without the file's header."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from servolens.design import PDSpec, evaluate
+from servolens.design.extrapolation import BEYOND
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,18 +17,25 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["completed_spec", "suggested_spec"]
+__all__ = ["completed_spec", "default_sentence", "suggested_spec"]
 
 SAMPLING = ("sample_time", "derivative_filter")
 GAINS_TRIED = 41
+DEFAULTS = {
+    ("kp", "reference"): "Kp and the step are, by default, those of {record}; --kp and --reference ask for others.",
+    ("kp",): "Kp is, by default, that of {record}; --kp asks for another.",
+    ("reference",): "The step is, by default, that of {record}; --reference asks for another.",
+}
+"""What is said of a spec of which these fields are not given."""
 SETTLING_SLACK = 1.25
 """The settling time asked for is the shortest that any gain reaches, times this, rounded up to two digits."""
 
 
 def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpec:
-    """Return the spec with the `given` fields; of the loop and the step, what is missing is the records'.
+    """Return the spec with the `given` fields; of the loop and the step, what is missing is one record's.
 
-    The loop is that with the largest kp, the step the largest.
+    It is that with the largest kp, of several the one with the largest step: a step that was run with that kp. With a
+    step or a kp that is given, one that shows at least so much is preferred.
 
     Parameters
     ----------
@@ -49,7 +57,7 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     >>> spec.kp, spec.reference, spec.sample_time
     (80, 0.1, 0.001)
     """
-    record = _fastest(records)
+    record = _shown(records, given)
     if record is None and "kp" not in given:
         raise InputError("the records state no kp; give the proportional gain to design for")
     known = {} if record is None else _loop_of(record)
@@ -60,16 +68,26 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
         known = plain
     elif given.get("control") == "continuous" and "controller" not in known:
         known = {"kp": known["kp"], **plain} if known else {}
-    return PDSpec(**{**known, **_step_of(records), **given})
+    return PDSpec(**{**known, **_step_of(records if record is None else [record]), **given})
+
+
+def default_sentence(records: Sequence[Record], given: Mapping[str, Any]) -> str:
+    """Return whose kp and step stand for those that are not `given`, as options of commands; empty for none."""
+    record = _shown(records, given)
+    if record is None:
+        return ""
+    is_known = {"kp": "kp" in given, "reference": "reference" in given or record.largest_step <= 0}
+    told = DEFAULTS.get(tuple(name for name, known in is_known.items() if not known), "")
+    return told.format(record=record.name)
 
 
 def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     """Return a spec for records whose owner asked for none: a settling time that the plant can reach.
 
-    With the largest kp of the records. The band is 1 % of the step, or three encoder steps where that is more. None
-    where no loop is known, or none settles.
+    With the loop and the step of the record with the largest kp, as :func:`completed_spec`. The band is 1 % of the
+    step, or three encoder steps where that is more. None where no loop is known, or none settles.
     """
-    record = _fastest(records)
+    record = _shown(records, {})
     if record is None or plant.gain <= 0:
         return None
     fields = {**_loop_of(record), **_step_of([record])}
@@ -87,10 +105,20 @@ def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SETTLING_SLACK * shortest), 4 * sample_time)})
 
 
-def _fastest(records: Sequence[Record]) -> Record | None:
-    """Return the record with the largest kp."""
-    loops = [(r.controller.kp, -i) for i, r in enumerate(records) if r.controller is not None and r.controller.kp > 0]
-    return records[-max(loops)[1]] if loops else None
+def _shown(records: Sequence[Record], given: Mapping[str, Any]) -> Record | None:
+    """Return the record whose loop and step stand for what is not given; None where none states a loop.
+
+    Kp and step of different records together may ask for a voltage that none has shown.
+    """
+
+    def rank(record: Record) -> tuple[bool, bool, float, float]:
+        kp, step = 0.0 if record.controller is None else record.controller.kp, BEYOND * record.largest_step
+        shows = step >= abs(given.get("reference", 0.0)) and BEYOND * kp >= given.get("kp", 0.0)
+        by_step = "kp" in given if shows else "reference" in given
+        return (step > 0, shows, *((step, kp) if by_step else (kp, step)))
+
+    loops = [record for record in records if record.controller is not None and record.controller.kp > 0]
+    return max(loops, key=rank, default=None)
 
 
 def _loop_of(record: Record) -> dict[str, Any]:

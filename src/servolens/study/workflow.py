@@ -223,12 +223,15 @@ def _designed(
 
 
 def _judged(found: Study, *, force: bool) -> Study:
-    """Add the lights, and withhold the gain where they say so."""
+    """Add the lights, and withhold the gain where they say so; of wrong data, tell nothing that only comes of them."""
     design, comparison = found.design, found.comparison
     lights = study_lights(data_light(found.check), found.model, design, found.why_none)
     red = lights["gain"].light == "red" and design is not None and design.feasible
     if red and not force and design is not None:
         design = design.withhold(lights["gain"].sentence)
+    is_wrong = not force and bool(fatal(_findings(found.check)))
+    if is_wrong and design is not None and not design.feasible:
+        design = replace(design, reason=lights["gain"].sentence, conflict=(), nearest=())
     if design is not None:
         design = replace(design, lights=lights, check=found.check, diagnosis=found.diagnosis)
     if comparison is not None and comparison.diagnosed is not None:
@@ -236,7 +239,7 @@ def _judged(found: Study, *, force: bool) -> Study:
     answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
     of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
     of_models += [] if found.diagnosis is None else found.diagnosis.findings
-    told = together(_findings(found.check), of_models)
+    told = together(_findings(found.check), [] if is_wrong else of_models)
     return replace(
         found, lights=lights, design=design, comparison=comparison, forced=red and force, findings=_sorted(told)
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.summaries.gains import asked_sentence, least_gain, sentence
 from servolens.summaries.wording import inside, number, number_up, percent
 from servolens.summary import Summary, Table
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,7 +71,7 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
         (f"Settles on the {best} plant [s]", *map(_settles, on)),
         ("Overshoot there [%]", *("–" if r is None else number(100 * r.overshoot, 3) for r in on)),
         (f"Peak command there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
-        ("Meets the spec there", *("–" if r is None else "yes" if r.meets else "no" for r in on)),
+        ("Meets the spec there", *(_meets(r, designs[0].spec) for r in on)),
     )
     columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))
     return Table(title="Side by side", columns=columns, rows=rows)
@@ -80,6 +81,17 @@ def _settles(response: Response | None) -> str:
     if response is None:
         return "–"
     return "never" if response.settling_time is None else number(response.settling_time)
+
+
+def _meets(response: Response | None, spec: PDSpec) -> str:
+    """Return yes or no, and by how much a settling time is late that looks as the one that was asked for."""
+    if response is None:
+        return "–"
+    if response.meets:
+        return "yes"
+    took, asked = response.settling_time, spec.settling_time
+    looks_alike = took is not None and took > asked and number(took) == number(asked)
+    return f"no, {readable(took - asked, 's')} late" if took is not None and looks_alike else "no"
 
 
 def _told_apart(designs: Sequence[Design]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
 from servolens.effects import catalogue
+from servolens.quality import fatal
 from servolens.rendering import grouped
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
@@ -42,7 +43,10 @@ FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
-OF_THE_LOOP = ("gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log")
+OF_THE_LOOP = (
+    "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
+    "position_shifted", "reference_shifted", "voltage_shifted", "units_contradict", "wrong_sign",
+)  # fmt: skip
 """Findings that what a log states of its loop is wrong: a simulation of that loop cannot be right."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
@@ -116,6 +120,8 @@ def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: 
 
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """Return the sentence that matters most; where the logs are in doubt, it says so."""
+    if _is_wrong(diagnosis):
+        return "A sign or a unit in the logs is wrong: nothing can be said of the axis before it is corrected."
     told = _verdict(diagnosis)
     if not findings_of_logs(diagnosis):
         return capital(told)
@@ -154,6 +160,8 @@ def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the remainder is worth where there is one, and what the records are too short to show."""
+    if _is_wrong(diagnosis):
+        return []
     told = _left(diagnosis)
     if diagnosis.verdict in ("partly_explained", "unexplained") and diagnosis.remainder.depends_on_inputs:
         told += [instrument_sentence(i) for i in diagnosis.instruments[:1] if i.significance <= CLEAR]
@@ -241,7 +249,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
     errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
     before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
-    if any(effect.phase_per_record for effect in diagnosis.plant.effects) and not errors[1] < errors[0]:
+    falls = errors[1] < errors[0]
+    has_phases = any(effect.phase_per_record for effect in diagnosis.plant.effects)
+    if has_phases and not falls and diagnosis.remainder.rms < errors[0]:
         times = number(diagnosis.remainder.times_noise or 1.0, 2)
         left = "no more than the noise" if times == "1" else f"{times} times the noise"
         return (
@@ -249,8 +259,14 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
-    goes = f"{'falls' if errors[1] < errors[0] else 'rises'} from {before} to" if before != after else "stays at"
-    return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
+    if before == after or falls:
+        goes = "stays at" if before == after else f"falls from {before} to"
+        return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
+    loop = " of the loop as the logs state it" if _is_of_the_loop(diagnosis) else ""
+    return (
+        f"{start}; but simulations{loop} miss more with {them}: the {held}error is {after} with {them}, {before}"
+        f" without (r.m.s., the noise is {noise})."
+    )
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
@@ -266,6 +282,10 @@ def _healthy(diagnosis: Diagnosis) -> str:
         )
     if in_bursts:
         return f"{explained}; the noise of the position, {noise} (r.m.s.), comes in bursts."
+    if _is_more_than_noise(diagnosis) and _is_of_the_loop(diagnosis):
+        return f"driven by the logged voltage, gain and damping explain {these} down to the noise, {noise} (r.m.s.)."
+    if _is_more_than_noise(diagnosis):
+        return f"{explained}; the sensor's noise is {noise} (r.m.s.)."
     return (
         f"gain and damping explain {these} down to the noise, {noise} (r.m.s.): nothing else is wrong that {they}"
         " could show."
@@ -315,11 +335,11 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     size += " in the records held out" if rest.heldout else ""
     if diagnosis.verdict in ("healthy", "explained"):
         worth = "That is enough to matter." if rest.material else "That is immaterial for most uses."
-        if any(_has(diagnosis, code) for code in OF_THE_LOOP):
+        if _is_of_the_loop(diagnosis):
             told = f"In addition the simulation misses {size}, with the loop as the logs state it. {worth}"
         else:
             told = f"In addition the simulation misses {size}. It does not depend on what drives the axis. {worth}"
-        return [told] if (rest.times_noise or 0.0) > BEYOND_NOISE else []
+        return [told] if _is_more_than_noise(diagnosis) else []
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
     if diagnosis.verdict == "partly_explained":
@@ -327,6 +347,21 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     if not rest.material:
         return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
+
+
+def _is_wrong(diagnosis: Diagnosis) -> bool:
+    """Tell whether a wrong sign or unit has left nothing to be said of the axis."""
+    return not diagnosis.causes and bool(fatal(diagnosis.findings))
+
+
+def _is_of_the_loop(diagnosis: Diagnosis) -> bool:
+    """Tell whether a log states its loop wrongly."""
+    return any(_has(diagnosis, code) for code in OF_THE_LOOP)
+
+
+def _is_more_than_noise(diagnosis: Diagnosis) -> bool:
+    """Tell whether what a simulation misses is worth a sentence where nothing depends on the inputs."""
+    return (diagnosis.remainder.times_noise or 0.0) > BEYOND_NOISE
 
 
 def _has(diagnosis: Diagnosis, code: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.effects import catalogue
-from servolens.model import UNDETERMINED
+from servolens.model import NOT_REACHED, UNDETERMINED
 from servolens.summaries.wording import listed, value_and_error
 
 if TYPE_CHECKING:
@@ -57,10 +57,13 @@ def cause_phrase(cause: Cause) -> str:
     known = {name: q for name, q in all_known.items() if q.value != cause.kind.absent_at.get(name)} or all_known
     if len(known) >= MANY:
         return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
-    is_told = {name: q.reason != UNDETERMINED for name, q in known.items()}
-    told = {name: value_and_error(q) for name, q in known.items() if is_told[name] or not any(is_told.values())}
+    is_told = {name: q.reason not in (UNDETERMINED, NOT_REACHED) for name, q in known.items()}
+    shown = {name: q for name, q in known.items() if is_told[name] or not any(is_told.values())}
+    told = {name: value_and_error(q, beside=shown.values()) for name, q in shown.items()}
     if len(all_known) == 1 and told:
         return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
     named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
-    unknown = [spoken_parameter(name) for name in known if name not in told]
-    return f"{spoken(cause.effect)} ({named}{f'; {listed(unknown)} not determined' if unknown else ''})"
+    for reason, words in ((UNDETERMINED, "not determined"), (NOT_REACHED, "not seen by these records")):
+        unknown = [spoken_parameter(name) for name, q in known.items() if name not in told and q.reason == reason]
+        named += f"; {listed(unknown)} {words}" if unknown else ""
+    return f"{spoken(cause.effect)} ({named})"

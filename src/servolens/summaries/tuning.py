@@ -19,6 +19,7 @@ from servolens.summaries.wording import number
 from servolens.summary import Summary
 
 if TYPE_CHECKING:
+    from servolens.findings import Finding
     from servolens.study import Study
 
 __all__ = ["compared_summary", "gain_sentences", "tuning_summaries"]
@@ -42,7 +43,7 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
         found = study.diagnosis
         sentences += [verdict_sentence(found), *rival_sentences(found), *remaining_sentences(found)]
         tables.append(parameters_table(study.diagnosis))
-    elif study.why_undiagnosed:
+    elif study.fit is not None and study.why_undiagnosed:
         sentences.append(f"No cause was sought: {study.why_undiagnosed.rstrip('.')}.")
     design = study.design
     if design is not None:
@@ -50,10 +51,18 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     if study.comparison is not None and design is not None and design.kd is not None:
         unit = f"{record.command_unit} s/{record.length_unit}"
         tables.append(side_by_side(study.comparison, unit, record.command_unit))
-    findings = tuple(f for f in study.findings if study.diagnosis is None or not is_told_already(f, study.diagnosis))
+    findings = tuple(finding for finding in study.findings if not _is_told(study, finding))
     told = Summary(title="Tuning", sentences=tuple(sentences), tables=tuple(tables), findings=findings)
-    last = (*light_sentences(study.lights), *gain_sentences(study, overrule=overrule))
-    return told, Summary(title="The gain", sentences=last)
+    lights = light_sentences(study.lights)
+    gains = [said for said in gain_sentences(study, overrule=overrule) if said not in study.lights["gain"].sentence]
+    return told, Summary(title="The gain", sentences=(*lights, *gains))
+
+
+def _is_told(study: Study, finding: Finding) -> bool:
+    """Tell whether another sentence says all of a finding: on the diagnosis, or the light of the data."""
+    if finding.message.rstrip(".") in study.lights["data"].sentence:
+        return finding.record is None or f"{finding.record}: " in study.lights["data"].sentence
+    return study.diagnosis is not None and is_told_already(finding, study.diagnosis)
 
 
 def compared_summary(study: Study) -> Summary:
@@ -74,7 +83,8 @@ def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, 
         return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
     if design.kd is None:
         why = sentence(design.reason)
-        return ("No gain meets the spec: see its light." if why in study.lights["gain"].sentence else why,)
+        said = "No gain is given" if study.lights["data"].light == "red" else "No gain meets the spec"
+        return (f"{said}: see its light." if why in study.lights["gain"].sentence else why,)
     unit = f"{record.command_unit} s/{record.length_unit}"
     forced = ("Forced: these gains would be withheld.",) if study.forced else ()
     least = f"Least: {design.spec.free} = {least_gain(design)} {unit}"

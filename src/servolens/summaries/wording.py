@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 from servolens.findings import listed
+from servolens.model import NOT_REACHED
+from servolens.plant import ENDLESS
 from servolens.units import prefixed, unit
 
 if TYPE_CHECKING:
@@ -35,8 +37,6 @@ __all__ = [
 
 DIGITS = 4
 LARGEST_PLAIN, SMALLEST_PLAIN = 1e6, 1e-4
-NOWHERE = 1e12
-"""Where a stop stands that no record has reached."""
 
 
 def number(value: float | None, digits: int = DIGITS) -> str:
@@ -119,7 +119,8 @@ def plus_minus(quantity: Quantity) -> str:
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
-        return "none seen" if abs(value) >= NOWHERE else f"{number(value)} (error not known)"
+        is_beyond = abs(value) >= ENDLESS or quantity.reason == NOT_REACHED
+        return "none seen" if is_beyond else f"{number(value)} (error not known)"
     share = f" ({percent(100 * error / abs(value))})" if abs(value) > error else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
         return f"{number(value)} ± {number(error, 2)}{share}"
@@ -199,17 +200,22 @@ def length(value: float, length_unit: str, *, beside: float | None = None) -> st
     return f"{number(float(f'{factor * value:.1e}'), 2)} {unit_}"
 
 
-def value_and_error(quantity: Quantity) -> str:
+def value_and_error(quantity: Quantity, *, beside: Iterable[Quantity] = ()) -> str:
     """Return value ± error to the one digit of the error that matters, with a prefix where both are small.
+
+    With the prefix of the largest of those of the same unit `beside` it: one sentence tells them in one unit.
 
     Examples
     --------
     >>> from servolens.model import Quantity
     >>> value_and_error(Quantity(value=0.00412, stderr=0.00003, unit="s"))
     '4.12 ± 0.03 ms'
+    >>> value_and_error(Quantity(value=0.008, stderr=0.003, unit="m"), beside=[Quantity(value=1.2, unit="m")])
+    '0.008 ± 0.003 m'
     """
     error = quantity.stderr or 0.0
-    factor, unit_ = prefixed([quantity.value, error], quantity.unit)
+    alike = [q for q in (quantity, *beside) if q.unit == quantity.unit]
+    factor, unit_ = prefixed([size for q in alike for size in (q.value, q.stderr or 0.0)], quantity.unit)
     shown = "" if unit_ == "1" else f" {unit(unit_)}"
     value, error = factor * quantity.value, factor * error
     if error <= 0 or not math.isfinite(error):
