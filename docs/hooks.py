@@ -105,7 +105,8 @@ def picture(cls: type[Effect]) -> str:
 def row(spec: Parameter) -> str:
     """Return one parameter as a table row, for an axis in metres that is driven by volts."""
     unit = spec.unit_for("m", "V")
-    return f"| `{spec.name}` | ${spec.symbol}$ | {unit} | {admissible(spec)} | {spec.meaning} |"
+    usual = "" if spec.usual is None else f"; usually {spec.usual:.4g}, not fitted unless it leaves something"
+    return f"| `{spec.name}` | ${spec.symbol}$ | {unit} | {admissible(spec)} | {spec.meaning}{usual} |"
 
 
 def admissible(spec: Parameter) -> str:

@@ -183,7 +183,7 @@ def test_usual_contact_is_no_parameter_of_a_fit():
     again = Model.from_json(json.loads(json.dumps(fit.model.to_json())))
     assert again.plant == fit.plant
     np.testing.assert_array_equal(again.covariance, fit.model.covariance)
-    with pytest.raises(InputError, match="contact_damping has its usual value, which no fit changes"):
+    with pytest.raises(InputError, match="contact_damping has its usual value, and is not fitted from there"):
         servolens.fit([EndStop(low=-0.5, high=0.093)], records, bounds={"end_stop.contact_damping": (0.1, 3.0)})
 
 

@@ -19,7 +19,7 @@ from servolens.design.scenarios import drawn
 from servolens.effects import Backlash, ConstantForce, CoulombFriction, Delay, SensorLag, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.model import Model
-from servolens.model_evidence import DataRange, Evidence, Remainder
+from servolens.model_evidence import DataRange, Evidence
 from servolens.results import write_json
 from servolens.summaries import gains_summary
 
@@ -291,13 +291,9 @@ def test_what_cannot_be_met_is_said():
 
 
 def test_the_noise_is_that_of_the_records_where_the_model_knows_it():
-    left = Remainder(
-        rms=3e-5, times_noise=2.0, of_travel=1e-4, acceleration_rms=0.0, correlation_time=0.1, of_motor=0.0,
-        depends_on_inputs=False, material=False,
-    )  # fmt: skip
-    evidence = Evidence(range=DataRange(voltage=10.0, speed=1.0, step=0.1), remainder=left)
+    evidence = Evidence(range=DataRange(voltage=10.0, speed=1.0, step=0.1), noise=2e-5)
     found = tune_gains(Model(plant=LINEAR, evidence=evidence), SPEC, GainWishes())
-    assert found.voltage_noise == pytest.approx(found.margins.noise_gain * 3e-5 / np.sqrt(3.0))
+    assert found.voltage_noise == pytest.approx(found.margins.noise_gain * 2e-5)
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,13 @@ class Plant:
 
     @property
     def usual(self) -> tuple[str, ...]:
-        """Names of the parameters that have their usual values, which no fit changes."""
+        """Names of the parameters that have their usual values: they are not fitted."""
         return tuple(f"{effect.name}.{name}" for effect in self.effects for name in effect.usual)
+
+    @property
+    def unusual(self) -> int:
+        """How many parameters have no usual value: what counts where models are compared."""
+        return 2 + sum(effect.unusual for effect in self.effects)
 
     @property
     def has_contacts(self) -> bool:
@@ -174,7 +179,8 @@ class Plant:
 
         Gain, damping, forces and levels of friction, which are per unit of moving mass, become `ratio` times as large.
         A coupling keeps its spring and damper: its frequency and damping ratio go with the root of `ratio`. Actuators,
-        sensors, lengths, phases and times stay; so do the contacts of a backlash or an end stop, which are only stiff.
+        sensors, lengths, phases and times stay, and so does what has its usual value. Other contacts keep their spring
+        and damper too.
 
         Parameters
         ----------
@@ -189,7 +195,8 @@ class Plant:
         if not 0 < ratio < inf:
             raise InputError(f"plant: a ratio of inertias must be positive, got {ratio!r}")
         powers = zip(self.values, _powers(self.structure), strict=True)
-        values = [value if abs(value) >= ENDLESS else value * ratio**power for value, power in powers]
+        kept = [abs(value) >= ENDLESS or name in self.usual for name, value in self.named.items()]
+        values = [v if stays else v * ratio**power for (v, power), stays in zip(powers, kept, strict=True)]
         free = None if self.free_damping is None else self.free_damping * ratio
         inertia = None if self.inertia is None else self.inertia / ratio
         return replace(self.with_values(values), inertia=inertia, free_damping=free)
@@ -234,8 +241,10 @@ class Plant:
         wanted = [spec.name for spec in cls.parameters()]
         needed = {spec.name for spec in cls.parameters() if spec.usual is None}
         if not needed <= set(parameters) <= set(wanted):
-            given = ", ".join(parameters)[:40] or "none"
-            raise InputError(f"{name} needs the parameters {', '.join(wanted)}; got {given}")
+            given, may = ", ".join(parameters)[:40] or "none", [one for one in wanted if one not in needed]
+            also = f", and may have {' and '.join(may)}" if may else ""
+            must = ", ".join(one for one in wanted if one in needed)
+            raise InputError(f"{name} needs the parameters {must}{also}; got {given}")
         return cls(**parameters)
 
 

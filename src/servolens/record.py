@@ -303,7 +303,7 @@ class Record:
         return answer(controller, seen)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Write the record as a file from which :func:`servolens.read_record` makes it again, to the last bit.
+        """Write the record as a file that :func:`servolens.read_record` reads with the same numbers, to the last bit.
 
         What the file does not hold are `source` and `remarks`, which are its reader's. Where the loop is not known, who
         reads the file looks for gains in the logged command, as in every log.

@@ -178,7 +178,8 @@ def about(*files: str) -> Iterator[None]:
         yield
     except ServolensError as error:
         shown = ", ".join(files) if len(files) <= 3 else f"{files[0]} and {len(files) - 1} more"
-        said = f"{error}".removeprefix(f"{Path(shown).stem}: ")  # of a record that is called like its file
+        alone = f"{Path(shown).stem}: " if len(files) == 1 else ""  # of a record that is called like its file
+        said = f"{error}".removeprefix(alone)
         raise type(error)(f"{shown}: {said}") from error
 
 

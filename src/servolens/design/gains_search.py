@@ -325,10 +325,6 @@ def _limited(spec: PDSpec, wishes: GainWishes, noise: float | None) -> PDSpec:
 
 
 def _noise_of(models: Sequence[Model]) -> float | None:
-    """Return the largest r.m.s. noise of the records' positions that the models state; None where none does."""
-    found = []
-    for model in models:
-        left = None if model.evidence is None else model.evidence.remainder
-        if left is not None and left.times_noise is not None and left.times_noise > 1.0:
-            found.append(left.rms / float(np.sqrt(left.times_noise**2 - 1.0)))
-    return max(found, default=None)
+    """Return the largest noise of the records' positions that the models state; None where none does."""
+    found = (model.evidence.noise for model in models if model.evidence is not None)
+    return max((noise for noise in found if noise is not None), default=None)

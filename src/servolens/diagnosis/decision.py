@@ -79,8 +79,8 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
         found = search(case.trials, case.base, again, first, is_enough=case.is_enough, begun=found.path[1:])
     found = _simplest(case, found)
     explaining = _explaining(case, found)
-    several = len(case.base.plant.values) * len(case.records)
-    if explaining is None or len(explaining.path[-1].plant.values) > several:
+    several = case.base.plant.unusual * len(case.records)
+    if explaining is None or explaining.path[-1].plant.unusual > several:
         contradiction = case.contradiction()
         if contradiction is not None:
             alone = Search((case.base,), (case.base,), (), ended_early=False)
@@ -106,8 +106,8 @@ def _simplest(case: Case, found: Search) -> Search:
     """
     chosen = found.chosen
     rivals = [h for h in found.judged if h.total <= chosen.total + AS_WELL and h is not chosen]
-    for rival in sorted(rivals, key=lambda h: len(h.plant.values)):
-        is_simpler = len(rival.plant.values) < len(chosen.plant.values)
+    for rival in sorted(rivals, key=lambda h: h.plant.unusual):
+        is_simpler = rival.plant.unusual < chosen.plant.unusual
         if (is_simpler or not case.is_enough(chosen)) and case.is_enough(rival):
             before = [h for h in found.path if set(h.causes) < set(rival.causes)]
             return replace(found, path=(*before, rival))

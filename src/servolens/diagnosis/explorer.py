@@ -179,7 +179,7 @@ class Explorer:
         if noise.rate == 0.0 and not noise.is_model_error and not self.likelihood.simulates:
             # what leaves no more than sensor noise is no impostor, unless what has no more parameters reaches as far
             best, *others = beam
-            beam = [best, *(h for h in others if len(h.plant.values) + 1 <= len(best.plant.values))]
+            beam = [best, *(h for h in others if h.plant.unusual + 1 <= best.plant.unusual)]
         members = sorted(beam, key=lambda h: (is_last_resort(h), noise.is_model_error and bool(own_phases(h.plant))))
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
@@ -305,7 +305,7 @@ class Explorer:
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
-        iterations = SOME * len(hypothesis.plant.effects[-1].parameters())
+        iterations = SOME * hypothesis.plant.effects[-1].unusual
         return self.likelihood.tried(
             hypothesis.plant,
             self.likelihood.white,
@@ -368,10 +368,11 @@ class Explorer:
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
-        That is far away for most, and so fitted on as long as it gets likelier.
+        An observer follows what usual ones leave, so that nothing is left beside shaking. A fit that goes far from them
+        goes on as long as it gets likelier.
         """
         plants = [*hypothesis.plant.freed()]
-        if not plants or self.is_enough(hypothesis):
+        if not plants or (hypothesis.noise.rate == 0.0 and self.is_enough(hypothesis)):
             return hypothesis
         further = self._judged([(plant, hypothesis) for plant in plants])
         while further and further[0].total < hypothesis.total - NO_BETTER:
@@ -435,7 +436,7 @@ class Explorer:
         forms = self._judged([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=by_total)
-        simpler = sorted((h for h in forms if h is not best), key=lambda h: len(h.plant.values))
+        simpler = sorted((h for h in forms if h is not best), key=lambda h: h.plant.unusual)
         best = next((h for h in simpler if self.is_chance(h, best)), best)
         plain = self._judged([(plant, best) for plant in simplified(best.plant, self.trials.seen)])
         return next((h for h in plain if h.total <= best.total + INDISTINCT), best)

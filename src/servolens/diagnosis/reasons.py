@@ -66,7 +66,7 @@ def rival_plants(found: Search, chosen: Hypothesis, cause: Cause) -> tuple[Plant
 
 def _posterior(found: Search, chosen: Hypothesis, cause: str) -> float:
     """Return the share of the likelihood, prices paid, of the hypotheses that contain `cause`, or a general form."""
-    known = (*found.judged, chosen)
+    known = sorted((*found.judged, chosen), key=lambda h: -h.total)  # of several fits of the same causes the best
     least = min(h.total for h in known)
     weights = {h.causes: (h, float(np.exp(-0.5 * (h.total - least)))) for h in known}
     having = sum(w for h, w in weights.values() if _contains(h, cause))

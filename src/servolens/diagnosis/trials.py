@@ -256,8 +256,7 @@ def _entry_price(parameters: int, candidates: int, samples: float) -> float:
 
 
 def _entry_prices(candidates: int, plant: Plant, samples: float) -> float:
-    free = (len(effect.values) - len(effect.usual) for effect in plant.effects)
-    return sum(_entry_price(count, candidates, samples) for count in free)
+    return sum(_entry_price(effect.unusual, candidates, samples) for effect in plant.effects)
 
 
 def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> bool:
@@ -268,7 +267,8 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
     own loop is beside a time constant shorter than a sample nothing is seen.
     """
     values = dict(zip(plant.parameters, plant.values, strict=True))
-    known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in values)
+    fitted = values.keys() - set(plant.usual)
+    known = ((values[name], *_range(prior)) for name, prior in priors.items() if name in fitted)
     agrees = all(low <= value <= high for value, low, high in known)
     holds = STOPS * abs(plant.gain) * seen.command
     moves = all(max(_forces(effect), default=0.0) <= holds for effect in plant.effects)

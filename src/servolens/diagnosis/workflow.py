@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_request", "diagnose"]
 
+
 @single_threaded_blas
 def diagnose(
     records: Records,

@@ -22,7 +22,7 @@ CONTACTS: tuple[dict[str, float], ...] = (
 def contact_frequency() -> Any:
     """Declare a contact's frequency as a parameter of an effect."""
     meaning = "undamped, of the contact with the masses it joins: how far it gives way"
-    return parameter(r"f_\mathrm{c}", "Hz", meaning, low=10.0, high=2000.0, per_mass=0, usual=CONTACT_RATE / (2.0 * pi))
+    return parameter(r"\nu", "Hz", meaning, low=10.0, high=2000.0, per_mass=0.5, usual=CONTACT_RATE / (2.0 * pi))
 
 
 def contact_damping() -> Any:
@@ -32,4 +32,4 @@ def contact_damping() -> Any:
     (Schwager and Pöschel 2007, doi:10.1007/s10035-007-0065-z).
     """
     meaning = "damping ratio of the contact: 0.3 throws back 45 % of the speed, 1 14 %, 8 none"
-    return parameter(r"\zeta_\mathrm{c}", "1", meaning, low=0.05, high=20.0, per_mass=0, usual=1.0)
+    return parameter(r"\chi", "1", meaning, low=0.05, high=20.0, per_mass=0.5, usual=1.0)

@@ -82,7 +82,8 @@ class Parameter:
         Power of 1/(moving mass) that it goes with: 1 for what is stated per unit of moving mass, 0 for what does not
         depend on it. Actuators, time shifts and sensors, which know no mass, need not state it.
     usual : float, optional
-        Value where nobody knows better: an effect need not state it, and no fit changes it. Any other value is fitted.
+        Value where nobody knows better: an effect need not state it, and it is not fitted unless it leaves something,
+        as :meth:`Effect.freed` has it. Any other value is fitted.
     """
 
     name: str
@@ -251,7 +252,8 @@ class Effect(ABC):
 
         Parameters in which a force is linear are solved for in any case; their values here only need the right order.
         """
-        middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in cls.parameters()}
+        needed = [spec for spec in cls.parameters() if spec.usual is None]
+        middle = {spec.name: float(np.clip(1.0, spec.low, spec.high)) for spec in needed}
         yield cls(**middle)
 
     def freed(self) -> Iterator[Self]:
@@ -260,8 +262,13 @@ class Effect(ABC):
 
     @property
     def usual(self) -> tuple[str, ...]:
-        """Names of the parameters that have their usual values: no fit changes them."""
+        """Names of the parameters that have their usual values: they are not fitted."""
         return tuple(spec.name for spec in _parameters(type(self)) if getattr(self, spec.name) == spec.usual)
+
+    @property
+    def unusual(self) -> int:
+        """How many parameters have no usual value."""
+        return len(self.values) - len(self.usual)
 
     def simplified(self, seen: Seen) -> Iterator[Effect]:
         """Yield forms of it that do without something which the records may not show."""

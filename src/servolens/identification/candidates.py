@@ -137,7 +137,7 @@ class Candidates:
             starts += [solved for start in starts for solved in _solved(start, self._screen)]
         else:
             trials = [plant.with_effect(one) for one in self._screen.proposals(plant, effect)]
-            trials = [self._held(trial) for trial in trials]
+            trials = [self._held(_contacts_of(effect, trial)) for trial in trials]
             starts = sorted(trials, key=self._misfit)[:STARTS]
         tried = [h for start in starts if (h := self._tried(start)) is not None]
         return min(tried, key=lambda h: h.total).plant if tried else plant.with_effect(effect)
@@ -166,6 +166,12 @@ class Candidates:
     def _held(self, start: Plant) -> Plant:
         """Return `start` with parameters that are held as they are given."""
         return start.with_named({n: v for n, v in self._given.named.items() if n in self._options.held})
+
+
+def _contacts_of(effect: Effect, trial: Plant) -> Plant:
+    """Return `trial` with those parameters of its last effect as given that are not fitted where they are usual."""
+    usual = [spec.name for spec in effect.parameters() if spec.usual is not None]
+    return trial.with_effect(replace(trial.effects[-1], **{name: getattr(effect, name) for name in usual}))
 
 
 def _solved(plant: Plant, screen: Screen) -> list[Plant]:

@@ -12,9 +12,8 @@ from servolens.plant import ENDLESS
 
 if TYPE_CHECKING:
     from servolens.identification.refine import Refinement
-    from servolens.plant import Plant
 
-__all__ = ["above_noise", "findings_of", "is_limit"]
+__all__ = ["above_noise", "findings_of", "is_beyond"]
 
 HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
@@ -37,11 +36,11 @@ def above_noise(error: float, noise: float) -> tuple[Finding, ...]:
     return (Finding(code="above_noise", severity="warning", message=message),)
 
 
-def is_limit(plant: Plant, name: str) -> bool:
-    """Tell whether a parameter is a limit that is absent when it is far away: where the data leave it open, it is."""
+def is_beyond(refined: Refinement, name: str) -> bool:
+    """Tell whether a parameter is a limit, absent where it is far away, of which the data feel nothing."""
     effect, _, own = name.rpartition(".")
-    found = plant.effect(effect) if effect else None
-    return found is not None and abs(found.absent_at.get(own, 0.0)) >= ENDLESS
+    found = refined.plant.effect(effect) if effect else None
+    return found is not None and abs(found.absent_at.get(own, 0.0)) >= ENDLESS and name in refined.unfelt
 
 
 def _unfinished(refined: Refinement) -> list[Finding]:
@@ -79,7 +78,7 @@ def _vague(refined: Refinement) -> list[Finding]:
             severity="note",
             message=(
                 f"{name} is not seen by these records, which do not reach it."
-                if is_limit(refined.plant, name)
+                if is_beyond(refined, name)
                 else f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}."
             ),
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.error_problem import Known
-from servolens.identification.fit_findings import findings_of, is_limit
+from servolens.identification.fit_findings import findings_of, is_beyond
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
 
@@ -73,7 +73,7 @@ def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]
     """Return the model that a search ended with, and why parameters have no error bar: those `held` were given."""
     plant = refined.plant
     reasons = dict.fromkeys(plant.parameters, "its error could not be estimated")
-    reasons |= {name: NOT_REACHED if is_limit(plant, name) else UNDETERMINED for name in refined.undetermined}
+    reasons |= {name: NOT_REACHED if is_beyond(refined, name) else UNDETERMINED for name in refined.undetermined}
     reasons |= dict.fromkeys(refined.at_bound, AT_BOUND)
     reasons |= dict.fromkeys(plant.derived, "it follows from other parameters")
     return Model(

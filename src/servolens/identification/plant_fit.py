@@ -273,7 +273,9 @@ def _check(plant: Plant, options: FitOptions, record: Record) -> None:
         if name in plant.derived:
             raise InputError(f"{name} follows from other parameters of this model; ask it of those")
         if name in plant.usual and name not in options.held:
-            raise InputError(f"{name} has its usual value, which no fit changes; give the effect with another one")
+            raise InputError(
+                f"{name} has its usual value, and is not fitted from there; give the effect with another one"
+            )
     for name, (low, high) in options.bounds.items():
         spec = plant.parameters[name]
         if high < spec.low or low > spec.high:

@@ -91,6 +91,8 @@ class Refinement:
         Parameters that ended at the end of their range.
     undetermined : tuple of str
         Parameters that were searched for and of which the data say nothing, or nothing of each alone.
+    unfelt : tuple of str
+        Those of them that change nothing at all.
     rms_error : float
         Root mean square of the residuals [m or rad, or the command's unit].
     residuals : tuple of ndarray
@@ -132,6 +134,7 @@ class Refinement:
     is_smooth: bool
     status: str
     usual: tuple[NDArray[np.float64], ...] = ()
+    unfelt: tuple[str, ...] = ()
 
     def plant_of(self, group: int) -> Plant:
         """Return the plant of one record, with the parameters of its own."""
@@ -367,6 +370,7 @@ def _finished(
         local=problem.local_values(point),
         at_bound=problem.at_bound(point),
         undetermined=problem.names_of(undetermined),
+        unfelt=problem.names_of(within & ~(np.diag(information) > 0.0)),
         rms_error=float(np.sqrt(sum(float(r @ r) for r in residuals) / problem.samples)),
         residuals=tuple(residuals),
         misfit=point.cost,

@@ -109,7 +109,7 @@ def regressor(effect: type[Effect]) -> Regressor:
         return Regressor(sizes=(), shapes=tuple(names), _columns=None)
     symbols = [d.parameters[2 + i] for i in range(len(names))]
     sizes: list[int] = []
-    for i in range(len(names)):
+    for i in (i for i, spec in enumerate(effect.parameters()) if spec.usual is None):
         together = ca.vertcat(*(symbols[k] for k in [*sizes, i]))
         if bool(ca.is_linear(force, together)):
             sizes.append(i)
