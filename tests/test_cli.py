@@ -16,7 +16,8 @@ from click.testing import CliRunner
 from servolens import Controller, Record, lab
 from servolens.cli import group
 from servolens.commands import COMMANDS
-from servolens.errors import NumericalError
+from servolens.commands.files import about
+from servolens.errors import InputError, NumericalError
 
 LAB = (("kp60", 60, 0), ("kp80", 80, 0), ("kp100", 100, 0), ("kp80kd5", 80, 5))
 SPEC = ("--kp", "100", "--settling-time", "0.5")
@@ -564,3 +565,11 @@ def test_a_bar_appears_only_on_a_terminal_and_only_when_it_takes_long(work, seen
     assert (b"Weighing" in text) is seen
     piped = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     assert piped.stderr == b""
+
+
+def test_refusal_about_many_files_names_the_record_that_is_called_like_the_first():
+    files = [f"kp{n}.csv" for n in range(4)]
+    with pytest.raises(InputError, match=r"^kp0\.csv and 3 more: kp0: too short$"), about(*files):
+        raise InputError("kp0: too short")
+    with pytest.raises(InputError, match=r"^kp0\.csv: too short$"), about("kp0.csv"):
+        raise InputError("kp0: too short")

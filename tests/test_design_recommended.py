@@ -283,10 +283,10 @@ def missing(how, rms, step):
 @pytest.mark.parametrize(
     ("how", "who", "lesson"),
     [
-        pytest.param("held_out", "run 2, which took no part in the fit", "fit this record too.", id="held out"),
+        pytest.param("held_out", "record run 2, which took no part in the fit", "fit this record too.", id="held out"),
         pytest.param(
             "left_out",
-            "run 2, as predicted by a fit to the other records",
+            "record run 2, as predicted by a fit to the other records",
             "of another run it may miss as much.",
             id="left out",
         ),
@@ -299,7 +299,7 @@ def test_error_where_a_record_was_not_fitted_is_told_as_what_it_is(least, how, w
     """Records that are fitted were each left out in turn, and whoever logged them was told to fit them too."""
     of_model, of_gain = lights(least, missing(how, 0.0029, 0.1))
     assert of_model.light == of_gain.light == "amber"
-    assert of_model.sentence.endswith(f" but 2.9 mm (r.m.s.) of {who}, 2.9 % of its step of 100 mm: {lesson}")
+    assert of_model.sentence.endswith(f" but 2.9 % of the step of 100 mm of {who}: {lesson}")
     assert of_gain.sentence == (
         f"{who[0].upper()}{who[1:]}, is missed by 2.9 mm (r.m.s.), 2.9 % of its step of 100 mm, more than the band of"
         " 1 %: when the axis settles is not certain."
@@ -313,7 +313,7 @@ def test_error_of_a_small_move_is_held_against_the_step_asked_for(least, rms, li
     assert SPEC.reference == 0.1
     of_model, of_gain = lights(least, missing("left_out", rms, 0.04))
     assert of_gain.light == light
-    assert f"{100 * rms / 0.04:.2g} % of its step of 40 mm" in of_model.sentence
+    assert f"{100 * rms / 0.04:.2g} % of the step of 40 mm" in of_model.sentence
     assert ("1.1 % of the step asked for, more than the band" in of_gain.sentence) == (light == "amber")
 
 

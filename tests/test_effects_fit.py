@@ -147,6 +147,26 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
     assert miss(fit, "damping", DAMPING) < FAR
 
 
+def test_limit_that_is_reached_all_the_time_is_not_said_to_be_unseen():
+    """Only its product with the gain is known."""
+    time = np.arange(0.0, 3.0, 0.002)
+    voltage = 10.0 * np.where(time % 1.0 < 0.5, 1.0, -1.0)
+    limited = Plant(gain=GAIN, damping=DAMPING, effects=(Saturation(limit=5.0),))
+    noise = 1e-5 * np.random.default_rng(1).standard_normal(time.size)
+    position = servolens.simulate_voltage(limited, time, voltage).position + noise
+    fit = servolens.fit(limited, Record(time=time, position=position, voltage=voltage))
+    assert fit.quantities["saturation.limit"].reason == "the data do not determine it"
+    assert "the data do not determine saturation.limit" in codes(fit)["not_determined"]
+
+
+def test_contact_that_was_given_stays_within_its_bounds():
+    """Where the first start does not reach the noise, others have the usual contact, which no bound holds."""
+    truth = axis(end_stop={"low": -0.5, "high": 0.09, "contact_damping": 0.3}, coulomb_friction={"level": 0.4})
+    given = EndStop(low=-0.5, high=0.093, contact_damping=0.35)
+    fit = servolens.fit(given, campaign(truth), bounds={"end_stop.contact_damping": (0.2, 0.5)})
+    assert 0.2 <= fit.plant.effects[0].contact_damping <= 0.5
+
+
 def test_stop_that_bounces_is_fitted_with_its_contact():
     truth = axis(end_stop={"low": -0.5, "high": 0.09, "contact_damping": 0.3})
     fit = servolens.fit([EndStop(low=-0.5, high=0.093)], campaign(truth))

@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
     from servolens.model import Model
-    from servolens.model_evidence import Evidence, Missed
+    from servolens.model_evidence import Evidence
 
 __all__ = ["trust"]
 
 MISSED = 0.05
 """R.m.s. of the held-out error over the step from which on the model, or the loop that is stated, is wrong."""
 WHO = {
-    "held_out": "{record}, which took no part in the fit",
-    "left_out": "{record}, as predicted by a fit to the other records",
+    "held_out": "record {record}, which took no part in the fit",
+    "left_out": "record {record}, as predicted by a fit to the other records",
     "end": "the end of {record}, as predicted by a fit without it",
 }
 """What of a record was not fitted, and what predicted it."""
@@ -152,7 +152,8 @@ def _untaught(evidence: Evidence, unit: str) -> str:
     if not evidence.missed:
         return f"{_share(evidence.heldout_of_step or 0.0)} of the step (r.m.s.) on data that took no part in the fit"
     worst = max(evidence.missed, key=lambda missed: missed.of_step)
-    return f"{_size(worst, unit)} of {WHO[worst.how].format(record=worst.record)}, {_own_step(worst, unit)}"
+    who = WHO[worst.how].format(record=worst.record)
+    return f"{_share(worst.of_step)} of the step of {readable(worst.step, unit)} of {who}"
 
 
 def _lesson(evidence: Evidence) -> str:
@@ -180,16 +181,8 @@ def _beyond_band(model: Model, spec: PDSpec) -> str:
     share = worst.rms / max(worst.step, asked)
     of_what = "the step asked for" if worst.step < asked else f"its step of {readable(worst.step, unit)}"
     who = _sentence(WHO[worst.how].format(record=worst.record)).rstrip(".")
-    told = f"{who}, is missed by {_size(worst, unit)}, {_share(share)} of {of_what}"
+    told = f"{who}, is missed by {readable(worst.rms, unit)} (r.m.s.), {_share(share)} of {of_what}"
     return f"{told}, {uncertain}" if share > spec.band else ""
-
-
-def _size(missed: Missed, unit: str) -> str:
-    return f"{readable(missed.rms, unit)} (r.m.s.)"
-
-
-def _own_step(missed: Missed, unit: str) -> str:
-    return f"{_share(missed.of_step)} of its step of {readable(missed.step, unit)}"
 
 
 def _share(share: float) -> str:
