@@ -29,9 +29,9 @@ SCHEMA = "servolens.model/1"
 HOLDERS = ("servolens.fit/1", "servolens.diagnosis/1", "servolens.identification/1")
 """Results whose files hold a model."""
 UNDETERMINED = "the data do not determine it"
-NOT_REACHED = "the records do not reach it"
-"""Of a limit: where it lies beyond is not known, and the value that a search ended with says nothing."""
 """Reason for which a number has no standard error, and tells nothing."""
+NOT_REACHED = "the records do not reach it"
+"""The same of a limit: where it lies beyond is not known."""
 OPTIONAL = ("inertia", "free_damping")
 """Numbers of a plant that stand in its file where they are known."""
 

@@ -137,7 +137,7 @@ class Plant:
 
     @property
     def unusual(self) -> int:
-        """How many parameters have no usual value: what counts where models are compared."""
+        """How many parameters are not at their usual values: these count where models are compared."""
         return 2 + sum(effect.unusual for effect in self.effects)
 
     @property
@@ -195,7 +195,8 @@ class Plant:
         if not 0 < ratio < inf:
             raise InputError(f"plant: a ratio of inertias must be positive, got {ratio!r}")
         powers = zip(self.values, _powers(self.structure), strict=True)
-        kept = [abs(value) >= ENDLESS or name in self.usual for name, value in self.named.items()]
+        usual = set(self.usual)
+        kept = [abs(value) >= ENDLESS or name in usual for name, value in self.named.items()]
         values = [v if stays else v * ratio**power for (v, power), stays in zip(powers, kept, strict=True)]
         free = None if self.free_damping is None else self.free_damping * ratio
         inertia = None if self.inertia is None else self.inertia / ratio

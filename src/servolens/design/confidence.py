@@ -124,9 +124,11 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
     if beyond.ratio > BEYOND:
         return Light(light="red" if beyond.is_far else "amber", sentence=beyond.sentence)
-    doubts = [_beyond_band(model, design.spec) for model in models if model.evidence is not None]
-    if any(doubts):
-        return Light(light="amber", sentence=next(doubt for doubt in doubts if doubt))
+    known = ((model.evidence, model.plant.length_unit) for model in models)
+    missed = (_beyond_band(evidence, unit, design.spec) for evidence, unit in known if evidence is not None)
+    told = next((sentence for sentence in missed if sentence), "")
+    if told:
+        return Light(light="amber", sentence=told)
     swing = design.hunting.get("least" if chosen is None else "recommended")
     if swing is not None:
         return Light(
@@ -163,14 +165,12 @@ def _lesson(evidence: Evidence) -> str:
     return "of another run it may miss as much"
 
 
-def _beyond_band(model: Model, spec: PDSpec) -> str:
+def _beyond_band(evidence: Evidence, unit: str, spec: PDSpec) -> str:
     """Say which record is missed by more than the band where it was not fitted; empty if none.
 
     Of a move that is smaller than the step of the spec the error is held against that step: it is friction's or a
     play's, which stays. Of a larger one against the move itself: it grows with it.
     """
-    evidence, unit = model.evidence, model.plant.length_unit
-    assert evidence is not None  # noqa: S101 - asked of those that have it
     uncertain = f"more than the band of {_share(spec.band)}: when the axis settles is not certain."
     if not evidence.missed:
         missed = evidence.heldout_of_step or 0.0

@@ -1,13 +1,17 @@
-"""Contacts that open and close: how stiff they are, and how much of a blow they throw back."""
+"""Contacts that open and close: their force, how stiff they are, and how much of a blow they throw back."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from servolens.effects.base import parameter
+from servolens.effects.base import Effect, parameter
 
-__all__ = ["CONTACTS", "CONTACT_RATE", "contact_damping", "contact_frequency"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+__all__ = ["CONTACT_RATE", "contact_damping", "contact_force", "contact_frequency", "other_contacts"]
 
 CONTACT_RATE = 2000.0
 """Of a contact of which nothing is known [rad/s]: far above any loop, and not rigid."""
@@ -17,6 +21,33 @@ CONTACTS: tuple[dict[str, float], ...] = (
     {"contact_damping": 8.0},
 )
 """Others, from which a fit begins: one that gives way, one that throws back nearly half of the speed, a dead one."""
+
+E = TypeVar("E", bound=Effect)
+
+
+def contact_force(depth: Any, speed: Any, p: Any, mass: Any = 1) -> Any:
+    """Return the force of a spring and damper that can only push, in contact where `depth` is positive.
+
+    Parameters
+    ----------
+    depth, speed : symbol
+        How deep one is in the other, and how fast it gets deeper.
+    p : namespace
+        With ``contact_frequency`` and ``contact_damping``.
+    mass : symbol
+        That swings on the contact, as a share of all that moves.
+    """
+    from casadi import fmax, if_else
+
+    rate = 2 * pi * p.contact_frequency
+    stiffness, damper = rate * rate * mass, 2 * p.contact_damping * rate * mass
+    return if_else(depth > 0, fmax(0, stiffness * depth + damper * speed), 0)
+
+
+def other_contacts(effect: E) -> Iterator[E]:
+    """Yield an `effect` whose contact is the usual one with contacts that give way, bounce, or are dead."""
+    if {"contact_frequency", "contact_damping"} <= set(effect.usual):
+        yield from (replace(effect, **contact) for contact in CONTACTS)
 
 
 def contact_frequency() -> Any:

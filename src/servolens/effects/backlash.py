@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from math import pi
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.effects._contact import CONTACTS, contact_damping, contact_frequency
+from servolens.effects._contact import contact_damping, contact_force, contact_frequency, other_contacts
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
 from servolens.effects.kinds import Transmission
@@ -56,15 +55,10 @@ class Backlash(Transmission):
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.Transmission.physics`."""
-        from casadi import fmax, if_else
-
-        reduced, rate = p.load_share * (1 - p.load_share), 2 * pi * p.contact_frequency
-        stiffness, damper = rate * rate * reduced, 2 * p.contact_damping * rate * reduced
+        reduced = p.load_share * (1 - p.load_share)
         ahead, speed = axis.position - axis.state.position, axis.velocity - axis.state.velocity
         above, below = ahead - p.gap / 2, -ahead - p.gap / 2
-        pushing = if_else(above > 0, fmax(0, stiffness * above + damper * speed), 0)
-        pulling = if_else(below > 0, fmax(0, stiffness * below - damper * speed), 0)
-        return pushing - pulling
+        return contact_force(above, speed, p, reduced) - contact_force(below, -speed, p, reduced)
 
     @staticmethod
     def rates(axis: Axis, p: Any) -> tuple[Any, ...]:
@@ -78,9 +72,8 @@ class Backlash(Transmission):
         return p.load_share
 
     def freed(self) -> Iterator[Backlash]:
-        """See :meth:`servolens.effects.base.Effect.freed`: with a contact that gives way, bounces, or is dead."""
-        if {"contact_frequency", "contact_damping"} <= set(self.usual):
-            yield from (replace(self, **contact) for contact in CONTACTS)
+        """See :meth:`servolens.effects.base.Effect.freed`: with another contact."""
+        yield from other_contacts(self)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Backlash]:

@@ -267,7 +267,7 @@ class Effect(ABC):
 
     @property
     def unusual(self) -> int:
-        """How many parameters have no usual value."""
+        """How many parameters are not at their usual values."""
         return len(self.values) - len(self.usual)
 
     def simplified(self, seen: Seen) -> Iterator[Effect]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, nextafter, pi
+from math import inf, nextafter
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.effects._contact import CONTACT_RATE, CONTACTS, contact_damping, contact_frequency
+from servolens.effects._contact import CONTACT_RATE, contact_damping, contact_force, contact_frequency, other_contacts
 from servolens.effects._grids import within
 from servolens.effects.base import parameter
 from servolens.effects.kinds import Force
@@ -72,14 +72,8 @@ class EndStop(Force):
     @staticmethod
     def physics(axis: Axis, p: Any) -> Any:
         """See :meth:`servolens.effects.kinds.Force.physics`."""
-        from casadi import fmax, if_else
-
-        rate = 2 * pi * p.contact_frequency
-        stiffness, damper = rate * rate, 2 * p.contact_damping * rate
         above, below = axis.position - p.high, p.low - axis.position
-        back = if_else(above > 0, fmax(0, stiffness * above + damper * axis.velocity), 0)
-        forth = if_else(below > 0, fmax(0, stiffness * below - damper * axis.velocity), 0)
-        return back - forth
+        return contact_force(above, axis.velocity, p) - contact_force(below, -axis.velocity, p)
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[EndStop]:
@@ -99,9 +93,8 @@ class EndStop(Force):
                     yield within(cls, low=first, high=last)
 
     def freed(self) -> Iterator[EndStop]:
-        """See :meth:`servolens.effects.base.Effect.freed`: with a contact that gives way, bounces, or is dead."""
-        if {"contact_frequency", "contact_damping"} <= set(self.usual):
-            yield from (replace(self, **contact) for contact in CONTACTS)
+        """See :meth:`servolens.effects.base.Effect.freed`: with another contact."""
+        yield from other_contacts(self)
 
     def simplified(self, seen: Seen) -> Iterator[EndStop]:
         """See :meth:`servolens.effects.base.Effect.simplified`: with one of two stops that may never be reached."""
