@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from servolens import fit, identify, lab
-from servolens.identification.restricted import Part, mean_spectrum, restricted_misfit
+from servolens.identification.restricted import Part, estimated, mean_spectrum
 
 SLOW_SENSOR = lab.Setup(
     surroundings=lab.Surroundings(noise=lab.SensorNoise(deviation=1e-5, autoregression=(0.99,))),
@@ -41,7 +41,7 @@ def test_restricted_likelihood_is_that_of_the_covariance():
     pole, ratio = 0.95, 3.0
     factor = np.linalg.cholesky(covariance_of(pole, ratio, part.left.size))
     white = Part(np.linalg.solve(factor, part.left), np.linalg.solve(factor, part.sensitivity))
-    found = restricted_misfit([white], 2.0 * float(np.sum(np.log(np.diag(factor)))))
+    found = estimated([white], 2.0 * float(np.sum(np.log(np.diag(factor))))).misfit
     assert found == pytest.approx(dense_misfit(pole, ratio, part), abs=1e-8)
 
 
@@ -77,8 +77,24 @@ def test_parts_of_several_records_count_together():
     determinant = 4.0 * float(np.sum(np.log(np.diag(factor))))
     whole = np.kron(np.eye(2), factor)
     joined = Part(np.linalg.solve(whole, both.left), np.linalg.solve(whole, both.sensitivity))
-    assert restricted_misfit(white, determinant) == pytest.approx(restricted_misfit([joined], determinant), abs=1e-8)
-    assert mean_spectrum(apart, 65)[1] < restricted_misfit(white, determinant)
+    assert estimated(white, determinant).misfit == pytest.approx(estimated([joined], determinant).misfit, abs=1e-8)
+    assert mean_spectrum(apart, 65)[1] < estimated(white, determinant).misfit
+
+
+def test_estimate_is_that_of_generalised_least_squares():
+    part = slow_part(7, 200)
+    covariance = covariance_of(0.95, 0.5, 200)
+    factor = np.linalg.cholesky(covariance)
+    unseen = np.column_stack([part.sensitivity, np.zeros(200)])
+    white = Part(np.linalg.solve(factor, part.left), np.linalg.solve(factor, unseen))
+    found = estimated([white], 0.0)
+    inverse = np.linalg.inv(covariance)
+    information = part.sensitivity.T @ inverse @ part.sensitivity
+    change = -np.linalg.solve(information, part.sensitivity.T @ inverse @ part.left)
+    left = part.left + part.sensitivity @ change
+    size = left @ inverse @ left / (200 - part.sensitivity.shape[1])
+    assert found.change == pytest.approx([*change, 0.0], rel=1e-6, abs=1e-9)
+    assert found.variances == pytest.approx([*(size * np.diag(np.linalg.inv(information))), 0.0], rel=1e-6)
 
 
 def test_variance_of_estimates_is_not_understated_on_average():

@@ -17,6 +17,7 @@ from servolens.identification.restricted import counting_followed
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
+from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import depends_on_inputs, is_shaking
 from servolens.simulation.rates import substeps_for
@@ -124,7 +125,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
     is_independent = is_large and noise.rate == 0.0 and _is_independent(likelihood, best)
     if options.driven == "voltage" and is_large and not is_independent:
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
-    refined = _observed(likelihood, best.plant, noise, best.starts)
+    refined = counting_all_spectra(likelihood, _observed(likelihood, best.plant, noise, best.starts), noise)
     # a filter of another kind could have whitened what a model lacks, such as a mode that rings
     is_noise = is_independent and noise.counts_followed
     observed = FinalFit(refined, noise, records, "voltage", is_noise=is_noise)

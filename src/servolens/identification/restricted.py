@@ -28,13 +28,15 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
 
-__all__ = ["Part", "counting_followed", "mean_spectrum", "parts_of", "restricted_misfit"]
+__all__ = ["Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_of"]
 
 TIMES = 14
 """Time constants of slow noise that are compared, evenly in their logarithms."""
 RATIOS, ROUNDS = np.geomspace(1e-2, 1e4, 7), 4
 """Ratios of the variances of white noise and of what drives the slow one, to begin with; times that the step between
 them is halved about the likeliest."""
+SEEN = 1e-12
+"""Share of the largest eigenvalue of the information, its diagonal 1, below which nothing is said."""
 SLOW = 2
 """Parameters of that noise beside its size."""
 
@@ -64,7 +66,7 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
     spectrum, slow = mean_spectrum(parts, FREQUENCIES + 1)
     whiteners = [run.whiten for run in likelihood.runs(noise)]
     whitened = [Part(w(p.left), w(p.sensitivity)) for w, p in zip(whiteners, parts, strict=True)]
-    filtered = restricted_misfit(whitened, sum(w.log_determinant for w in whiteners)) + 2.0 * noise.parameters
+    filtered = estimated(whitened, sum(w.log_determinant for w in whiteners)).misfit + 2.0 * noise.parameters
     is_slow = noise.parameters == SLOW < noise.order  # of the same kind, of one time constant only
     if not is_slow and filtered < slow + 2.0 * SLOW:
         return found
@@ -115,8 +117,20 @@ def mean_spectrum(parts: Sequence[Part], frequencies: int) -> tuple[NDArray[np.f
     return np.asarray(weights @ spectra(grid, np.linspace(0.0, np.pi, frequencies))), float(misfits.min())
 
 
-def restricted_misfit(parts: Sequence[Part], determinant: float) -> float:
-    """Return −2 restricted log-likelihood of `parts` that a filter has whitened up to their size.
+class Estimate(NamedTuple):
+    """What parts say of their parameters beside one noise, and of that.
+
+    −2 restricted log-likelihood; the change of each column's parameter that leaves least, shape (p,), and its variance,
+    shape (p,). Both are 0 where nothing is said of it.
+    """
+
+    misfit: float
+    change: NDArray[np.float64]
+    variances: NDArray[np.float64]
+
+
+def estimated(parts: Sequence[Part], determinant: float) -> Estimate:
+    """Return the estimate of `parts` that a filter has whitened up to their size.
 
     Parameters
     ----------
@@ -126,9 +140,13 @@ def restricted_misfit(parts: Sequence[Part], determinant: float) -> float:
         Of the filter: −2 log of its Jacobian.
     """
     rows = [np.column_stack([part.left, part.sensitivity]) for part in parts]
-    squares = sum(one.T @ one for one in rows)
-    misfits, _ = _restricted(np.asarray(squares)[None], np.array([determinant]), sum(map(len, rows)))
-    return float(misfits[0])
+    squares = np.asarray(sum(one.T @ one for one in rows))
+    misfits, sizes = _restricted(squares[None], np.array([determinant]), sum(map(len, rows)))
+    inner, along = squares[1:, 1:], squares[1:, 0]
+    scale = np.sqrt(np.diag(inner))
+    scale[scale == 0.0] = np.inf
+    inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=SEEN, hermitian=True) / np.outer(scale, scale)
+    return Estimate(float(misfits[0]), -(inverse @ along), float(sizes[0]) * np.diag(inverse))
 
 
 def _likeliest_ratios(poles: NDArray[np.float64], parts: Sequence[Part]) -> tuple[NDArray[np.float64], ...]:
@@ -190,7 +208,7 @@ def _restricted(
     scale = np.sqrt(np.einsum("kii->ki", inner))
     scale[scale == 0.0] = 1.0
     values, vectors = np.linalg.eigh(inner / scale[:, :, None] / scale[:, None, :])
-    seen = values > 1e-12 * values[:, -1:]
+    seen = values > SEEN * values[:, -1:]
     moved = np.einsum("kij,ki->kj", vectors, along / scale)
     explained = np.sum(np.where(seen, moved**2 / np.maximum(values, 1e-300), 0.0), axis=1)
     left = np.maximum(squares[:, 0, 0] - explained, 1e-300)
