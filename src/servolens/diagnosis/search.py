@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, final
 from servolens.diagnosis.explorer import INDISTINCT, SPENT, Explorer
 from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
 from servolens.errors import NumericalError
+from servolens.identification.rounding import dominates
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -116,7 +117,9 @@ def search(
 
     try:
         told = _part(tell, 0.0, UNSHAKEN)
-        budget = _Budget(UNSHAKEN, LIKELIER, base.total, shaken_likewise)
+        # what an encoder's coarse steps do not show moving is rather a cause that is missing
+        share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
+        budget = _Budget(share, LIKELIER, base.total, shaken_likewise)
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
         return _searched(trials, base, effort, tell, known, is_enough)

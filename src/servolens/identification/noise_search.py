@@ -11,6 +11,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.hypothesis import NO_BETTER
 from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel, instants
 from servolens.identification.parabola import Parabola
+from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
 from servolens.simulation.rates import substeps_for
 
@@ -80,7 +81,7 @@ class NoiseTrials:
         """
         likelihood = self.likelihood
         self.look(noise)
-        if dominates(likelihood.white):  # nothing tells shaking or jitter from rounding
+        if dominates(likelihood.white) and self._is_rounding():  # nothing tells shaking or jitter from it
             return
         if self._left is not None:
             jitter, floor = instants(self._left, [signals.speed for signals in likelihood.signals])
@@ -93,6 +94,10 @@ class NoiseTrials:
         best = self._likeliest(noise, found)
         if best.rate > 0.0:
             self.look(self._improved(best) if rates else best, is_coloured=True)
+
+    def _is_rounding(self) -> bool:
+        """Tell whether what a simulation leaves is no more than rounding can be."""
+        return self.best is not None and self.best[0].spread <= AT_NOISE * self.likelihood.white.spread
 
     def _improved(self, noise: NoiseModel) -> NoiseModel:
         """Return noise of the likeliest rate and corner near these, by Newton's method on their logarithms.
