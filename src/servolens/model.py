@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from servolens.effects import Effect
 
-__all__ = ["NOT_REACHED", "UNDETERMINED", "Model", "Quantity", "read_model"]
+__all__ = ["NOT_REACHED", "UNDETERMINED", "Model", "Quantity", "placed", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
@@ -257,6 +257,44 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
         raise InputError(f"{path}: {error}") from None
 
 
+def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -> NDArray[np.float64]:
+    """Return an array of a file with a place for each parameter of `plant`, NaN for those that the file does not name.
+
+    A file of an earlier version does not know the parameters that an effect was given later: these have their usual
+    values.
+
+    Parameters
+    ----------
+    plant : Plant
+        Whose parameters it is about.
+    numbers : array_like, shape (k,) or (k, k)
+        As the file holds them.
+    names : sequence of str or None
+        Of which parameters, in that order; None where the file does not tell: of all of them, or of all that have not
+        their usual values.
+    what : str
+        What it is, for a refusal.
+
+    Raises
+    ------
+    InputError
+        If names are missing, unknown or double, or the numbers are not as many as they.
+    """
+    every, usual = list(plant.parameters), plant.usual
+    fitted = [name for name in every if name not in usual]
+    array = np.asarray(numbers, dtype=np.float64)
+    if names is None:
+        names = every if len(array) == len(every) else fitted
+    if array.shape != (len(names),) * array.ndim:
+        raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
+    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= set(every):
+        raise InputError(f"{what} must name {', '.join(fitted)}; got {str(names)[:40]!r}")
+    place = [every.index(name) for name in names]
+    found = np.full((len(every),) * array.ndim, np.nan)
+    found[np.ix_(*(place,) * array.ndim)] = array
+    return found
+
+
 def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the model that a result's file holds; of an identification the richest."""
     models = data.get("models")
@@ -292,22 +330,13 @@ def _length_unit(data: Mapping[str, Any]) -> str:
 
 
 def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
-    """Return the covariance of all parameters; NaN of those that are not among the file's, for their value is usual."""
-    rows = data.get("covariance")
-    if rows is None:
+    """Return the covariance of all parameters, that of their standard errors alone where no more is stated."""
+    held = data.get("covariance")
+    if held is None:
         return _of_errors(data, plant)
-    fitted = [name for name in plant.parameters if name not in plant.usual]
-    named = rows if isinstance(rows, dict) else {"names": fitted, "matrix": rows}
-    names = list(named["names"])
-    matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in named["matrix"]], dtype=np.float64)
-    if matrix.shape != (len(names),) * 2:
-        raise InputError(f"covariance has shape {matrix.shape}, the model has {len(fitted)} parameters")
-    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= plant.parameters.keys():
-        raise InputError(f"covariance must name {', '.join(fitted)}; got {str(names)[:40]!r}")
-    place = [list(plant.parameters).index(name) for name in names]
-    found = np.full((len(plant.values),) * 2, np.nan)
-    found[np.ix_(place, place)] = matrix
-    return found
+    if isinstance(held, dict):
+        return placed(plant, held["matrix"], list(held["names"]), "covariance")
+    return placed(plant, held, None, "covariance")
 
 
 def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
