@@ -314,8 +314,6 @@ def _value(quantity: Mapping[str, Any]) -> float:
 
 def _check_units(data: Mapping[str, Any], plant: Plant) -> None:
     """Refuse units other than those that servolens writes: a value in other units would be taken for SI."""
-    if plant.length_unit not in ("m", "rad"):
-        raise InputError(f"length_unit must be 'm' or 'rad', got {plant.length_unit[:40]!r}")
     quantities = {"gain": data["gain"], "damping": data["damping"]}
     for item in data.get("effects", ()):
         quantities |= {f"{item['effect']}.{name}": q for name, q in item["parameters"].items()}

@@ -16,6 +16,7 @@ from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
+from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
 
 if TYPE_CHECKING:
     import os
@@ -68,8 +69,8 @@ class Record:
         What people call the record; where it came from.
     length_unit : {"m", "rad"}
         Unit of position.
-    command_unit : str
-        Unit of the command, ``"V"`` unless the log says otherwise (A, N, %).
+    command_unit : {"V", "A", "N", "N m", "%", "pwm"}
+        Unit of the command, ``"V"`` unless the log says otherwise.
     remarks : tuple of Finding
         What the reader noticed.
 
@@ -114,6 +115,8 @@ class Record:
             value = getattr(self, signal)
             if value is not None:
                 _require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
+        for unit, known in (("length_unit", LENGTH_UNITS), ("command_unit", COMMAND_UNITS)):
+            object.__setattr__(self, unit, settled(getattr(self, unit), known, f"{self.name}: {unit}"))
         steps = np.diff(self.time)
         _check_time(self.time, steps, self.name)
         object.__setattr__(self, "sample_time", float(np.median(steps)))
