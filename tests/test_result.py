@@ -93,6 +93,33 @@ def test_summary_of_a_file_says_the_same(kind, tmp_path):
     assert theirs.tables == ours.tables
 
 
+def places(value, path=()):
+    """Yield where everything stands in a file, of lists the first two."""
+    if path:
+        yield path
+    inner = value.items() if isinstance(value, dict) else enumerate(value[:2]) if isinstance(value, list) else ()
+    for key, one in inner:
+        yield from places(one, (*path, key))
+
+
+@pytest.mark.parametrize("other", [3, "x", None, [], {}, [[1]], True], ids=repr)
+def test_a_damaged_file_is_refused_with_a_sentence_or_read(kind, other):
+    body = stored(made(kind))
+    found = []
+    for path in places(body):
+        owner = body
+        for key in path[:-1]:
+            owner = owner[key]
+        kept, owner[path[-1]] = owner[path[-1]], other
+        try:
+            kind.from_json(body)
+        except InputError as refusal:
+            found.append(str(refusal))
+        owner[path[-1]] = kept
+    assert found
+    assert not [sentence for sentence in found if "\n" in sentence]
+
+
 def test_what_is_no_such_result_is_refused_with_a_sentence(kind, tmp_path):
     path = tmp_path / "other.json"
     path.write_text("[]")

@@ -6,7 +6,8 @@ import json
 import os
 import sys
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from servolens.errors import InputError
 from servolens.findings import Finding
 
-__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields"]
+__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields", "whole"]
 
 T = TypeVar("T")
 
@@ -45,6 +46,37 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
     if not isinstance(data, dict):
         raise InputError(f"{path}: holds no JSON object")
     return data
+
+
+@contextmanager
+def whole(told: str) -> Iterator[None]:
+    """Refuse data of another form than what is read within.
+
+    Parameters
+    ----------
+    told : str
+        How the refusal begins, e.g. "not a whole diagnosis".
+
+    Raises
+    ------
+    InputError
+        That says which field is missing, or that one has the wrong type.
+
+    Examples
+    --------
+    >>> with whole("not a whole law"):
+    ...     {"gain": 1.9}["damping"]
+    Traceback (most recent call last):
+    servolens.errors.InputError: not a whole law: 'damping' is missing
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(f"{told}: {str(error.args[0])[:40]!r} is missing") from None
+    except (TypeError, AttributeError, ValueError, IndexError, OverflowError):
+        raise InputError(f"{told}: a field has the wrong type") from None
 
 
 def encoded(value: Any) -> Any:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.decoding import read_fields
+from servolens.decoding import read_fields, whole
 from servolens.errors import InputError, names_like
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
@@ -185,7 +185,7 @@ class Model:
         InputError
             If fields are missing or no numbers.
         """
-        try:
+        with whole(f"not a model of schema {SCHEMA}"):
             known = {cls.name: cls for cls in effects}
             found = tuple(
                 Plant.effect_from(
@@ -205,11 +205,6 @@ class Model:
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
             evidence = Evidence.from_json(data)
-        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-            if isinstance(error, InputError):
-                raise
-            missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
-            raise InputError(f"not a model of schema {SCHEMA}: {missing}") from None
         return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
 
 
@@ -285,7 +280,7 @@ def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -
     array = np.asarray(numbers, dtype=np.float64)
     if names is None:
         names = every if len(array) == len(every) else fitted
-    if array.shape != (len(names),) * array.ndim:
+    if array.shape not in ((len(names),), (len(names),) * 2):
         raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
     if len(set(names)) < len(names) or not set(fitted) <= set(names) <= set(every):
         raise InputError(f"{what} must name {', '.join(fitted)}; got {str(names)[:40]!r}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
 import numpy as np
 
-from servolens.decoding import decoded, encoded, fields_of, findings_in, json_of, read_fields
+from servolens.decoding import decoded, encoded, fields_of, findings_in, read_fields
 from servolens.effects import Effect
 from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
@@ -129,9 +129,7 @@ class Fit(Result):
         }
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Fit:
-        """See :meth:`servolens.result.Result.from_json`."""
-        data = json_of(source)
+    def _read(cls, data: Mapping[str, Any]) -> Fit:
         model = Model.from_json(data.get("model") or {})
         size = len(model.plant.values)
         covariance = np.full((size, size), np.nan) if model.covariance is None else model.covariance
