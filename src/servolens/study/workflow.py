@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, TypeVar, Unpack
 import numpy as np
 
 from servolens.design import compare, recommend
+from servolens.design.spec import check_spec
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import InputError, NumericalError, ServolensError
@@ -105,6 +106,8 @@ def study_records(
     >>> [light.light for light in found.lights.values()], [cause.effect for cause in found.diagnosis.causes]
     (['green', 'green', 'green'], ['velocity_decay_damping'])
     """
+    if spec is not None:
+        check_spec(spec)
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
