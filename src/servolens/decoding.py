@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from servolens.errors import InputError
 from servolens.findings import Finding
 
-__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields", "whole"]
+__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields", "read_json", "whole"]
 
 T = TypeVar("T")
 
@@ -38,14 +38,39 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
         raise InputError(f"what to_json returned, or a file's path, is needed; got {type(source).__name__}")
     path = Path(source)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not JSON") from None
+        data = read_json(path)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: holds no JSON object")
     return data
+
+
+def read_json(path: Path, needed: str = "") -> Any:
+    """Return what a JSON file holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    needed : str
+        What a refusal says of the file that is needed.
+
+    Raises
+    ------
+    InputError
+        If it is no file, cannot be read, or is not JSON.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"is a folder or a device{needed}")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        raise InputError(f"is not JSON{needed}") from None
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.decoding import read_fields, whole
+from servolens.decoding import read_fields, read_json, whole
 from servolens.errors import InputError, names_like
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
@@ -234,19 +233,10 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
         raise InputError(f"the path of a model's file is needed; got {type(path).__name__}")
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is a folder or a device; give a file that `servolens identify --out` wrote")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except InputError:
-        raise
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
-    schema = data.get("schema") if isinstance(data, dict) else None
-    if schema not in (SCHEMA, *HOLDERS):
-        raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
-    try:
+        data = read_json(path, "; give a file that `servolens identify --out` wrote")
+        schema = data.get("schema") if isinstance(data, dict) else None
+        if schema not in (SCHEMA, *HOLDERS):
+            raise InputError(f"is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
         return Model.from_json(data if schema == SCHEMA else _held(data), effects)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
