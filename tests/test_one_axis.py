@@ -84,12 +84,12 @@ def test_measured_gains_that_friction_scatters_are_those_of_one_axis(steps):
 
 
 def test_the_light_of_the_data_says_that_records_contradict_each_other():
-    against = Finding(code="records_contradict", severity="warning", message="the records contradict each other.")
+    against = Finding(code="records_contradict", severity="warning", message="the records contradict each other; why?")
     other = replace(against, code="noise_model", message="noise 8 µm.")
     quality = assess(run(12.0, "first"))
     assert data_light([quality], [other]).light == "green"
     light = data_light([quality], [other, against])
-    assert (light.light, light.sentence) == ("amber", "the records contradict each other.")
+    assert (light.light, light.sentence) == ("amber", "The records contradict each other; why?")
 
 
 def test_a_record_that_does_not_move_is_not_asked():

@@ -75,6 +75,7 @@ def study_lights(data: Light, model: Model | None, design: Design | None, why_no
 def _told(findings: Sequence[Finding]) -> str:
     """Return the first of the findings, and how many more there are."""
     first, *others = findings
-    about = f"{first.record}: " if first.record else ""
+    about = f"{first.record}: {first.message}" if first.record else first.message[:1].upper() + first.message[1:]
+    told = about if about.endswith("?") else f"{about.rstrip('.')}."
     more = {0: "", 1: " Another finding is in the list."}.get(len(others), f" {len(others)} more are in the list.")
-    return f"{about}{first.message.rstrip('.')}.{more}"
+    return f"{told}{more}"
