@@ -57,6 +57,10 @@ def test_values_are_frozen() -> None:
         (lambda: CoulombFriction(level=-1.0), "coulomb_friction: level must lie in"),
         (lambda: Plant(gain=1.0, damping=1.0, effects=(CoulombFriction(level=1.0),) * 2), "appears twice"),
         (lambda: Plant(gain=1.0, damping=1.0, length_unit="x" * 99), "must be .m. or .rad., got .x{40}.$"),
+        (
+            lambda: Plant(gain=1.0, damping=1.0, command_unit="mA"),
+            "plant: command_unit must be .V., .* or .pwm., got .mA",
+        ),
         (lambda: Plant.effect_from("magic", {}), "there is no effect 'magic'"),
         (lambda: Plant.effect_from("saturation", {"width": 1.0}), "needs the parameters limit"),
         (lambda: Plant.effect_from("saturation", {"w" * 99: 1.0}), "needs the parameters limit; got w{40}$"),

@@ -15,9 +15,10 @@ import pytest
 from scipy.signal import lfilter
 
 from servolens import lab
+from servolens.checking import check
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step, white_noise
-from servolens.quality import assess, check, fatal
+from servolens.quality import assess, fatal
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
 from servolens.record import Controller, Record

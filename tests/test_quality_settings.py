@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from servolens import lab
-from servolens.quality import check, fatal
+from servolens.checking import check
+from servolens.quality import fatal
 from servolens.record import Controller
 
 RUBBING = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.5}})

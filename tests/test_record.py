@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servolens import read_record
+from servolens import read_record, units
 from servolens.errors import InputError
 from servolens.lab import NLM1, step_record
 from servolens.record import Controller, Record
+from servolens.units import parse_unit
 
 
 def record(**changes):
@@ -69,6 +70,39 @@ def test_record_is_read_as_it_was_written_to_the_last_bit(tmp_path, changes):
         if field.name not in ("source", "remarks"):
             np.testing.assert_array_equal(getattr(read, field.name), getattr(written, field.name), field.name)
     assert read.remarks == ()
+
+
+def command_meant(text):
+    """Return the unit of commands that a text spells, None where it is none or a multiple of one."""
+    return next((one for one in units.COMMAND_UNITS if parse_unit(text) == parse_unit(one)), None)
+
+
+TEXTS = (*units._ATOMS, *units._SPELLINGS, "N*m", "rev/s", "A/m", "furlong", "no unit", "")
+COMMANDS = tuple(filter(command_meant, TEXTS))
+
+
+@pytest.mark.parametrize("text", COMMANDS)
+def test_every_unit_that_a_record_may_have_is_read_as_it_was_written(tmp_path, text):
+    written = RUN.with_({"command_unit": text, "feedforward": NOISE[1], "voltage_limit": 9.0})
+    written.to_csv(tmp_path / "run.csv")
+    read = read_record(tmp_path / "run.csv")
+    assert read.command_unit == written.command_unit == command_meant(text)
+    assert (read.controller, read.voltage_limit, read.remarks) == (RUN.controller, 9.0, ())
+    np.testing.assert_array_equal(read.voltage, RUN.voltage)
+    np.testing.assert_array_equal(read.feedforward, NOISE[1])
+
+
+@pytest.mark.parametrize("text", sorted({*TEXTS, "mA", "rev/s"} - {*COMMANDS}))
+def test_commands_in_other_units_are_no_record(text):
+    sentence = f"record: command_unit must be 'V', 'A', 'N', 'N m', '%' or 'pwm', got {text!r}"
+    with pytest.raises(InputError, match=f"^{re.escape(sentence)}$"):
+        record(command_unit=text)
+
+
+@pytest.mark.parametrize("text", ["mm", "deg", "ft", ""])
+def test_positions_are_in_metres_or_radians(text):
+    with pytest.raises(InputError, match=f"record: length_unit must be 'm' or 'rad', got '{text}'$"):
+        record(length_unit=text)
 
 
 def test_name_of_several_lines_cannot_state_a_setting(tmp_path):

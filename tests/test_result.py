@@ -93,6 +93,33 @@ def test_summary_of_a_file_says_the_same(kind, tmp_path):
     assert theirs.tables == ours.tables
 
 
+def places(value, path=()):
+    """Yield where everything stands in a file, of lists the first two."""
+    if path:
+        yield path
+    inner = value.items() if isinstance(value, dict) else enumerate(value[:2]) if isinstance(value, list) else ()
+    for key, one in inner:
+        yield from places(one, (*path, key))
+
+
+@pytest.mark.parametrize("other", [3, "x", None, [], {}, [[1]], True], ids=repr)
+def test_a_damaged_file_is_refused_with_a_sentence_or_read(kind, other):
+    body = stored(made(kind))
+    found = []
+    for path in places(body):
+        owner = body
+        for key in path[:-1]:
+            owner = owner[key]
+        kept, owner[path[-1]] = owner[path[-1]], other
+        try:
+            kind.from_json(body)
+        except InputError as refusal:
+            found.append(str(refusal))
+        owner[path[-1]] = kept
+    assert found
+    assert not [sentence for sentence in found if "\n" in sentence]
+
+
 def test_what_is_no_such_result_is_refused_with_a_sentence(kind, tmp_path):
     path = tmp_path / "other.json"
     path.write_text("[]")
@@ -199,6 +226,56 @@ def test_fit_report_names_errors_correlations_and_what_was_fixed():
     assert all("±" in values[name] for name in ("gain", "coulomb_friction.level"))
     assert correlations.rows[0][0] == "gain, coulomb_friction.level"
     assert float(correlations.rows[0][1]) == pytest.approx(next(iter(found.correlations.values())), abs=0.006)
+
+
+@cache
+def with_usual_values():
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"backlash": {"gap": 1e-3, "load_share": 0.3}})
+    return fit("backlash", [lab.step_record(truth, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)])
+
+
+def named_by_nobody(body):
+    del body["refinement"]["parameters"]
+
+
+def of_before_the_contact_had_parameters(body):
+    named_by_nobody(body)
+    kept = len(body["model"]["covariance"]["names"])
+    body["refinement"]["colour"] = body["refinement"]["colour"][:kept]
+    body["refinement"]["correlation"] = [row[:kept] for row in body["refinement"]["correlation"][:kept]]
+
+
+def in_another_order(body):
+    told = body["refinement"]
+    told["parameters"].reverse()
+    told["colour"].reverse()
+    told["correlation"] = [row[::-1] for row in told["correlation"][::-1]]
+
+
+@pytest.mark.parametrize("change", [named_by_nobody, of_before_the_contact_had_parameters, in_another_order])
+def test_correlations_belong_to_their_parameters_in_every_file_of_a_fit(change):
+    found = with_usual_values()
+    body = stored(found)
+    change(body)
+    again = Fit.from_json(body)
+    assert again.correlations == found.correlations
+    np.testing.assert_array_equal(again.refinement.colour, found.refinement.colour)
+    assert again.summary().tables == found.summary().tables
+
+
+@pytest.mark.parametrize(
+    ("names", "sentence"),
+    [
+        (["gain", "damping"], r"correlation has shape \(6, 6\); it must have a place for each of gain, damping$"),
+        (list("abcdef"), "correlation must name gain, damping, backlash.gap, backlash.load_share; got"),
+        (7, "parameters must be list, got '7'"),
+    ],
+)
+def test_correlations_of_other_parameters_are_refused_with_a_sentence(names, sentence):
+    body = stored(with_usual_values())
+    body["refinement"]["parameters"] = names
+    with pytest.raises(InputError, match=sentence):
+        Fit.from_json(body)
 
 
 def test_a_quantity_is_a_number_and_is_formatted_as_one():

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         to_control,
     )
     from servolens.campaign import read_records
+    from servolens.checking import check
     from servolens.design import (
         Comparison,
         Design,
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from servolens.model import Model, Quantity, read_model
     from servolens.plant import Plant
     from servolens.prediction import Prediction, predict
-    from servolens.quality import assess, check
+    from servolens.quality import assess
     from servolens.reading import read_record, record_from_dataframe, record_from_timeresponse
     from servolens.record import Controller, Record
     from servolens.report import write_report
@@ -72,6 +73,7 @@ _HOMES: dict[str, tuple[str, ...]] = {
         "to_control",
     ),
     "campaign": ("read_records",),
+    "checking": ("check",),
     "design": (
         "Comparison",
         "Design",
@@ -100,7 +102,7 @@ _HOMES: dict[str, tuple[str, ...]] = {
     "model": ("Model", "Quantity", "read_model"),
     "plant": ("Plant",),
     "prediction": ("Prediction", "predict"),
-    "quality": ("assess", "check"),
+    "quality": ("assess",),
     "reading": ("read_record", "record_from_dataframe", "record_from_timeresponse"),
     "record": ("Controller", "Record"),
     "report": ("write_report",),

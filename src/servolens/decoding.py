@@ -6,7 +6,8 @@ import json
 import os
 import sys
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from servolens.errors import InputError
 from servolens.findings import Finding
 
-__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields"]
+__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields", "read_json", "whole"]
 
 T = TypeVar("T")
 
@@ -37,14 +38,70 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
         raise InputError(f"what to_json returned, or a file's path, is needed; got {type(source).__name__}")
     path = Path(source)
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not JSON") from None
+        data = read_json(path)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if not isinstance(data, dict):
         raise InputError(f"{path}: holds no JSON object")
     return data
+
+
+def read_json(path: Path, needed: str = "") -> Any:
+    """Return what a JSON file holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    needed : str
+        What a refusal says of the file that is needed.
+
+    Raises
+    ------
+    InputError
+        If it is no file, cannot be read, or is not JSON.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"is a folder or a device{needed}")
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError):
+        raise InputError(f"is not JSON{needed}") from None
+
+
+@contextmanager
+def whole(told: str) -> Iterator[None]:
+    """Refuse data of another form than what is read within.
+
+    Parameters
+    ----------
+    told : str
+        How the refusal begins, e.g. "not a whole diagnosis".
+
+    Raises
+    ------
+    InputError
+        That says which field is missing, or that one has the wrong type.
+
+    Examples
+    --------
+    >>> with whole("not a whole law"):
+    ...     {"gain": 1.9}["damping"]
+    Traceback (most recent call last):
+    servolens.errors.InputError: not a whole law: 'damping' is missing
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except KeyError as error:
+        raise InputError(f"{told}: {str(error.args[0])[:40]!r} is missing") from None
+    except (TypeError, AttributeError, ValueError, IndexError, OverflowError):
+        raise InputError(f"{told}: a field has the wrong type") from None
 
 
 def encoded(value: Any) -> Any:

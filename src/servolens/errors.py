@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like"]
+__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like", "needed"]
 
 MOST_NAMES = 6
 """Names that a message offers where many hold what was written."""
@@ -40,6 +40,18 @@ def described(value: Any) -> str:
     text = " ".join(repr(value).split()) if isinstance(value, str | int | float | complex | list | tuple | dict) else ""
     kind = "None" if value is None else type(value).__name__
     return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
+
+
+def needed(value: Any, kind: type, example: str) -> None:
+    """Refuse a `value` that is not of the `kind` that is needed, of which there is an `example`.
+
+    Raises
+    ------
+    InputError
+        That says what it is.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"a {kind.__name__} is needed, such as {example}; got {described(value)}")
 
 
 def names_like(name: str, known: Iterable[str], otherwise: str) -> str:

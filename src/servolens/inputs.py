@@ -253,7 +253,7 @@ def as_effects(source: Effects) -> tuple[Effect | type[Effect], ...]:
 
 def listed(source: Any) -> tuple[Any, ...]:
     """Return what `source` holds if it is a list, tuple, set, iterator or a mapping's values; else `source` alone."""
-    if isinstance(source, Sequence | Iterator | Set | ValuesView) and not isinstance(source, str):
+    if isinstance(source, Sequence | Iterator | Set | ValuesView) and not isinstance(source, str | bytes):
         return tuple(source)
     return (source,)
 

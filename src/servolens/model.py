@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.decoding import read_fields
+from servolens.decoding import read_fields, read_json, whole
 from servolens.errors import InputError, names_like
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
     from servolens.effects import Effect
 
-__all__ = ["NOT_REACHED", "UNDETERMINED", "Model", "Quantity", "read_model"]
+__all__ = ["NOT_REACHED", "UNDETERMINED", "Model", "Quantity", "placed", "read_model"]
 
 NORMAL_95 = 1.959963984540054
 SCHEMA = "servolens.model/1"
@@ -185,7 +184,7 @@ class Model:
         InputError
             If fields are missing or no numbers.
         """
-        try:
+        with whole(f"not a model of schema {SCHEMA}"):
             known = {cls.name: cls for cls in effects}
             found = tuple(
                 Plant.effect_from(
@@ -205,11 +204,6 @@ class Model:
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
             evidence = Evidence.from_json(data)
-        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-            if isinstance(error, InputError):
-                raise
-            missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
-            raise InputError(f"not a model of schema {SCHEMA}: {missing}") from None
         return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
 
 
@@ -239,22 +233,51 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
         raise InputError(f"the path of a model's file is needed; got {type(path).__name__}")
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is a folder or a device; give a file that `servolens identify --out` wrote")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except InputError:
-        raise
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: is not JSON; give a file that `servolens identify --out` wrote") from None
-    schema = data.get("schema") if isinstance(data, dict) else None
-    if schema not in (SCHEMA, *HOLDERS):
-        raise InputError(f"{path}: is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
-    try:
+        data = read_json(path, "; give a file that `servolens identify --out` wrote")
+        schema = data.get("schema") if isinstance(data, dict) else None
+        if schema not in (SCHEMA, *HOLDERS):
+            raise InputError(f"is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
         return Model.from_json(data if schema == SCHEMA else _held(data), effects)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -> NDArray[np.float64]:
+    """Return an array of a file with a place for each parameter of `plant`, NaN for those that the file does not name.
+
+    A file of an earlier version does not know the parameters that an effect was given later: these have their usual
+    values.
+
+    Parameters
+    ----------
+    plant : Plant
+        Whose parameters it is about.
+    numbers : array_like, shape (k,) or (k, k)
+        As the file holds them.
+    names : sequence of str or None
+        Of which parameters, in that order; None where the file does not tell: of all of them, or of all that have not
+        their usual values.
+    what : str
+        What it is, for a refusal.
+
+    Raises
+    ------
+    InputError
+        If names are missing, unknown or double, or the numbers are not as many as they.
+    """
+    every, usual = list(plant.parameters), plant.usual
+    fitted = [name for name in every if name not in usual]
+    array = np.asarray(numbers, dtype=np.float64)
+    if names is None:
+        names = every if len(array) == len(every) else fitted
+    if array.shape not in ((len(names),), (len(names),) * 2):
+        raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
+    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= set(every):
+        raise InputError(f"{what} must name {', '.join(fitted)}; got {str(names)[:40]!r}")
+    place = [every.index(name) for name in names]
+    found = np.full((len(every),) * array.ndim, np.nan)
+    found[np.ix_(*(place,) * array.ndim)] = array
+    return found
 
 
 def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -276,8 +299,6 @@ def _value(quantity: Mapping[str, Any]) -> float:
 
 def _check_units(data: Mapping[str, Any], plant: Plant) -> None:
     """Refuse units other than those that servolens writes: a value in other units would be taken for SI."""
-    if plant.length_unit not in ("m", "rad"):
-        raise InputError(f"length_unit must be 'm' or 'rad', got {plant.length_unit[:40]!r}")
     quantities = {"gain": data["gain"], "damping": data["damping"]}
     for item in data.get("effects", ()):
         quantities |= {f"{item['effect']}.{name}": q for name, q in item["parameters"].items()}
@@ -292,22 +313,13 @@ def _length_unit(data: Mapping[str, Any]) -> str:
 
 
 def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
-    """Return the covariance of all parameters; NaN of those that are not among the file's, for their value is usual."""
-    rows = data.get("covariance")
-    if rows is None:
+    """Return the covariance of all parameters, that of their standard errors alone where no more is stated."""
+    held = data.get("covariance")
+    if held is None:
         return _of_errors(data, plant)
-    fitted = [name for name in plant.parameters if name not in plant.usual]
-    named = rows if isinstance(rows, dict) else {"names": fitted, "matrix": rows}
-    names = list(named["names"])
-    matrix = np.array([[np.nan if v is None else float(v) for v in row] for row in named["matrix"]], dtype=np.float64)
-    if matrix.shape != (len(names),) * 2:
-        raise InputError(f"covariance has shape {matrix.shape}, the model has {len(fitted)} parameters")
-    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= plant.parameters.keys():
-        raise InputError(f"covariance must name {', '.join(fitted)}; got {str(names)[:40]!r}")
-    place = [list(plant.parameters).index(name) for name in names]
-    found = np.full((len(plant.values),) * 2, np.nan)
-    found[np.ix_(place, place)] = matrix
-    return found
+    if isinstance(held, dict):
+        return placed(plant, held["matrix"], list(held["names"]), "covariance")
+    return placed(plant, held, None, "covariance")
 
 
 def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:

@@ -23,6 +23,7 @@ from servolens.effects import (
     effect_class,
 )
 from servolens.errors import InputError, described
+from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -65,7 +66,7 @@ class Plant:
         What else the axis does: each name once, at most one transmission, one drive and one delay.
     length_unit : {"m", "rad"}
         Unit of position.
-    command_unit : str
+    command_unit : {"V", "A", "N", "N m", "%", "pwm"}
         Unit of the command.
     inertia : float, optional
         Moving inertia [kg m²] or mass [kg] that the numbers are for, where records differ in it; see `for_record`.
@@ -98,8 +99,8 @@ class Plant:
     def __post_init__(self) -> None:
         for spec in BASE_PARAMETERS:
             object.__setattr__(self, spec.name, spec.check(getattr(self, spec.name), "plant"))
-        if self.length_unit not in ("m", "rad"):
-            raise InputError(f"plant: length_unit must be 'm' or 'rad', got {str(self.length_unit)[:40]!r}")
+        for name, units in (("length_unit", LENGTH_UNITS), ("command_unit", COMMAND_UNITS)):
+            object.__setattr__(self, name, settled(getattr(self, name), units, f"plant: {name}"))
         object.__setattr__(self, "effects", _several(self.effects))
         object.__setattr__(self, "structure", tuple(type(effect) for effect in self.effects))
         _check_together(self.structure)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
 import numpy as np
 
-from servolens.decoding import json_of, read_fields
+from servolens.decoding import read_fields
 from servolens.errors import InputError
 from servolens.inputs import as_model, as_records, check_units, listed
 from servolens.quality.beginning import initial_motion
@@ -17,7 +17,6 @@ from servolens.result import Result, late
 from servolens.simulation import simulate
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Sequence
 
     import pandas as pd
@@ -140,9 +139,7 @@ class Prediction(Result):
         return {"models": list(self.models), "records": rows, "identified_from": list(self.identified_from)}
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Prediction:
-        """See :meth:`servolens.result.Result.from_json`."""
-        data = json_of(source)
+    def _read(cls, data: Mapping[str, Any]) -> Prediction:
         models = tuple(data.get("models") or ("the model",))
         rows = [row.get("by_model") or {models[0]: row} for row in data.get("records", ())]
         return cls(

@@ -13,9 +13,10 @@ import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
 from servolens.controller import Controller
-from servolens.errors import InputError
+from servolens.errors import InputError, described, needed
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
+from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
 
 if TYPE_CHECKING:
     import os
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from servolens.control_arithmetic import Answer
     from servolens.findings import Finding
 
-__all__ = ["Controller", "Record"]
+__all__ = ["Controller", "Record", "as_numbers"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -68,8 +69,8 @@ class Record:
         What people call the record; where it came from.
     length_unit : {"m", "rad"}
         Unit of position.
-    command_unit : str
-        Unit of the command, ``"V"`` unless the log says otherwise (A, N, %).
+    command_unit : {"V", "A", "N", "N m", "%", "pwm"}
+        Unit of the command, ``"V"`` unless the log says otherwise.
     remarks : tuple of Finding
         What the reader noticed.
 
@@ -114,6 +115,8 @@ class Record:
             value = getattr(self, signal)
             if value is not None:
                 _require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
+        for unit, known in (("length_unit", LENGTH_UNITS), ("command_unit", COMMAND_UNITS)):
+            object.__setattr__(self, unit, settled(getattr(self, unit), known, f"{self.name}: {unit}"))
         steps = np.diff(self.time)
         _check_time(self.time, steps, self.name)
         object.__setattr__(self, "sample_time", float(np.median(steps)))
@@ -129,17 +132,19 @@ class Record:
         for quantity in ("encoder_resolution", "voltage_limit", "inertia"):
             value = getattr(self, quantity)
             _require(
-                value is None or (np.isfinite(value) and value > 0),
+                value is None or (_is_number(value) and value > 0),
                 f"{self.name}: {quantity} must be positive, got {value!r}",
             )
 
         _check_enabled(self.enabled, self.name)
+        if self.controller is not None:
+            needed(self.controller, Controller, "Controller(kp=60, kd=1)")
         _require(
             self.controller is None or not self.controller.is_limited or self.voltage_limit is not None,
             f"{self.name}: anti_windup needs the limit of the command; give voltage_limit",
         )
         before = self.voltage_before
-        _require(before is None or np.isfinite(before), f"{self.name}: voltage_before must be finite, got {before!r}")
+        _require(before is None or _is_number(before), f"{self.name}: voltage_before must be finite, got {before!r}")
 
     def __repr__(self) -> str:
         """Return one line: name, length, signals and the controller's gains."""
@@ -360,8 +365,22 @@ class Record:
         return bool(np.ptp(part) > 0.02 * np.ptp(self.position))
 
 
+def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return an array of `values`.
+
+    Raises
+    ------
+    InputError
+        If they are no numbers, with `what` they are.
+    """
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what} must hold numbers alone, got {described(values)}") from None
+
+
 def _signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
-    array = np.asarray(value, dtype=np.float64)
+    array = as_numbers(value, f"{record}: {name}")
     _require(array.ndim == 1, f"{record}: {name} must be one-dimensional, got shape {array.shape}")
     finite = np.isfinite(array)
     if not finite.all():
@@ -405,6 +424,10 @@ def _check_enabled(enabled: NDArray[np.float64] | None, record: str) -> None:
     if odd.size:
         k = int(odd[0])
         raise InputError(f"{record}: enabled must be 0 (motor off) or 1 (on); sample {k} is {enabled[k]:g}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
 
 
 def _require(condition: object, message: str) -> None:

@@ -6,6 +6,7 @@ import importlib
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
+from servolens.decoding import json_of, whole
 from servolens.errors import InputError
 from servolens.results import write_json
 
@@ -51,7 +52,6 @@ class Result(ABC):
         """Return the fields of its schema without the file's header."""
 
     @classmethod
-    @abstractmethod
     def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Self:
         """Build the result from what :meth:`to_json` returned, or from a file that holds it.
 
@@ -62,6 +62,13 @@ class Result(ABC):
         InputError
             If a field is missing or has the wrong type.
         """
+        with whole(f"not a whole {cls.kind}"):
+            return cls._read(json_of(source))
+
+    @classmethod
+    @abstractmethod
+    def _read(cls, data: Mapping[str, Any]) -> Self:
+        """Return the result whose file holds these `data`."""
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the JSON file that :meth:`from_json` reads, whole or not at all."""

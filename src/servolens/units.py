@@ -16,14 +16,18 @@ from typing import TYPE_CHECKING, Any, final
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Unit", "parse_unit", "prefixed", "readable", "split_number", "unit"]
+__all__ = [
+    "COMMAND_UNITS", "LENGTH_UNITS", "Unit", "parse_unit", "prefixed", "readable", "settled", "split_number", "unit",
+]  # fmt: skip
 
 Dimension = tuple[tuple[str, float], ...]
 
 LONGEST_UNIT = 40
 """Longest text that is looked at as a unit."""
+LENGTH_UNITS, COMMAND_UNITS = ("m", "rad"), ("V", "A", "N", "N m", "%", "pwm")
+"""Of the positions and the commands of records and plants; files may have others, which are converted when read."""
 PREFIXED = ("s", "m", "rad", "m/s", "rad/s", "m/s^2", "rad/s^2")
 """Units of which people write thousandths with a prefix."""
 _VOLT = {"kg": 1, "m": 2, "s": -3, "A": -1}
@@ -126,6 +130,29 @@ def parse_unit(text: str) -> Unit | None:
     if not text or len(text) > LONGEST_UNIT or not _HARMLESS.fullmatch(text):
         return None
     return _from_table(text) or _from_pint(text)
+
+
+def settled(text: str, admissible: Sequence[str], what: str) -> str:
+    """Return which of the `admissible` units is meant, where a `text` may spell it in another way.
+
+    Raises
+    ------
+    InputError
+        That says `what` it must be, if it means none of them, or a multiple.
+
+    Examples
+    --------
+    >>> settled("Nm", COMMAND_UNITS, "command_unit")
+    'N m'
+    """
+    if text in admissible:
+        return text
+    meant = parse_unit(str(text))
+    for one in admissible:
+        if meant is not None and meant == parse_unit(one):
+            return one
+    listed = f"{', '.join(map(repr, admissible[:-1]))} or {admissible[-1]!r}"
+    raise InputError(f"{what} must be {listed}, got {str(text)[:LONGEST_UNIT]!r}")
 
 
 def split_number(text: str) -> tuple[float, str]:

@@ -112,9 +112,9 @@ def check_apart(records: Sequence[Record], heldout: Sequence[Record]) -> None:
 
 def quality_findings(records: Sequence[Record]) -> tuple[Finding, ...]:
     """Return what a check has to say about the records."""
-    from servolens.quality import assess
+    from servolens.checking import check
 
-    return tuple(finding for record in records for finding in assess(record).findings)
+    return check(records)
 
 
 def refusal(findings: Sequence[Finding], *, force: bool) -> tuple[Finding, ...]:

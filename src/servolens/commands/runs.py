@@ -45,9 +45,11 @@ __all__ = ["check", "identify", "predict"]
 def check(recordings: Recordings, json_file: str | None) -> int:
     """Tell whether records can be trusted.
 
-    Looks at sampling, gaps, quantisation, clipped voltage, excitation, and whether the log contradicts its gains.
+    Looks at sampling, gaps, quantisation, clipped voltage, excitation, whether the log contradicts its gains, and
+    whether the records contradict each other.
     Exit status 1 if a record is unfit for identification, or a sign or a unit in it is wrong.
     """
+    from servolens.identification.one_axis import contradiction
     from servolens.quality import assess
     from servolens.summaries import check_summary
 
@@ -57,7 +59,8 @@ def check(recordings: Recordings, json_file: str | None) -> int:
         for done, record in enumerate(records):
             progress("Checking the records", done, len(records))
             qualities.append(assess(record))
-    summary = check_summary(qualities, length_unit=records[0].length_unit)
+        apart = contradiction(records)
+    summary = check_summary(qualities, [apart] if apart else [], length_unit=records[0].length_unit)
     if json_file:
         write_json(json_file, "check", {"records": [quality.to_json() for quality in qualities]}, summary.findings)
     show(summary, json_file)

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
 import numpy as np
 
-from servolens.decoding import decoded, fields_of, json_of, read_fields
+from servolens.decoding import decoded, fields_of, read_fields
 from servolens.design.response import Response
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.result import Result
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Mapping
 
     from servolens.design.limit_cycle import Hunting
@@ -326,13 +325,11 @@ class Design(Result):
         return result
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Design:
-        """See :meth:`servolens.result.Result.from_json`."""
+    def _read(cls, data: Mapping[str, Any]) -> Design:
         from servolens.design.limit_cycle import Hunting
         from servolens.design.plant_inverse import Tracking
         from servolens.design.spec import PDSpec
 
-        data = json_of(source)
         known = {"Hunting": Hunting, "PDSpec": PDSpec, "Tracking": Tracking}
         return cls(
             plants=tuple(Model.from_json(one).plant for one in data.get("plants", ())),

@@ -12,9 +12,11 @@ from servolens.design.cover import SPARE, last_gain
 from servolens.design.linear_limits import keeps
 from servolens.design.margins import LinearLoops
 from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
+from servolens.design.spec import check_spec
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_models
 from servolens.processors import in_parallel, single_threaded_blas
+from servolens.record import as_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -113,8 +115,9 @@ def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> Gain
     >>> found.feasible.tolist(), found.least_noise
     ([[False, False], [False, True]], (100.0, 8.0))
     """
+    check_spec(spec)
     models = tuple(model.plant for model in as_models(plants))
-    rows, columns = np.atleast_1d(np.asarray(kp, dtype=np.float64)), np.atleast_1d(np.asarray(kd, dtype=np.float64))
+    rows, columns = np.atleast_1d(as_numbers(kp, "kp")), np.atleast_1d(as_numbers(kd, "kd"))
     if not models or rows.ndim != 1 or columns.ndim != 1 or not rows.size * columns.size:
         raise InputError("a map needs at least one model, one kp and one kd")
     if not (np.isfinite(columns).all() and (columns >= 0.0).all()):

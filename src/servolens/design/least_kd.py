@@ -16,6 +16,7 @@ from servolens.design.infeasible import explain, unanswered
 from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
+from servolens.design.spec import check_spec
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def tune(
     >>> round(design.kd, 2)
     6.28
     """
+    check_spec(spec)
     models = _checked(plants)
     if (with_program or certify) and not (spec.is_pd and not spec.limits):
         raise InputError(

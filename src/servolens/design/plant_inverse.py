@@ -12,6 +12,7 @@ from servolens.control_arithmetic import LoopSignals, answer
 from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_plant
+from servolens.record import as_numbers
 from servolens.simulation import simulate_loop
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ def feedforward(
     [3.2, 3.2]
     """
     plant = as_plant(plant)
-    t, r = np.asarray(time, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+    t, r = as_numbers(time, "time"), as_numbers(reference, "reference")
     if t.ndim != 1 or t.size < 4 or r.shape != t.shape or not np.all(np.diff(t) > 0):
         raise InputError("a feedforward needs time that increases and a reference of its size, at least 4 samples")
     if plant.delay > 0:

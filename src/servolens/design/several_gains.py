@@ -16,7 +16,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design.gains_search import GainsSearch
+from servolens.design.spec import check_spec
 from servolens.design.wishes import GainWishes
+from servolens.errors import needed
 from servolens.inputs import as_models
 from servolens.processors import single_threaded_blas
 
@@ -73,6 +75,8 @@ def tune_gains(
     """
     known = as_models(models)
     wanted = wishes or GainWishes()
+    check_spec(spec)
+    needed(wanted, GainWishes, "GainWishes(free=('kp', 'kd'))")
     search = GainsSearch(known, spec, wanted)
     progress("Trying gains", 0, 0)
     best = of_grid = search.best(search.grid())

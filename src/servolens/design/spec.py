@@ -8,9 +8,9 @@ from typing import Any, Literal, final
 import numpy as np
 
 from servolens.controller import AntiWindup, Controller
-from servolens.errors import InputError
+from servolens.errors import InputError, needed
 
-__all__ = ["LINEAR_LIMITS", "PDSpec"]
+__all__ = ["LINEAR_LIMITS", "PDSpec", "check_spec"]
 
 WORDS = ("control", "controller", "anti_windup", "hunting")
 LINEAR_LIMITS = ("peak_sensitivity", "peak_complementary", "delay_margin", "noise_gain")
@@ -175,6 +175,17 @@ class PDSpec:
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def check_spec(spec: Any) -> None:
+    """Refuse what is no spec.
+
+    Raises
+    ------
+    InputError
+        That says what it is.
+    """
+    needed(spec, PDSpec, "PDSpec(kp=100, settling_time=0.5)")
 
 
 def _check_law(spec: PDSpec) -> None:

@@ -9,19 +9,17 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.identification.one_axis import apart
 from servolens.identification.segments import applied_voltage
-from servolens.quality import check, fatal
+from servolens.quality import assess, fatal
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.plant import Plant
     from servolens.record import Record
 
 __all__ = ["BEYOND", "apart", "beyond", "is_blamed", "log_findings"]
 
-FAR_APART = 0.2
-"""Relative difference of gains from which on two records are held to be of different axes."""
 BEYOND = 1.3
 """Times the largest command of the training records from which on a record is an extrapolation."""
 BLAMED = (
@@ -64,7 +62,7 @@ def log_findings(records: Sequence[Record]) -> list[Finding]:
     """
     found = []
     for record in records:
-        for finding in check(record):
+        for finding in assess(record).findings:
             if finding.severity == "error" and not fatal([finding]):
                 raise InputError(f"{record.name}: {finding.message}")
             found.append(replace(finding, record=record.name))
@@ -84,29 +82,3 @@ def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]
             )
             found.append(Finding(code="extrapolation", severity="warning", message=message, record=record.name))
     return found
-
-
-def apart(plants: Sequence[Plant], names: Sequence[str]) -> Finding | None:
-    """Return a finding if `plants`, one fitted to each record alone, cannot be the same axis.
-
-    Parameters
-    ----------
-    plants : sequence of Plant
-        Each explains its own record.
-    names : sequence of str
-        Of the records.
-    """
-    order = sorted(range(len(plants)), key=lambda i: plants[i].gain)
-    low, high = order[0], order[-1]
-    a, b = plants[low].gain, plants[high].gain
-    if a * b > 0 and abs(b - a) <= FAR_APART * max(abs(a), abs(b)):
-        return None
-    unit = plants[low].unit("gain")
-    return Finding(
-        code="records_contradict",
-        severity="warning",
-        message=(
-            f"the records contradict each other: each by itself is explained, with a gain of {a:.4g} {unit} in "
-            f"{names[low]} and of {b:.4g} in {names[high]}; are they of the same axis, load and units?"
-        ),
-    )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
+from servolens.decoding import read_json
 from servolens.diagnosis.logged import Logged
 from servolens.diagnosis.next_experiment import next_experiment, proposed
 from servolens.diagnosis.result import Diagnosis
@@ -92,16 +92,7 @@ def propose(path: Path | str, *, kp: float | None = None, reference: float | Non
 
 
 def _read(path: Path) -> dict[str, Any]:
-    try:
-        if path.exists() and not path.is_file():
-            raise InputError("is a folder or a device; give the JSON of a diagnosis, or a model")
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
-    except InputError:
-        raise
-    except (ValueError, RecursionError):
-        raise InputError("is not JSON; give what `servolens diagnose --json` or `--out` wrote") from None
+    data = read_json(path, "; give what `servolens diagnose --json` or `--out` wrote")
     return data if isinstance(data, dict) else {}
 
 

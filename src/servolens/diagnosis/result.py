@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
 
-from servolens.decoding import decoded, fields_of, findings_in, json_of, read_fields
+from servolens.decoding import decoded, fields_of, findings_in, read_fields
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
-from servolens.errors import InputError
 from servolens.model import Model, Quantity
 from servolens.result import Result
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Mapping
 
     import numpy as np
@@ -285,40 +283,33 @@ class Diagnosis(Result):
         }
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Diagnosis:
-        """See :meth:`servolens.result.Result.from_json`; of `instruments` and `missed` files keep no picture."""
+    def _read(cls, data: Mapping[str, Any]) -> Diagnosis:
+        """Return the result; of `instruments` and `missed` files keep no picture."""
         from servolens.diagnosis.next_experiment import Experiment
         from servolens.model_evidence import Remainder
 
-        data = json_of(source)
         known = {"Experiment": Experiment, "Remainder": Remainder}
-        try:
-            return cls(
-                causes=tuple(Cause.from_json(one) for one in data["causes"]),
-                where=tuple(Share.from_json(one) for one in data["where"]),
-                gains=tuple(read_fields(RecordGain, one) for one in data["records"]),
-                candidates=tuple(Candidate.from_json(one) for one in data["candidates"]),
-                linear=Model.from_json(data["linear_model"]),
-                model=Model.from_json(data["model"]),
-                rival_plants={
-                    str(name): tuple(Model.from_json(one).plant for one in found)
-                    for name, found in data["rival_models"].items()
-                },
-                findings=findings_in(data),
-                missed=(),
-                records=(),
-                heldout=(),
-                remembered=(
-                    tuple(Logged.from_json(one) for one in data["experiments"]),
-                    tuple(Logged.from_json(one) for one in data.get("heldout_experiments", ())),
-                ),
-                **fields_of(cls, data, SIMPLE, known),
-            )
-        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as error:
-            if isinstance(error, InputError):
-                raise
-            missing = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else "a field has the wrong type"
-            raise InputError(f"not a whole diagnosis: {missing}") from None
+        return cls(
+            causes=tuple(Cause.from_json(one) for one in data["causes"]),
+            where=tuple(Share.from_json(one) for one in data["where"]),
+            gains=tuple(read_fields(RecordGain, one) for one in data["records"]),
+            candidates=tuple(Candidate.from_json(one) for one in data["candidates"]),
+            linear=Model.from_json(data["linear_model"]),
+            model=Model.from_json(data["model"]),
+            rival_plants={
+                str(name): tuple(Model.from_json(one).plant for one in found)
+                for name, found in data["rival_models"].items()
+            },
+            findings=findings_in(data),
+            missed=(),
+            records=(),
+            heldout=(),
+            remembered=(
+                tuple(Logged.from_json(one) for one in data["experiments"]),
+                tuple(Logged.from_json(one) for one in data.get("heldout_experiments", ())),
+            ),
+            **fields_of(cls, data, SIMPLE, known),
+        )
 
 
 def _model_json(plant: Plant) -> dict[str, Any]:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, final, get_args
+from typing import Any, Literal, final, get_args
 
 import numpy as np
 
 from servolens.errors import InputError, described, names_like
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 __all__ = [
     "Begin",
@@ -166,14 +163,12 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
     InputError
         If something is not of the form that it must have.
     """
-    held: Sequence[str] = (fixed,) if isinstance(fixed, str) else tuple(fixed)
     values = {name: _number(name, value) for name, value in fixed.items()} if isinstance(fixed, Mapping) else {}
-    local = choices.pop("local", ())
     return FitOptions(
-        held=tuple(held),
+        held=_names("fixed", fixed),
         values=values,
-        local=(local,) if isinstance(local, str) else tuple(local),
-        bounds={name: _bounds(name, bound) for name, bound in (bounds or {}).items()},
+        local=_names("local", choices.pop("local", ())),
+        bounds={name: _bounds(name, bound) for name, bound in _by_name("bounds", bounds, (1.0, 3.0)).items()},
         priors=as_priors(priors),
         **choices,
     )
@@ -181,9 +176,21 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
 
 def as_priors(priors: Priors | None) -> dict[str, Prior]:
     """Return priors by name, of values with their standard deviations too."""
-    if not isinstance(priors, Mapping | None):
-        raise InputError(f"priors must go by name, such as {{'gain': (1.9, 0.1)}}; got {described(priors)}")
-    return {name: _prior(name, prior) for name, prior in (priors or {}).items()}
+    return {name: _prior(name, prior) for name, prior in _by_name("priors", priors, (1.9, 0.1)).items()}
+
+
+def _by_name(what: str, given: Any, example: tuple[float, float]) -> Mapping[str, Any]:
+    if not isinstance(given, Mapping | None) or not all(isinstance(name, str) for name in given or ()):
+        raise InputError(f"{what} must go by name, such as {{'gain': {example}}}; got {described(given)}")
+    return given or {}
+
+
+def _names(what: str, given: Any) -> tuple[str, ...]:
+    """Return the parameters that are named one by one, together, or as the keys of a mapping; None names none."""
+    names = (given,) if isinstance(given, str) else tuple(given) if isinstance(given, Iterable) else given or ()
+    if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{what} must name parameters, such as 'damping'; got {described(given)}")
+    return names
 
 
 def _number(name: str, value: Any) -> float:

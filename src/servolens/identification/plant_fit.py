@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
 import numpy as np
 
-from servolens.decoding import decoded, encoded, fields_of, findings_in, json_of, read_fields
+from servolens.decoding import decoded, encoded, fields_of, findings_in, read_fields
 from servolens.effects import Effect
 from servolens.errors import InputError
 from servolens.identification.candidates import Candidates
@@ -21,7 +21,7 @@ from servolens.identification.refine import AT_NOISE, Refinement
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.inputs import as_effects, as_plant, as_records, check_units, is_model
-from servolens.model import Model
+from servolens.model import Model, placed
 from servolens.plant import Plant
 from servolens.processors import single_threaded_blas
 from servolens.result import Result
@@ -42,6 +42,8 @@ SUMMED_UP = (
     "converged", "is_smooth", "status",
 )  # fmt: skip
 """What the file of a fit keeps of its search; plant and covariance are the model's."""
+OF_PARAMETERS = ("correlation", "colour")
+"""What of it has a place for each of the parameters that the file names beside it."""
 
 
 @final
@@ -119,19 +121,23 @@ class Fit(Result):
             "rms_error": self.rms_error,
             "at_noise": self.at_noise,
             "noise_model": encoded(self.noise_model),
-            "refinement": {name: encoded(getattr(self.refinement, name)) for name in SUMMED_UP},
+            "refinement": {
+                "parameters": list(self.plant.parameters),
+                **{name: encoded(getattr(self.refinement, name)) for name in SUMMED_UP},
+            },
             "options": encoded(self.options),
         }
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Fit:
-        """See :meth:`servolens.result.Result.from_json`."""
-        data = json_of(source)
+    def _read(cls, data: Mapping[str, Any]) -> Fit:
         model = Model.from_json(data.get("model") or {})
         size = len(model.plant.values)
         covariance = np.full((size, size), np.nan) if model.covariance is None else model.covariance
         known = {"Prior": Prior}
-        ended = fields_of(Refinement, data.get("refinement"), SUMMED_UP)
+        told = data.get("refinement") or {}
+        ended = fields_of(Refinement, told, SUMMED_UP)
+        names = decoded(tuple[str, ...] | None, told.get("parameters"), "parameters")
+        ended |= {name: placed(model.plant, ended[name], names, name) for name in OF_PARAMETERS}
         return cls(
             model=model,
             refinement=Refinement(plant=model.plant, covariance=covariance, residuals=(), starts=(), **ended),

@@ -185,7 +185,7 @@ def _fitted(fit: Fit, name: str) -> int:
     fixed = (*fit.options.held, *fit.plant.derived, *fit.plant.usual, *fit.options.local)
     if name not in names or name in fixed:
         known = ", ".join(n for n in names if n not in fixed) or "none"
-        raise InputError(f"{name[:40]!r} is no parameter that was fitted for all records; those are {known}")
+        raise InputError(f"{str(name)[:40]!r} is no parameter that was fitted for all records; those are {known}")
     return names.index(name)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Unpack, final
 
 import numpy as np
 
-from servolens.decoding import fields_of, findings_in, json_of
+from servolens.decoding import fields_of, findings_in
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
@@ -30,7 +30,6 @@ from servolens.processors import single_threaded_blas
 from servolens.result import Result
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
@@ -159,9 +158,8 @@ class Identification(Result):
         }
 
     @classmethod
-    def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Identification:
-        """See :meth:`servolens.result.Result.from_json`; of the pieces' errors the correlations are not kept."""
-        data = json_of(source)
+    def _read(cls, data: Mapping[str, Any]) -> Identification:
+        """Return the result; of the pieces' errors the correlations are not kept."""
         models = data.get("models")
         if not isinstance(models, dict):
             raise InputError("not an identification: 'models' is missing")

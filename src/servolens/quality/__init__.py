@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Unpack, final
 
-from servolens.inputs import as_record, as_records
+from servolens.inputs import as_record
 from servolens.quality.beginning import beginning_findings
 from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
-__all__ = ["RecordQuality", "assess", "check", "fatal"]
+__all__ = ["RecordQuality", "assess", "fatal"]
 
 FATAL = ("wrong_sign", "units_contradict")
 """Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
@@ -128,20 +128,6 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
     return _quality(record, sampling, fit, findings)
 
 
-def check(records: Records, **settings: Unpack[RecordSettings]) -> tuple[Finding, ...]:
-    """Return the findings of :func:`assess` on each of the records.
-
-    Examples
-    --------
-    >>> from servolens.record import Controller, Record
-    >>> time = [0.001 * k for k in range(100)]
-    >>> still = Record(time=time, position=[0.0] * 100, reference=[0.1] * 100, controller=Controller(kp=60))
-    >>> [finding.code for finding in check(still) if finding.severity == "error"]
-    ['constant_position']
-    """
-    return tuple(finding for record in as_records(records, settings) for finding in assess(record).findings)
-
-
 def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings for which no model is to be written: a wrong sign, a wrong unit.
 
@@ -151,10 +137,10 @@ def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     --------
     >>> from servolens import lab
     >>> record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1)
-    >>> fatal(check(record))
+    >>> fatal(assess(record).findings)
     ()
     >>> mirrored = record.with_({"position": -record.position})
-    >>> [finding.code for finding in fatal(check(mirrored))]
+    >>> [finding.code for finding in fatal(assess(mirrored).findings)]
     ['wrong_sign']
     """
     return tuple(finding for finding in findings if finding.severity == "error" and finding.code in FATAL)

@@ -15,7 +15,7 @@ from servolens.reading.roles import check_mapping
 from servolens.reading.settings import Settings, parse_settings
 from servolens.reading.stated import stated_reference
 from servolens.record import Controller, Record
-from servolens.units import Unit, parse_unit
+from servolens.units import COMMAND_UNITS, LENGTH_UNITS, Unit, parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -60,8 +60,6 @@ COUNTING = ("counts_per_rev", "pwm_full_scale")
 """Pure numbers that scale columns, and are no settings of the law."""
 ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
 """Settings that only one of the two laws has."""
-LENGTHS = ("m", "rad")
-COMMAND_UNITS = ("V", "A", "N", "N m", "%", "pwm")
 LARGEST_VALUE = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
 
@@ -165,13 +163,15 @@ def _limit(numbers: Mapping[str, float], command: str) -> float | None:
 
 def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad"], str]:
     """Return the units of length and command that agree with everything that is stated."""
-    left = list(product(LENGTHS, COMMAND_UNITS))
+    left = list(product(LENGTH_UNITS, COMMAND_UNITS))
     seen: list[str] = []
     for key, kind in kinds.items():
         if key not in stated:
             continue
         text, unit = stated[key]
-        fits = [pair for pair in product(LENGTHS, COMMAND_UNITS) if _dimension(kind, pair) == _in_length(unit, pair[0])]
+        fits = [
+            pair for pair in product(LENGTH_UNITS, COMMAND_UNITS) if _dimension(kind, pair) == _in_length(unit, pair[0])
+        ]
         if not fits:
             raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
         agreed = [pair for pair in left if pair in fits]
@@ -199,7 +199,7 @@ def _in_length(unit: Unit, length: str) -> tuple[tuple[str, float], ...]:
 
 
 def _admissible(kind: str) -> str:
-    examples = [kind.format(length=length, command="V") for length in LENGTHS]
+    examples = [kind.format(length=length, command="V") for length in LENGTH_UNITS]
     command = ", or A, N, N m, %, pwm in place of V" if "{command}" in kind else ""
     return f"give it in {' or '.join(dict.fromkeys(examples))}{command}"
 

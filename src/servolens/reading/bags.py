@@ -44,13 +44,12 @@ def read(path: Path) -> list[Table]:
     """
     _check_inside(path)
     rows: dict[str, list[tuple[int, dict[str, float]]]] = {}
-    left = files.MAX_BYTES // 8
+    count = 0
     for topic, recorded, message in _messages(path):
         row = dict(_numbers(message, "", 0))
         stamp = _stamp(row)
-        left -= len(row) + 1
-        if left < 0:
-            raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
+        count += len(row) + 1
+        files.check_numbers(count)
         rows.setdefault(topic, []).append((recorded if stamp is None else stamp, row))
     start = min((instant for group in rows.values() for instant, _ in group), default=0)
     tables = [table for topic, group in rows.items() if (table := _table(topic, group, start)) is not None]

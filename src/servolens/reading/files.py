@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["MAX_BYTES", "is_folder", "located", "printable", "quote", "read_bytes", "read_start"]
+__all__ = ["MAX_BYTES", "check_numbers", "is_folder", "located", "printable", "quote", "read_bytes", "read_start"]
 
 MAX_BYTES = 512 * 2**20
 """Largest file that is read [bytes]; about 10 million rows."""
@@ -34,6 +34,18 @@ def read_bytes(path: Path, largest: int | None = None) -> bytes:
     if len(content) > limit:
         raise InputError(f"is longer than {limit / 2**20:.0f} MiB, the longest file that is read")
     return content
+
+
+def check_numbers(count: int) -> None:
+    """Refuse a file that holds more than so many numbers of eight bytes as are read.
+
+    Raises
+    ------
+    InputError
+        If they are too many.
+    """
+    if 8 * count > MAX_BYTES:
+        raise InputError(f"holds more than {MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
 
 
 def read_start(path: Path, count: int) -> bytes:

@@ -88,7 +88,7 @@ def main(arguments: Sequence[str]) -> None:
 def _write(output: IO[bytes], module: str, path: Path) -> None:
     try:
         tables = list(import_module(f"servolens.reading.{module}").read(path))
-        _check_size(tables)
+        files.check_numbers(sum(column.values.size for table in tables for column in table.columns))
     except ImportError as error:
         _say(output, {"missing": (error.name or "its reader").partition(".")[0]})
     except InputError as error:
@@ -114,11 +114,6 @@ def _limit() -> None:
         ):
             with contextlib.suppress(ValueError, OSError):
                 resource.setrlimit(what, (value, value))
-
-
-def _check_size(tables: Sequence[Table]) -> None:
-    if sum(column.values.size for table in tables for column in table.columns) * 8 > files.MAX_BYTES:
-        raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
 
 
 def _say(output: IO[bytes], answer: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ from servolens.reading.files import quote
 from servolens.reading.table import MOST_COLUMNS, Column, Fault, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
@@ -51,7 +51,7 @@ def read_mat(content: bytes) -> Table:
     """
     try:
         variables = [variable for variable in _variables(content) if variable.name]
-        _check_size([variable for variable in variables if _reason(variable) is None])
+        files.check_numbers(sum(math.prod(v.shape) for v in variables if _reason(v) is None))
         columns = tuple(column for variable in variables for column in _columns(variable))
     except (struct.error, zlib.error, IndexError) as error:
         raise InputError(_DAMAGED) from error
@@ -157,11 +157,6 @@ def _reason(variable: _Variable) -> str | None:
         sizes = " × ".join(str(size) for size in shape)
         return f"variable {name} has shape {sizes}; a signal is a vector, one column of it"
     return None
-
-
-def _check_size(needed: Iterable[_Variable]) -> None:
-    if sum(8 * math.prod(variable.shape) for variable in needed) > files.MAX_BYTES:
-        raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
 
 
 def _values(variable: _Variable) -> NDArray[np.float64]:

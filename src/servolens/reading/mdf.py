@@ -28,8 +28,7 @@ def read(path: Path) -> list[Table]:
     try:
         with MDF(path) as file:
             counts = [group.channel_group.cycles_nr * len(group.channels) for group in file.groups]
-            if sum(counts) * 8 > files.MAX_BYTES:
-                raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
+            files.check_numbers(sum(counts))
             return [table for index in range(len(file.groups)) if (table := _group(file, index)) is not None]
     except InputError:
         raise

@@ -30,8 +30,7 @@ def read(path: Path) -> list[Table]:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
             wanted = [field.name for field in schema if _is_wanted(field.type)]
-            if file.metadata.num_rows * 8 * max(len(wanted), 1) > files.MAX_BYTES:
-                raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
+            files.check_numbers(file.metadata.num_rows * max(len(wanted), 1))
             table = file.read(columns=wanted)
     except (pa.ArrowException, OSError) as error:
         raise InputError("is a damaged Parquet file; write it again") from error

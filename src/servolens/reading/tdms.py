@@ -28,8 +28,7 @@ def read(path: Path) -> list[Table]:
     try:
         with TdmsFile.open(path) as file:
             channels = [channel for group in file.groups() for channel in group.channels()]
-            if sum(len(channel) for channel in channels) * 8 > files.MAX_BYTES:
-                raise InputError(f"holds more than {files.MAX_BYTES / 2**20:.0f} MiB of numbers, the most that is read")
+            files.check_numbers(sum(map(len, channels)))
             properties = {str(key).lower(): str(value) for key, value in file.properties.items()}
             tables: dict[tuple[str, int], list[Column]] = {}
             for channel in channels:

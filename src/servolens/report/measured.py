@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
+from servolens.errors import InputError, described
 from servolens.report.measured_story import write_measured
 from servolens.report.printing import checked_page
 from servolens.results import to_finite
 from servolens.study import diagnosed_prediction, held_out_prediction, study_records
 
 if TYPE_CHECKING:
-    import os
     from collections.abc import Callable
 
     from servolens.design import PDSpec
@@ -62,6 +63,8 @@ def write_report(
     NumericalError
         If records that are fit for it do not determine gain and damping.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InputError(f"the path of the page is needed first, then the records; got {described(path)}")
     checked_page(Path(path))
     tell = progress or (lambda *_: None)
     found = study_records(records, spec, effort=effort, progress=tell, **settings)

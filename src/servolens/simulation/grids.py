@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.record import as_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -46,12 +47,12 @@ def as_grid(time: ArrayLike) -> NDArray[np.float64]:
     InputError
         If it is empty or does not increase.
     """
-    grid = as_floats(time)
+    grid = as_floats(time, "time")
     if grid.size == 0 or (not (grid[1:] > grid[:-1]).all()):
         raise InputError("time must hold at least one sample and increase")
     return grid
 
 
-def as_floats(values: ArrayLike) -> NDArray[np.float64]:
-    """Return `values` as the compiled rule reads them."""
-    return np.ascontiguousarray(values, dtype=np.float64)
+def as_floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return `values` as the compiled rule reads them; `what` they are is told in a refusal."""
+    return np.ascontiguousarray(as_numbers(values, what))

@@ -166,13 +166,13 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     """
     plant = as_plant(plant)
     grid = as_grid(time)
-    held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward)
+    held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward, "feedforward")
     period = sample_time_of(grid)
     law = law_settings(plant, controller, period, limit)
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
     count = substeps or substeps_for(plant, period)
-    return run_one(plant, Inputs(grid, held, as_floats(reference), shaken), settings, start, count)
+    return run_one(plant, Inputs(grid, held, as_floats(reference, "reference"), shaken), settings, start, count)
 
 
 def _shaking(
@@ -184,7 +184,7 @@ def _shaking(
     disturbed = np.zeros((time.size, 2))
     for column, (what, given) in enumerate((("acceleration", acceleration), ("sensor's error", sensor_error))):
         if given is not None:
-            values = as_floats(given)
+            values = as_floats(given, f"the {what}")
             if values.shape != time.shape:
                 raise InputError(f"time has {time.size} samples, the {what} {values.size}")
             disturbed[:, column] = values
@@ -212,7 +212,7 @@ def simulate_voltage(
     plant = as_plant(plant)
     grid = as_grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
-    held = as_floats(voltage)
+    held = as_floats(voltage, "voltage")
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [*OPEN_LOOP, ANY_NUMBER, *known(before), *corrects, *NO_LAW]
     return run_one(plant, Inputs(grid, held, held, shaken), settings, start, substeps or substeps_for(plant, step))
@@ -240,7 +240,7 @@ def simulate_continuous(
     plant = as_plant(plant)
     grid = as_grid(time)
     step = float(np.max(np.diff(grid), initial=1e-9))
-    held = as_floats(reference)
+    held = as_floats(reference, "reference")
     if plant.delay > 0.0:
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 __all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 
 MOST_NAMED = 3
+OF_ALL_RECORDS = ("records_contradict",)
+"""Findings that speak against records as they are together."""
 
 
 def is_fit(quality: RecordQuality) -> bool:
@@ -26,9 +28,13 @@ def is_fit(quality: RecordQuality) -> bool:
     return quality.usable or all(fatal([finding]) for finding in quality.findings if finding.severity == "error")
 
 
-def data_light(check: Sequence[RecordQuality]) -> Light:
-    """Judge the records: red where a sign or a unit is wrong or none is fit, amber where something is to be known."""
-    findings = [finding for quality in check for finding in quality.findings]
+def data_light(check: Sequence[RecordQuality], others: Sequence[Finding] = ()) -> Light:
+    """Judge the records: red where a sign or a unit is wrong or none is fit, amber where something is to be known.
+
+    Of the `others`, findings on what was made of the records, those count that speak against these.
+    """
+    against = [finding for finding in others if finding.code in OF_ALL_RECORDS]
+    findings = [*against, *(finding for quality in check for finding in quality.findings)]
     wrong = fatal(findings)
     if wrong:
         return Light(light="red", sentence=_told(wrong))
@@ -49,7 +55,7 @@ def data_light(check: Sequence[RecordQuality]) -> Light:
 def diagnosis_lights(diagnosis: Diagnosis) -> dict[str, Light]:
     """Return the lights of ``"data"`` and ``"model"`` of a diagnosis, which has no gain."""
     check = [assess(record) for record in (*diagnosis.records, *diagnosis.heldout)]
-    return {"data": data_light(check), "model": trust(diagnosis.model, None)[0]}
+    return {"data": data_light(check, diagnosis.findings), "model": trust(diagnosis.model, None)[0]}
 
 
 def study_lights(data: Light, model: Model | None, design: Design | None, why_none: str) -> dict[str, Light]:
@@ -69,6 +75,7 @@ def study_lights(data: Light, model: Model | None, design: Design | None, why_no
 def _told(findings: Sequence[Finding]) -> str:
     """Return the first of the findings, and how many more there are."""
     first, *others = findings
-    about = f"{first.record}: " if first.record else ""
+    about = f"{first.record}: {first.message}" if first.record else first.message[:1].upper() + first.message[1:]
+    told = about if about.endswith("?") else f"{about.rstrip('.')}."
     more = {0: "", 1: " Another finding is in the list."}.get(len(others), f" {len(others)} more are in the list.")
-    return f"{about}{first.message.rstrip('.')}.{more}"
+    return f"{told}{more}"

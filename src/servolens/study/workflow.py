@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, TypeVar, Unpack
 import numpy as np
 
 from servolens.design import compare, recommend
+from servolens.design.spec import check_spec
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
 from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
+from servolens.identification.one_axis import contradiction
 from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
 from servolens.processors import single_threaded_blas
@@ -104,11 +106,14 @@ def study_records(
     >>> [light.light for light in found.lights.values()], [cause.effect for cause in found.diagnosis.causes]
     (['green', 'green', 'green'], ['velocity_decay_damping'])
     """
+    if spec is not None:
+        check_spec(spec)
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
     progress("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
+    apart = contradiction((*runs, *others))
     begun = Study(
         records=runs,
         heldout=others,
@@ -123,7 +128,7 @@ def study_records(
         lights={},
         forced=False,
         suggested=spec is None,
-        findings=(),
+        findings=(apart,) if apart else (),
     )
     fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
     train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
@@ -225,7 +230,11 @@ def _designed(
 def _judged(found: Study, *, force: bool) -> Study:
     """Add the lights, and withhold the gain where they say so; of wrong data, tell nothing that only comes of them."""
     design, comparison = found.design, found.comparison
-    lights = study_lights(data_light(found.check), found.model, design, found.why_none)
+    answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
+    of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
+    of_models += [] if found.diagnosis is None else found.diagnosis.findings
+    of_all = together(found.findings, of_models)
+    lights = study_lights(data_light(found.check, of_all), found.model, design, found.why_none)
     red = lights["gain"].light == "red" and design is not None and design.feasible
     if red and not force and design is not None:
         design = design.withhold(lights["gain"].sentence)
@@ -236,10 +245,7 @@ def _judged(found: Study, *, force: bool) -> Study:
         design = replace(design, lights=lights, check=found.check, diagnosis=found.diagnosis)
     if comparison is not None and comparison.diagnosed is not None:
         comparison = replace(comparison, diagnosed=design)
-    answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
-    of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
-    of_models += [] if found.diagnosis is None else found.diagnosis.findings
-    told = together(_findings(found.check), [] if is_wrong else of_models)
+    told = together(_findings(found.check), [] if is_wrong else of_all)
     return replace(
         found, lights=lights, design=design, comparison=comparison, forced=red and force, findings=_sorted(told)
     )

@@ -11,23 +11,28 @@ from servolens.summary import Summary, Table
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servolens.findings import Finding
     from servolens.quality import RecordQuality
 
 __all__ = ["check_summary"]
 
 
-def check_summary(qualities: Sequence[RecordQuality], *, length_unit: str = "m") -> Summary:
+def check_summary(
+    qualities: Sequence[RecordQuality], of_all: Sequence[Finding] = (), *, length_unit: str = "m"
+) -> Summary:
     """Tell which records can be used, and how they were sampled; warnings are the summary's findings.
 
     Parameters
     ----------
     qualities : sequence of RecordQuality
         One a record.
+    of_all : sequence of Finding
+        On the records together.
     length_unit : str
         Of the records.
     """
     unfit = [quality.name for quality in qualities if not quality.usable]
-    findings = [finding for quality in qualities for finding in quality.findings]
+    findings = [*(finding for quality in qualities for finding in quality.findings), *of_all]
     warnings = len({finding.message for finding in findings if finding.severity == "warning"})  # told once for all
     return Summary(
         title="Check",
