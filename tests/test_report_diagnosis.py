@@ -249,6 +249,15 @@ def test_frequency_is_told_only_where_the_error_has_one():
     assert where_phrase([share((0.25, 0.25, 0.25, 0.25))]) == ""
 
 
+@pytest.mark.parametrize(("samples", "tells"), [(0.75, ""), (0.4, "96 % of the error arises at a position below 3 mm")])
+def test_range_of_most_samples_is_no_place_to_look(samples, tells):
+    bins = ((0.0, 0.003, 0.96, samples), (0.003, 0.004, 0.04, 1.0 - samples))
+    found = Share(
+        quantity="position", unit="m", bins=bins, low=0.0, high=0.003, share_of_error=0.96, share_of_samples=samples
+    )
+    assert where_phrase([found]) == tells
+
+
 @pytest.mark.parametrize(
     ("effects", "latex"),
     [
