@@ -38,6 +38,8 @@ from servolens.report.printing import chromium
 from servolens.report.style import new_figure, panel_figure
 from servolens.report.svg import svg
 from servolens.report.wording import shown
+from servolens.study import study_records
+from servolens.summaries.models import determined
 
 HOSTILE = "<script>alert(1)</script> --> $x_{ & \"quoted\" 'too' \x1b[31m\n{{ 7*7 }}"
 signal = arrays.arrays(np.float64, st.integers(2, 50), elements=st.floats(-1e3, 1e3))
@@ -130,7 +132,7 @@ def test_laws_of_damping_are_drawn_only_where_the_pieces_are(runs, monkeypatch):
     )
     fit = identify(runs)
     damping_figures(fit)
-    assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed.min()} != {0.0}
+    assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed[determined(fit.varying)].min()} != {0.0}
 
 
 def test_damping_is_seen_where_single_pieces_are_hardly_determined(monkeypatch):
@@ -244,7 +246,7 @@ def test_damping_of_which_the_data_say_nothing_is_not_drawn():
         spread=known(np.diag([0.1, 0.1, 1e4, 0.1])),
     )
     drawn = damping_in_time_figure("key", [("T", varying)], "Caption.")
-    assert drawn.caption == "Caption. 1 pieces of which the data say little are left out."
+    assert drawn.caption == "Caption. 1 piece of which the data say little is left out."
     (panel,) = drawn.pictures[0].panels
     assert panel.x.high == 2.0
     assert len(drawn.table.rows) == 3
@@ -410,3 +412,33 @@ def test_report_that_cannot_be_written_leaves_nothing(runs, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_report(tmp_path / "missing" / "report.html", runs[:1])
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("force", [False, True], ids=["refused", "forced"])
+def test_page_of_records_with_a_wrong_sign_is_written(tmp_path, force):
+    runs = [
+        record.with_({"position": -record.position})
+        for record in (lab.step_record(lab.NLM1, kp, noise=1e-5, seed=kp) for kp in (60, 80))
+    ]
+    found = study_records(runs, PDSpec(kp=80, settling_time=0.5), effort="quick", force=force)
+    page = tmp_path / "report.html"
+    write_study(page, found)
+    text = page.read_text(encoding="utf-8")
+    assert ("Correct the records first" in text) is not force
+    assert ("The gain</h2>" in text) is force
+    assert "could not be predicted" not in text
+
+
+def test_page_tells_each_thing_once_and_in_words(tmp_path):
+    runs = [lab.step_record(lab.NLM3, kp, noise=1e-5, seed=kp) for kp in (60, 80)]
+    fast = lab.step_record(lab.NLM3, 120, noise=1e-5, seed=3, setup=lab.Setup(name="fast"))
+    found = study_records(runs, PDSpec(kp=80, settling_time=0.5), heldout=[fast], effort="quick")
+    page = tmp_path / "report.html"
+    write_study(page, found)
+    text = page.read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert any(finding.code == "noise_model" for finding in found.findings)
+    assert '<span class="severity">Note</span>: noise' not in text
+    assert "velocity_decay_damping" not in re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
+    fastest = max(quality.top_speed for quality in found.check[:2])
+    assert f"moves at up to {fastest:.3g} m/s in the records that were fitted" in text
+    assert "force=True" not in text

@@ -198,7 +198,8 @@ def damping_in_time_figure(
         figures.append(figure)
         axes.append(ax)
     if left_out:
-        caption += f" {left_out} pieces of which the data say little are left out."
+        what, are = ("piece", "is") if left_out == 1 else ("pieces", "are")
+        caption += f" {left_out} {what} of which the data say little {are} left out."
     columns = ("Panel", "From [s]", "To [s]", "Damping [1/s]", "Half of the 95 % interval [1/s]")
     return drawing(key, figures, caption, legend=keys_of(*axes), table=Numbers(columns=columns, rows=rows))
 
