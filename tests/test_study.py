@@ -388,6 +388,9 @@ def test_design_says_what_the_least_gain_risks_after_naming_it_and_tables_no_sen
     ]
     assert order == sorted(order)
     assert [table.title for table in told.tables] == ["Gains that meet the spec"]
+    with_lights = design_summary(cart.design, lights=cart.lights).sentences
+    assert "Gain: green." in with_lights
+    assert sum("worst of 200 plants" in said for said in with_lights) == 1
 
 
 def test_suggested_spec_can_be_met(cart):

@@ -60,7 +60,8 @@ def design_summary(
     """
     spec = design.spec
     kd_unit = f"{command_unit} s/{length_unit}"
-    trusted = light_sentences(lights or {})
+    why = "" if design.recommended is None else sentence(design.recommended.why)
+    trusted = [told.removesuffix(f" {why}") if why else told for told in light_sentences(lights or {})]
     if design.kd is None:
         how = "tune(…, force=True)" if in_python else "--force"
         why = f"The gain is withheld; {how} gives it all the same." if design.withheld else sentence(design.reason)
