@@ -219,11 +219,11 @@ def test_formula_explains_what_was_fitted_and_no_contact_that_was_not():
     usual = EndStop(low=-0.1, high=0.1)
     words = plant_formula("law", Plant(gain=1.9, damping=6.0, effects=(usual,))).caption
     assert "contact frequency" not in words
-    assert "k and d are stiffness and damping of the contact: a stiff one, which was not fitted." in words
+    assert "The contact's stiffness k and damping d are those of a stiff one and were not fitted." in words
     other = replace(usual, contact_frequency=100.0)
     words = plant_formula("law", Plant(gain=1.9, damping=6.0, effects=(other,))).caption
     assert "contact frequency" in words
-    assert "by ν and χ" in words
+    assert "damping d follow from ν and χ" in words
     law = Plant(gain=1.9, damping=6.0, effects=(VelocityDecayDamping(alpha1=17.0, alpha2=13.0),))
     assert "α₁: extra damping" in plant_formula("law", law).caption
 

@@ -282,8 +282,8 @@ def _of_contacts(plant: Plant) -> str:
     frequencies = {name for name in plant.parameters if name.endswith(".contact_frequency")}
     if not frequencies:
         return ""
-    known = "a stiff one, which was not fitted" if frequencies <= set(plant.usual) else "by ν and χ"
-    return f" k and d are stiffness and damping of the contact: {known}."
+    known = "are those of a stiff one and were not fitted" if frequencies <= set(plant.usual) else "follow from ν and χ"
+    return f" The contact's stiffness k and damping d {known}."
 
 
 def varying_position(varying: VaryingDamping, record: Record) -> NDArray[np.float64]:
