@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 __all__ = ["damping_figures", "write_measured"]
 
 MOST_STEPS = 3
-MOST_DRAWN = 12
-"""Records in a figure; the tables have all."""
+MOST_DRAWN, MOST_BESIDE = 12, 4
+"""Records in a figure, and in one of models that a diagnosis has left behind; the tables have all."""
 
 
 def write_measured(path: Path, study: Study, held_out: Prediction | None, findings: Sequence[Finding]) -> None:
@@ -101,7 +101,7 @@ def _data(study: Study) -> Section:
     caption = "The records as they were logged: position and reference"
     caption += " above, the command below." if has_command else "; the command was not logged."
     if rest:
-        caption += f" {rest} more records are in the table only."
+        caption += f" {rest} more {'record is' if rest == 1 else 'records are'} in the table only."
     if any(len(part) < len(record) for part, record in zip(drawn, whole, strict=True)):
         caption += f" Of records with many steps the first {MOST_STEPS} are drawn."
     if max(len(record) for record in drawn) > 10_000:
@@ -191,10 +191,10 @@ def _models(study: Study, fit: Identification) -> Section:
         Details(title=f"{table.title}, in numbers", blocks=(table,)) for table in told.tables if table.title in titles
     ]
     blocks += damping_figures(fit)
-    matches = _matches(fit)
+    matches = _matches(fit, MOST_DRAWN if study.diagnosis is None else MOST_BESIDE)
     if matches:
         rest = len(fit.records) - len(matches)
-        more = f" {rest} more records are in the table only." if rest else ""
+        more = f" {rest} more {'record is' if rest == 1 else 'records are'} in the table only." if rest else ""
         blocks.append(
             match_figure(
                 "matches",
@@ -242,15 +242,13 @@ def damping_figures(fit: Identification) -> list[Block]:
     return blocks
 
 
-def _matches(fit: Identification) -> list[Match]:
+def _matches(fit: Identification, most: int) -> list[Match]:
     models: list[tuple[str, Role, Plant]] = []
     if fit.constant is not None:
         models.append(("constant damping", "constant", fit.constant.plant))
     if fit.velocity is not None:
         models.append(("speed-dependent damping", "velocity", fit.velocity.plant))
-    return (
-        [Match(record=_excerpt(record), models=tuple(models)) for record in fit.records[:MOST_DRAWN]] if models else []
-    )
+    return [Match(record=_excerpt(record), models=tuple(models)) for record in fit.records[:most]] if models else []
 
 
 def _validation(held: Prediction | None) -> Section:
