@@ -94,13 +94,23 @@ def test_page_fits_says_nothing_and_asks_for_nothing(shown, path, width):
     assert one.asked == [path.as_uri()]
 
 
+def test_buttons_of_a_figure_stand_in_one_row(shown):
+    one = shown(width=390)
+    rows = one.page.evaluate(
+        """[...document.querySelectorAll('.tools')].filter((e) => e.getClientRects().length)
+        .map((e) => new Set([...e.querySelectorAll('button')].filter((b) => b.getClientRects().length)
+        .map((b) => Math.round(b.getBoundingClientRect().top))).size)"""
+    )
+    assert set(rows) == {1}
+
+
 def test_letters_of_figures_can_be_read_on_a_phone(shown):
     one = shown(width=390)
     sizes = one.page.evaluate(
         """[...document.querySelectorAll('figure .picture > svg')].filter((svg) => svg.getClientRects().length)
         .map((svg) => 8.5 * svg.getBoundingClientRect().width / svg.viewBox.baseVal.width)"""
     )
-    assert min(sizes) > 6.5
+    assert min(sizes) > 8.0
 
 
 def test_every_figure_is_told_in_words_and_every_heading_has_its_place(shown):
@@ -154,6 +164,11 @@ def test_print_is_light_and_without_controls(shown):
     assert luminance(one.page.evaluate("getComputedStyle(document.body).backgroundColor")) > 0.9
     assert not one.page.locator(".tools").first.is_visible()
     assert not one.page.locator(".sliders").first.is_visible()
+    assert one.page.locator("details .table").first.evaluate("(e) => e.getBoundingClientRect().height") > 20
+    sizes = (
+        "['.lead', 'main p', 'figcaption'].map((s) => parseFloat(getComputedStyle(document.querySelector(s)).fontSize))"
+    )
+    assert sorted(one.page.evaluate(sizes), reverse=True) == one.page.evaluate(sizes)
     one.page.set_viewport_size({"width": 680, "height": 900})  # A4 less its margins
     cut = "[...document.querySelectorAll('.table')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
     assert one.page.evaluate(cut) == 0

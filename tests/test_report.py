@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
+from dataclasses import replace
 from hashlib import sha256
 from html.parser import HTMLParser
 from types import SimpleNamespace
@@ -17,16 +18,18 @@ from hypothesis.extra import numpy as arrays
 
 from servolens import lab
 from servolens.design import PDSpec
-from servolens.effects import CoulombFriction, VelocityDecayDamping
+from servolens.effects import CoulombFriction, EndStop, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.identification import identify
+from servolens.identification.later import known
+from servolens.identification.varying import VaryingDamping
 from servolens.plant import Plant
-from servolens.report import write_report
+from servolens.report import write_report, write_study
 from servolens.report.content import Drawing, Key, Picture, Section
 from servolens.report.curves import curve
-from servolens.report.drawing import drawing
+from servolens.report.drawing import drawing, keys_of
 from servolens.report.figure_data import Line, Panel, Scale, encoded, panels_of
-from servolens.report.figures import damping_at, damping_in_time_figure, plant_formula
+from servolens.report.figures import damping_at, damping_in_time_figure, plant_formula, record_figure
 from servolens.report.measured_story import damping_figures
 from servolens.report.page import render_page, write_page
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
@@ -35,6 +38,8 @@ from servolens.report.printing import chromium
 from servolens.report.style import new_figure, panel_figure
 from servolens.report.svg import svg
 from servolens.report.wording import shown
+from servolens.study import study_records
+from servolens.summaries.models import determined
 
 HOSTILE = "<script>alert(1)</script> --> $x_{ & \"quoted\" 'too' \x1b[31m\n{{ 7*7 }}"
 signal = arrays.arrays(np.float64, st.integers(2, 50), elements=st.floats(-1e3, 1e3))
@@ -127,7 +132,7 @@ def test_laws_of_damping_are_drawn_only_where_the_pieces_are(runs, monkeypatch):
     )
     fit = identify(runs)
     damping_figures(fit)
-    assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed.min()} != {0.0}
+    assert {float(law.x[0]) for law in drawn.values()} == {fit.varying.speed[determined(fit.varying)].min()} != {0.0}
 
 
 def test_damping_is_seen_where_single_pieces_are_hardly_determined(monkeypatch):
@@ -208,6 +213,53 @@ def test_formula_names_every_parameter_in_words():
     plant = Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.3),))
     words = plant_formula("law", plant).caption
     assert all(name in words for name in ("β, gain", "c, damping", "F, level", "Dry friction".lower()))
+
+
+def test_formula_explains_what_was_fitted_and_no_contact_that_was_not():
+    usual = EndStop(low=-0.1, high=0.1)
+    words = plant_formula("law", Plant(gain=1.9, damping=6.0, effects=(usual,))).caption
+    assert "contact frequency" not in words
+    assert "The contact's stiffness k and damping d are those of a stiff one and were not fitted." in words
+    other = replace(usual, contact_frequency=100.0)
+    words = plant_formula("law", Plant(gain=1.9, damping=6.0, effects=(other,))).caption
+    assert "contact frequency" in words
+    assert "damping d follow from ν and χ" in words
+    law = Plant(gain=1.9, damping=6.0, effects=(VelocityDecayDamping(alpha1=17.0, alpha2=13.0),))
+    assert "α₁: extra damping" in plant_formula("law", law).caption
+
+
+def test_sample_of_an_outline_is_a_line_of_its_colour():
+    _, ax = panel_figure(2.0)
+    plot_damping_in_time(np.array([0.0, 1.0, 2.0]), np.array([3.0, 4.0]), np.array([0.1, 0.1]), ax=ax)
+    (key,) = keys_of(ax)
+    assert "<rect" not in key.svg
+    assert 'stroke="var(--green)"' in key.svg
+
+
+def test_damping_of_which_the_data_say_nothing_is_not_drawn():
+    varying = VaryingDamping(
+        gain=2.0,
+        edges=np.array([0.0, 1.0, 2.0, 3.0]),
+        damping=np.array([5.0, 6.0, 7.0]),
+        speed=np.array([0.3, 0.2, 0.1]),
+        active=(),
+        spread=known(np.diag([0.1, 0.1, 1e4, 0.1])),
+    )
+    drawn = damping_in_time_figure("key", [("T", varying)], "Caption.")
+    assert drawn.caption == "Caption. 1 piece of which the data say little is left out."
+    (panel,) = drawn.pictures[0].panels
+    assert panel.x.high == 2.0
+    assert len(drawn.table.rows) == 3
+
+
+def test_records_whose_command_is_not_logged_have_no_empty_panel(runs):
+    blind = runs[5].with_({"voltage": None})
+    assert [len(record_figure("key", [r], "Caption.").pictures[0].panels) for r in (runs[5], blind)] == [2, 1]
+
+
+def test_lines_break_neither_before_a_unit_nor_in_a_range():
+    text = render_page("T", "In 0.5 s at 4 V s/m, 3 %, 1.2–3.4 of 5 records.", [], [])
+    assert "In 0.5\u00a0s at 4\u00a0V\u00a0s/m, 3\u00a0%, 1.2\u2060–\u20603.4 of 5 records." in text
 
 
 def test_page_escapes_whatever_it_is_given():
@@ -360,3 +412,33 @@ def test_report_that_cannot_be_written_leaves_nothing(runs, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_report(tmp_path / "missing" / "report.html", runs[:1])
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("force", [False, True], ids=["refused", "forced"])
+def test_page_of_records_with_a_wrong_sign_is_written(tmp_path, force):
+    runs = [
+        record.with_({"position": -record.position})
+        for record in (lab.step_record(lab.NLM1, kp, noise=1e-5, seed=kp) for kp in (60, 80))
+    ]
+    found = study_records(runs, PDSpec(kp=80, settling_time=0.5), effort="quick", force=force)
+    page = tmp_path / "report.html"
+    write_study(page, found)
+    text = page.read_text(encoding="utf-8")
+    assert ("Correct the records first" in text) is not force
+    assert ("The gain</h2>" in text) is force
+    assert "could not be predicted" not in text
+
+
+def test_page_tells_each_thing_once_and_in_words(tmp_path):
+    runs = [lab.step_record(lab.NLM3, kp, noise=1e-5, seed=kp) for kp in (60, 80)]
+    fast = lab.step_record(lab.NLM3, 120, noise=1e-5, seed=3, setup=lab.Setup(name="fast"))
+    found = study_records(runs, PDSpec(kp=80, settling_time=0.5), heldout=[fast], effort="quick")
+    page = tmp_path / "report.html"
+    write_study(page, found)
+    text = page.read_text(encoding="utf-8").replace("\u00a0", " ")
+    assert any(finding.code == "noise_model" for finding in found.findings)
+    assert '<span class="severity">Note</span>: noise' not in text
+    assert "velocity_decay_damping" not in re.sub(r"<script.*?</script>", "", text, flags=re.DOTALL)
+    fastest = max(quality.top_speed for quality in found.check[:2])
+    assert f"moves at up to {fastest:.3g} m/s in the records that were fitted" in text
+    assert "force=True" not in text

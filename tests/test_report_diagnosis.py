@@ -75,7 +75,7 @@ def page_of(diagnosis, folder):
     write_diagnosis_report(str(path), diagnosis)
     text = path.read_text(encoding="utf-8")
     assert_self_contained(text)
-    return text
+    return text.replace("\u00a0", " ")  # before units
 
 
 def test_page_has_sliders_and_recommends_no_gain(rubbing, tmp_path):
@@ -247,6 +247,15 @@ def test_frequency_is_told_only_where_the_error_has_one():
 
     assert where_phrase([share((0.05, 0.5, 0.4, 0.05))]) == "90 % of the error has a frequency between 1 and 3 Hz"
     assert where_phrase([share((0.25, 0.25, 0.25, 0.25))]) == ""
+
+
+@pytest.mark.parametrize(("samples", "tells"), [(0.75, ""), (0.4, "96 % of the error arises at a position below 3 mm")])
+def test_range_of_most_samples_is_no_place_to_look(samples, tells):
+    bins = ((0.0, 0.003, 0.96, samples), (0.003, 0.004, 0.04, 1.0 - samples))
+    found = Share(
+        quantity="position", unit="m", bins=bins, low=0.0, high=0.003, share_of_error=0.96, share_of_samples=samples
+    )
+    assert where_phrase([found]) == tells
 
 
 @pytest.mark.parametrize(

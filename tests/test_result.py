@@ -184,6 +184,8 @@ def test_plot_draws_on_the_axes_given_and_returns_them(kind):
     assert ax.get_ylabel() == "Position [m]"
     new = made(kind).plot()
     assert new is not ax
+    assert new.get_legend() is None  # it would stand on lines
+    assert [text.get_text() for text in new.figure.legends[0].get_texts()] == labels
     plt.close("all")
 
 

@@ -17,7 +17,7 @@ import servolens
 from servolens import PDSpec, Plant, diagnose, identify, lab, study_records, tune
 from servolens import design as designing
 from servolens.design import settling_time
-from servolens.effects import CoulombFriction, Saturation
+from servolens.effects import ActuatorLag, CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.model import Model
@@ -372,6 +372,25 @@ def test_kp_that_no_record_states_must_be_given(cart):
 def test_step_of_a_spec_is_the_largest_that_a_staircase_makes():
     stairs = lab.step_record(lab.LM1, 60, reference=(0.06, 0.1, 0.04, -0.02), duration=1.0)
     assert completed_spec([stairs], {"settling_time": 0.5}).reference == pytest.approx(0.06)
+
+
+def test_spec_is_suggested_of_an_axis_that_is_slower_than_its_gain_says(cart):
+    lagging = Plant(gain=400.0, damping=600.0, effects=(ActuatorLag(time_constant=0.15),))
+    spec = suggested_spec([cart.records[0].with_({"controller": Controller(kp=20.0)})], lagging)
+    assert spec is not None
+    assert 0.5 < spec.settling_time < 5.0
+
+
+def test_design_says_what_the_least_gain_risks_after_naming_it_and_tables_no_sentence(cart):
+    told = design_summary(cart.design)
+    order = [
+        next(i for i, s in enumerate(told.sentences) if part in s) for part in ("is the least", "meets the spec in")
+    ]
+    assert order == sorted(order)
+    assert [table.title for table in told.tables] == ["Gains that meet the spec"]
+    with_lights = design_summary(cart.design, lights=cart.lights).sentences
+    assert "Gain: green." in with_lights
+    assert sum("worst of 200 plants" in said for said in with_lights) == 1
 
 
 def test_suggested_spec_can_be_met(cart):

@@ -49,8 +49,9 @@ def _gain(axis: HiddenAxis) -> Section:
     study = axis.study
     blocks: list[Block] = []
     if study.model is not None and study.design is not None:
-        blocks.append(playground("gain", study.model, study.design))
-    blocks += gain_sentences(study)
+        played = playground("gain", study.model, study.design)
+        blocks += [] if played is None else [played]
+    blocks += gain_sentences(study, overrule="")
     blocks.append(_on_axis(axis))
     if study.comparison is not None:
         models = columns(study.comparison)

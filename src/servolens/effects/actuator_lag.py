@@ -39,7 +39,7 @@ class ActuatorLag(Actuator):
     )
     remedy = "Tune or speed up the current loop, remove filters from the command, or use a faster amplifier."
     for_the_gain = (
-        "The lag takes away phase: about gain kp times the time constant of the damping is lost. "
+        "The lag takes away phase, as if about gain × kp × time constant of the damping were lost. "
         "Raise kd or lower kp; too much kd rings as well."
     )
 

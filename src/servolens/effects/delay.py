@@ -37,8 +37,8 @@ class Delay(TimeShift):
         "or sample faster."
     )
     for_the_gain = (
-        "About gain kp times the delay of the damping is lost, and gain kd times the delay has to stay well below 1: "
-        "the delay sets a largest kd."
+        "The delay takes away about gain × kp × delay of the damping; gain × kd × delay has to stay well below 1, "
+        "so the delay sets a largest kd."
     )
 
     time: float = parameter(r"\tau", "s", "computation, bus and amplifier together", high=100.0)

@@ -16,6 +16,7 @@ from servolens.quality.beginning import initial_motion
 from servolens.quality.law import GAINS, LawFit, controller_of, felt_rounding, remembered, rms, tick_phase, voltage_of
 from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
 from servolens.quality.settings import BETTER, UNITS, find_alternative
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -183,7 +184,8 @@ def _clipped(record: Record, fit: LoopFit) -> Finding:
 def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
     """Return the finding of what the voltage fits instead of what is stated."""
     unit = record.command_unit
-    left = f"unexplained voltage {other.before:.2g} {unit} r.m.s. as stated, {other.left:.2g} {unit} with this"
+    before, after = (readable(voltage, unit) for voltage in (other.before, other.left))
+    left = f"unexplained voltage {before} r.m.s. as stated, {after} with this"
     if other.kind == "shift":
         return _shifted(other, _named(record, fit.kp, fit.kd))
     if other.kind == "scale":

@@ -113,7 +113,8 @@ def _gains_to_try(diagnosis: Diagnosis) -> list[Section]:
         " reach: what it says of gains, not what the axis will do. A diagnosis recommends no gain; servolens tune"
         " does, and says how far it can be trusted."
     )
-    return [Section(key="try", title="Try gains", blocks=(said, playground("gain", diagnosis.model, design)))]
+    played = playground("gain", diagnosis.model, design)
+    return [] if played is None else [Section(key="try", title="Try gains", blocks=(said, played))]
 
 
 def _log(diagnosis: Diagnosis) -> list[str | Findings]:

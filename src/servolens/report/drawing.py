@@ -91,26 +91,33 @@ def keys_from(handles: Mapping[str, Any]) -> list[Key]:
 def _sample(handle: Any) -> str:
     from matplotlib.container import ErrorbarContainer
     from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     if isinstance(handle, ErrorbarContainer):
         handle = handle.lines[0]
     parts = _of_line(handle) if isinstance(handle, Line2D) else _of_patch(handle)
+    if isinstance(handle, Patch) and not handle.get_fill():
+        parts = _stroke(_paint(handle.get_edgecolor()), float(handle.get_linewidth()))
     size = f'viewBox="0 0 {LENGTH} {HEIGHT}" width="{LENGTH}" height="{HEIGHT}"'
     return f'<svg {size} aria-hidden="true" focusable="false">{parts}</svg>'
 
 
 def _of_line(line: Any) -> str:
-    middle, colour = HEIGHT / 2, _paint(line.get_color())
+    colour = _paint(line.get_color())
     parts = ""
     if line.get_linestyle() not in ("None", "none", "", " "):
         width = float(line.get_linewidth())
         dashes = line._unscaled_dash_pattern[1]  # matplotlib has no public name for it
-        pattern = f' stroke-dasharray="{" ".join(f"{width * d:g}" for d in dashes)}"' if dashes else ""
-        parts = f'<path d="M1 {middle:g}H{LENGTH - 1}" stroke="{colour}" stroke-width="{width:g}"{pattern}/>'
+        parts = _stroke(colour, width, dashes or ())
     if line.get_marker() not in ("None", "none", "", " ", None):
         face = _paint(line.get_markerfacecolor())
         parts += f'<path d="{_outline(line)}" fill="{face}" stroke="{colour}" stroke-width="1.2"/>'
     return parts
+
+
+def _stroke(colour: str, width: float, dashes: Sequence[float] = ()) -> str:
+    pattern = f' stroke-dasharray="{" ".join(f"{width * d:g}" for d in dashes)}"' if dashes else ""
+    return f'<path d="M1 {HEIGHT / 2:g}H{LENGTH - 1}" stroke="{colour}" stroke-width="{width:g}"{pattern}/>'
 
 
 def _outline(line: Any) -> str:

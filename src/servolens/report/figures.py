@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -17,10 +18,11 @@ from servolens.report.drawing import drawing, keys_of, legend_of
 from servolens.report.equation import in_order, motion_latex
 from servolens.report.figure_data import Numbers
 from servolens.report.plots import plot_curves, plot_damping_in_time, plot_damping_laws, plot_percent_errors
-from servolens.report.style import FULL_WIDTH, HALF_WIDTH, NAMED, WIDE, new_figure, panel_figure, stacked_figure, styled
+from servolens.report.style import ALONE, HALF_WIDTH, NAMED, WIDE, new_figure, panel_figure, stacked_figure, styled
 from servolens.report.svg import formula_svg
 from servolens.report.wording import shown, symbol_text
 from servolens.simulation import simulate
+from servolens.summaries.models import determined
 from servolens.summaries.names import spoken_parameter
 from servolens.summaries.wording import scale
 
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from servolens.effects.base import Parameter
     from servolens.identification.varying import VaryingDamping
     from servolens.record import Record
     from servolens.report.content import Key
@@ -83,7 +86,7 @@ def match_figure(key: str, matches: Sequence[Match], caption: str) -> Drawing:
     alone = len(matches) == 1
     legend: dict[str, Key] = {}
     for match in matches:
-        figure, above, below = stacked_figure(3.9 if alone else 3.5, FULL_WIDTH if alone else HALF_WIDTH, 1.9)
+        figure, above, below = stacked_figure(3.9 if alone else 3.5, ALONE if alone else HALF_WIDTH, 1.9)
         unstable += _draw_match(match, above, below)
         legend |= {own.label: own for own in keys_of(above)}
         figures.append(figure)
@@ -131,18 +134,26 @@ def _draw_match(match: Match, above: Axes, below: Axes) -> list[str]:
 
 @styled
 def record_figure(key: str, records: Sequence[Record], caption: str) -> Drawing:
-    """Draw what was logged: position with its reference, and the command below."""
+    """Draw what was logged: position with its reference, and the command below if any record has it."""
     figures = []
     legend: dict[str, Key] = {}
+    width = ALONE if len(records) == 1 else HALF_WIDTH
+    has_command = any(record.voltage is not None for record in records)
     for record in records:
-        figure, above, below = stacked_figure(2.8, FULL_WIDTH if len(records) == 1 else HALF_WIDTH, 1.7)
-        _draw_record(record, above, below)
+        if has_command:
+            figure, above, below = stacked_figure(2.8, width, 1.7)
+            _draw_position(record, above)
+            _draw_command(record, above, below)
+        else:
+            figure, above = panel_figure(2.1, width)
+            _draw_position(record, above)
+            above.set_xlabel("Time [s]")
         legend |= {own.label: own for own in keys_of(above)}
         figures.append(figure)
     return drawing(key, figures, caption, legend=[*legend.values()])
 
 
-def _draw_record(record: Record, above: Axes, below: Axes) -> None:
+def _draw_position(record: Record, above: Axes) -> None:
     lines = [curve("position", record.time, record.position, "velocity")]
     if record.reference is not None:
         lines.insert(0, curve("reference", record.time, record.reference, "reference"))
@@ -150,6 +161,9 @@ def _draw_record(record: Record, above: Axes, below: Axes) -> None:
     plot_curves(
         thin, xlabel="", ylabel=f"Position [{record.length_unit}]", title=shown(record.name), legend=False, ax=above
     )
+
+
+def _draw_command(record: Record, above: Axes, below: Axes) -> None:
     above.tick_params(labelbottom=False)
     command = [] if record.voltage is None else [curve("", record.time, record.voltage, "command").thinned()]
     label = "Command" if record.command_unit != "V" else "Voltage"
@@ -165,20 +179,27 @@ def damping_in_time_figure(
     key: str, panels: Sequence[tuple[str, VaryingDamping]], caption: str, *, truth: Sequence[Curve] = ()
 ) -> Drawing:
     """Draw c(t), the true damping with it where it is known."""
-    highest = max(float(varying.damping.max()) for _, varying in panels)
+    highest = max(float(varying.damping[determined(varying)].max(initial=0.0)) for _, varying in panels)
+    left_out = sum(int(np.count_nonzero(~determined(varying))) for _, varying in panels)
     figures, rows, axes = [], [], []
     for i, (title, varying) in enumerate(panels):
         error = NORMAL_95 * np.sqrt(np.maximum(np.diag(varying.covariance)[: varying.damping.size], 0.0))
         known = truth[i].thinned() if i < len(truth) else None
-        figure, ax = panel_figure(2.6, FULL_WIDTH if len(panels) == 1 else HALF_WIDTH)
-        plot_damping_in_time(varying.edges, varying.damping, error, truth=known, title=title, legend=False, ax=ax)
+        figure, ax = panel_figure(2.6, ALONE if len(panels) == 1 else HALF_WIDTH)
+        told = np.where(determined(varying), varying.damping, np.nan)
+        plot_damping_in_time(varying.edges, told, error, truth=known, title=title, legend=False, ax=ax)
         if highest > 0:  # error bars of what the data hardly determine end outside
-            lowest = min(0.0, *(float(own.damping.min()) for _, own in panels))
+            lowest = min(float(own.damping[determined(own)].min(initial=0.0)) for _, own in panels)
             ax.set_ylim(1.35 * lowest - 0.1 * highest, 1.35 * highest)
+        if not determined(varying)[-1]:
+            ax.set_xlim(right=float(varying.edges[1 + np.flatnonzero(determined(varying)).max(initial=0)]))
         pieces = zip(varying.edges[:-1], varying.edges[1:], varying.damping, error, strict=True)
         rows += [(title, *(float(value) for value in piece)) for piece in pieces]
         figures.append(figure)
         axes.append(ax)
+    if left_out:
+        what, are = ("piece", "is") if left_out == 1 else ("pieces", "are")
+        caption += f" {left_out} {what} of which the data say little {are} left out."
     columns = ("Panel", "From [s]", "To [s]", "Damping [1/s]", "Half of the 95 % interval [1/s]")
     return drawing(key, figures, caption, legend=keys_of(*axes), table=Numbers(columns=columns, rows=rows))
 
@@ -238,10 +259,14 @@ def errors_figure(
 def plant_formula(key: str, plant: Plant) -> Drawing:
     """Return the equation of motion, in symbols and in words, and what its symbols mean."""
     drawing = plant_equation(key, plant)
-    meanings = "; ".join(
-        f"{symbol_text(p.symbol)}, {spoken_parameter(p.name)}: {p.meaning}" for p in plant.parameters.values()
-    )
-    return replace(drawing, caption=f"{drawing.caption} {meanings}.")
+    fitted = {name: spec for name, spec in plant.parameters.items() if name not in plant.usual}
+    return replace(drawing, caption=f"{drawing.caption} {'; '.join(map(_meaning, fitted.values()))}.")
+
+
+def _meaning(spec: Parameter) -> str:
+    """Return what a symbol means, by its name too where that is not the symbol spelled out."""
+    is_spelled = re.sub(r"[\\_{}]", "", spec.symbol) == spec.name
+    return f"{symbol_text(spec.symbol)}{'' if is_spelled else f', {spoken_parameter(spec.name)}'}: {spec.meaning}"
 
 
 def plant_equation(key: str, plant: Plant) -> Drawing:
@@ -249,7 +274,16 @@ def plant_equation(key: str, plant: Plant) -> Drawing:
     words = "Acceleration is the gain times the command, less the damping times the speed"
     words += "".join(f"; {e.sentence[0].lower()}{e.sentence[1:].rstrip('.')}" for e in in_order(plant))
     picture = Picture(svg=formula_svg(motion_latex(plant), key))
-    return Drawing(pictures=(picture,), caption=f"{words}.", formula=True)
+    return Drawing(pictures=(picture,), caption=f"{words}.{_of_contacts(plant)}", formula=True)
+
+
+def _of_contacts(plant: Plant) -> str:
+    """Say what the stiffness and the damping of contacts are, which the formula calls k and d."""
+    frequencies = {name for name in plant.parameters if name.endswith(".contact_frequency")}
+    if not frequencies:
+        return ""
+    known = "are those of a stiff one and were not fitted" if frequencies <= set(plant.usual) else "follow from ν and χ"
+    return f" The contact's stiffness k and damping d {known}."
 
 
 def varying_position(varying: VaryingDamping, record: Record) -> NDArray[np.float64]:

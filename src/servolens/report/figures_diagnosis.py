@@ -80,7 +80,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
     low, high, error, samples = np.array(share.bins).T
     worst = (low >= share.low) & (high <= share.high)
     name = QUANTITIES[share.quantity]
-    title = f"{number(100 * share.share_of_error, 2)} % in {number(100 * share.share_of_samples, 2)} % of samples"
+    of_error, of_samples = 100 * share.share_of_error, 100 * share.share_of_samples
+    title = f"{number(of_error, 2)} % in {number(of_samples, 2 if of_samples >= 1 else 1)} % of samples"
     if share.share_of_error - share.share_of_samples < SHARE_STRESSED:
         worst[:], title = False, "nowhere in particular"
     if share.quantity == "direction":

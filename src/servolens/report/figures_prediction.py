@@ -9,7 +9,7 @@ import numpy as np
 from servolens.report.curves import curve
 from servolens.report.drawing import drawing, keys_of
 from servolens.report.plots import plot_curves
-from servolens.report.style import FULL_WIDTH, HALF_WIDTH, stacked_figure, styled
+from servolens.report.style import ALONE, HALF_WIDTH, stacked_figure, styled
 from servolens.report.wording import shown
 from servolens.summaries.diagnosis_tables import data_kinds, kinds_sentence
 from servolens.summaries.wording import scale
@@ -46,7 +46,7 @@ def prediction_figure(key: str, diagnosis: Diagnosis) -> Drawing | None:
     figures, legend = [], dict[str, "Key"]()
     for record, kind, missed in drawn:
         alone = len(drawn) == 1
-        figure, above, below = stacked_figure(3.7 if alone else 3.3, FULL_WIDTH if alone else HALF_WIDTH, 1.9)
+        figure, above, below = stacked_figure(3.7 if alone else 3.3, ALONE if alone else HALF_WIDTH, 1.9)
         _draw(diagnosis, record, missed, factor, (above, below))
         above.set_title(f"{shown(record.name)} ({kind})")
         below.set_ylabel(f"Predicted −\nmeasured [{unit}]")

@@ -12,7 +12,7 @@ from servolens.diagnosis.errors import residual
 from servolens.report.curves import curve
 from servolens.report.drawing import drawing, keys_of
 from servolens.report.plots_diagnosis import plot_residuals
-from servolens.report.style import FULL_WIDTH, HALF_WIDTH, panel_figure, styled
+from servolens.report.style import ALONE, HALF_WIDTH, panel_figure, styled
 from servolens.report.wording import shown
 from servolens.summaries.wording import scale
 
@@ -99,7 +99,7 @@ def _abreast(missed: Sequence[_Missed], noise: float) -> list[Axes]:
     factor, ylabel = _unit(missed, noise, *MODELS)
     axes = []
     for own in missed:
-        ax = panel_figure(1.9, FULL_WIDTH if len(missed) == 1 else HALF_WIDTH)[1]
+        ax = panel_figure(1.9, ALONE if len(missed) == 1 else HALF_WIDTH)[1]
         plot_residuals(own.curves(factor, *own.known()), factor * noise, title=own.title, ax=ax)
         axes.append(ax)
     return _in_one_scale(axes, ylabel)

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.design import gain_map, map_axes
-from servolens.report.content import Findings, Lights, Section
+from servolens.quality import fatal
+from servolens.report.content import Details, Findings, Lights, Section
 from servolens.report.curves import curve
 from servolens.report.diagnosis_story import diagnosis_sections
 from servolens.report.figures import (
@@ -20,27 +20,19 @@ from servolens.report.figures import (
     plant_formula,
     record_figure,
 )
-from servolens.report.figures_design import columns, gains_figure, settling_figure, steps_figure
-from servolens.report.gain_names import gain_names
+from servolens.report.gain_story import gain_section
 from servolens.report.page import write_page
-from servolens.report.playground import playground
 from servolens.report.wording import shown
-from servolens.summaries import (
-    check_summary,
-    comparison_summary,
-    design_summary,
-    gain_sentences,
-    identification_summary,
-)
+from servolens.summaries import check_summary, gain_sentences, identification_summary, told_elsewhere
 from servolens.summaries.diagnosis import remaining_sentences, verdict_sentence
-from servolens.summaries.wording import listed, number, percent
+from servolens.summaries.models import MODEL_WORDS, determined
+from servolens.summaries.wording import capital, listed, number, percent
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from servolens.design import Design
     from servolens.findings import Finding
     from servolens.identification import Identification
     from servolens.plant import Plant
@@ -48,16 +40,13 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.report.content import Block
     from servolens.report.curves import Curve, Role
-    from servolens.report.figures_design import Column
     from servolens.study import Study
 
 __all__ = ["damping_figures", "write_measured"]
 
 MOST_STEPS = 3
-MAPPED = 50
-"""Gains of each kind in the page's map."""
-MOST_DRAWN = 12
-"""Records in a figure; the tables have all."""
+MOST_DRAWN, MOST_BESIDE = 12, 4
+"""Records in a figure, and in one of models that a diagnosis has left behind; the tables have all."""
 
 
 def write_measured(path: Path, study: Study, held_out: Prediction | None, findings: Sequence[Finding]) -> None:
@@ -66,13 +55,19 @@ def write_measured(path: Path, study: Study, held_out: Prediction | None, findin
     First what was measured against what was predicted, then where the error lives, its cause and what that is worth,
     then the gain; models and data follow for those who want to look closer.
     """
-    names = [shown(record.name) for record in study.records]
-    sections = [*_found(study, held_out), _design(study)]
+    title = f"Servo axis: {listed([shown(record.name) for record in study.records])}"
+    lights = Lights(lights=study.lights)
+    if study.diagnosis is None and fatal([finding for quality in study.check for finding in quality.findings]):
+        lead = "Correct the records first: a sign or a unit in them is wrong, and no model is worth showing."
+        told = Section(key="findings", title="What is wrong", blocks=(Findings(findings=study.findings),))
+        write_page(path, title, lead, (lights,), [told, _data(study)])
+        return
+    sections = [*_found(study, held_out), gain_section(study)]
     if study.fit is not None:
-        sections.append(_models(study.fit))
+        sections.append(_models(study, study.fit))
     sections += [_data(study), _open_questions(study, findings)]
     lead, more = _lead(study)
-    write_page(path, f"Servo axis: {listed(names)}", lead, (Lights(lights=study.lights), *more), sections)
+    write_page(path, title, lead, (lights, *more), sections)
 
 
 def _found(study: Study, held_out: Prediction | None) -> list[Section]:
@@ -86,10 +81,14 @@ def _found(study: Study, held_out: Prediction | None) -> list[Section]:
 
 def _lead(study: Study) -> tuple[str, tuple[str, ...]]:
     """Return the gain or why there is none, and what else matters most."""
-    first = gain_sentences(study)[0]
+    first = gain_sentences(study, overrule="")[0]
     if study.diagnosis is not None:
-        return first, (verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis))
-    return first, () if study.fit is None else identification_summary(study.fit).sentences[:2]
+        told = (verdict_sentence(study.diagnosis), *remaining_sentences(study.diagnosis))
+    else:
+        told = () if study.fit is None else identification_summary(study.fit).sentences[:2]
+    if told and first in study.lights["gain"].sentence:
+        return told[0], told[1:]
+    return first, told
 
 
 def _data(study: Study) -> Section:
@@ -98,9 +97,11 @@ def _data(study: Study) -> Section:
     whole = runs[:MOST_DRAWN]
     drawn = [_excerpt(record) for record in whole]
     rest = len(runs) - len(drawn)
-    caption = "The records as they were logged: position and reference above, the command below."
+    has_command = any(record.voltage is not None for record in whole)
+    caption = "The records as they were logged: position and reference"
+    caption += " above, the command below." if has_command else "; the command was not logged."
     if rest:
-        caption += f" {rest} more records are in the table only."
+        caption += f" {rest} more {'record is' if rest == 1 else 'records are'} in the table only."
     if any(len(part) < len(record) for part, record in zip(drawn, whole, strict=True)):
         caption += f" Of records with many steps the first {MOST_STEPS} are drawn."
     if max(len(record) for record in drawn) > 10_000:
@@ -128,7 +129,6 @@ def _settings(study: Study) -> Table:
         rows.append(
             (
                 record.name,
-                number(record.duration),
                 _gains(record),
                 f"{number(record.step_size, 3)} {record.length_unit}",
                 speed,
@@ -136,7 +136,7 @@ def _settings(study: Study) -> Table:
         )
     return Table(
         title="What was done",
-        columns=("Record", "Duration [s]", "Gains", "Step", "Top speed"),
+        columns=("Record", "Gains", "Step", "Top speed"),
         rows=tuple(rows),
     )
 
@@ -155,15 +155,16 @@ def _gains(record: Record) -> str:
 
 def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
     blocks: list[Block] = []
-    if findings:
-        blocks.append(Findings(findings=tuple(findings)))
-    else:
+    new = tuple(finding for finding in findings if not told_elsewhere(study, finding))
+    if new:
+        blocks.append(Findings(findings=new))
+    elif not findings:
         blocks.append("Neither the records nor the identification gave a warning or a note.")
     record = study.records[0]
-    fastest = max(quality.top_speed for quality in study.check)
+    fastest = max(quality.top_speed for quality in study.check[: len(study.records)])  # others were not fitted
     blocks.append(
-        f"The axis moves at up to {number(fastest, 3)} {record.length_unit}/s in these records; what the models say of"
-        " higher speeds is extrapolated."
+        f"The axis moves at up to {number(fastest, 3)} {record.length_unit}/s in the records that were fitted; what the"
+        " models say of higher speeds is extrapolated."
     )
     if len(study.records) == 1 and not study.heldout:
         blocks.append(
@@ -172,17 +173,28 @@ def _open_questions(study: Study, findings: Sequence[Finding]) -> Section:
     return Section(key="findings", title="What the data leave open", blocks=tuple(blocks))
 
 
-def _models(fit: Identification) -> Section:
+def _models(study: Study, fit: Identification) -> Section:
+    """Return what is fitted without a cause: all there is without a diagnosis, and else what it started from."""
     told = identification_summary(fit)
-    blocks: list[Block] = [Summary(title="", sentences=told.sentences)]
+    titles = {capital(MODEL_WORDS["varying"])}
+    blocks: list[Block] = []
+    if study.diagnosis is not None:
+        blocks.append(
+            "Models of gain and damping alone, by the paper's method, without the causes: the gain above does not"
+            " follow from them."
+        )
+    blocks.append(Summary(title="", sentences=told.sentences))
     if fit.velocity is not None:
         blocks.append(plant_formula("law", fit.velocity.plant))
-    blocks.append(Summary(title="", tables=told.tables))
+    blocks.append(Summary(title="", tables=tuple(table for table in told.tables if table.title not in titles)))
+    blocks += [
+        Details(title=f"{table.title}, in numbers", blocks=(table,)) for table in told.tables if table.title in titles
+    ]
     blocks += damping_figures(fit)
-    matches = _matches(fit)
+    matches = _matches(fit, MOST_DRAWN if study.diagnosis is None else MOST_BESIDE)
     if matches:
         rest = len(fit.records) - len(matches)
-        more = f" {rest} more records are in the table only." if rest else ""
+        more = f" {rest} more {'record is' if rest == 1 else 'records are'} in the table only." if rest else ""
         blocks.append(
             match_figure(
                 "matches",
@@ -191,13 +203,15 @@ def _models(fit: Identification) -> Section:
                 f" very records: not held out.{more}",
             )
         )
-    return Section(key="models", title="The models", blocks=tuple(blocks))
+    title = "The models" if study.diagnosis is None else "Models without causes"
+    return Section(key="models", title=title, blocks=tuple(blocks))
 
 
 def damping_figures(fit: Identification) -> list[Block]:
     """Return damping in time and against speed, as far as the data determine it."""
     blocks: list[Block] = []
-    if fit.varying is not None:
+    known = np.zeros(0, dtype=np.bool_) if fit.varying is None else determined(fit.varying)
+    if fit.varying is not None and known.any():
         blocks.append(
             damping_in_time_figure(
                 "damping-in-time",
@@ -207,19 +221,20 @@ def damping_figures(fit: Identification) -> list[Block]:
                 " something acts at low speed.",
             )
         )
-    if fit.velocity is not None and fit.varying is not None:
-        speeds = float(fit.varying.speed.min()), 1.1 * float(fit.varying.speed.max())  # slower, no piece tells
+    if fit.velocity is not None and fit.varying is not None and known.any():
+        slowest, fastest = float(fit.varying.speed[known].min()), float(fit.varying.speed.max())
+        speeds = slowest, 1.1 * fastest  # slower, no piece tells
         laws: list[Curve] = [law_curve("speed-dependent damping", fit.velocity.plant, speeds, "velocity")]
         if fit.law_from_pieces is not None:
             laws.append(law_curve("curve through the pieces", fit.law_from_pieces, speeds, "pieces"))
         if fit.constant is not None:
             laws.append(law_curve("constant damping", fit.constant.plant, speeds, "constant"))
-        points = [curve("pieces", fit.varying.speed, fit.varying.damping, "varying")]
+        points = [curve("pieces", fit.varying.speed[known], fit.varying.damping[known], "varying")]
         blocks.append(
             damping_law_figure(
                 "damping-law",
-                [("", laws, points)],
-                "Damping against speed: the identified law, constant damping, and the pieces of the figure above at"
+                [("Damping against speed", laws, points)],
+                "The identified law, constant damping, and the pieces of the figure above at"
                 " their mean speeds. From these records, not held out.",
                 fit.records[0].length_unit,
             )
@@ -227,15 +242,13 @@ def damping_figures(fit: Identification) -> list[Block]:
     return blocks
 
 
-def _matches(fit: Identification) -> list[Match]:
+def _matches(fit: Identification, most: int) -> list[Match]:
     models: list[tuple[str, Role, Plant]] = []
     if fit.constant is not None:
         models.append(("constant damping", "constant", fit.constant.plant))
     if fit.velocity is not None:
         models.append(("speed-dependent damping", "velocity", fit.velocity.plant))
-    return (
-        [Match(record=_excerpt(record), models=tuple(models)) for record in fit.records[:MOST_DRAWN]] if models else []
-    )
+    return [Match(record=_excerpt(record), models=tuple(models)) for record in fit.records[:most]] if models else []
 
 
 def _validation(held: Prediction | None) -> Section:
@@ -269,65 +282,3 @@ def _validation(held: Prediction | None) -> Section:
             errors_figure("errors", names[drawn], roles, percents[drawn], np.full(percents.shape, True)[drawn], caption)
         )
     return Section(key="validation", title=title, blocks=tuple(blocks))
-
-
-def _design(study: Study) -> Section:
-    comparison, title = study.comparison, "The gain"
-    if comparison is None or study.design is None or study.model is None:
-        return Section(key="design", title=title, blocks=(f"No gain was sought: {study.why_none}.",))
-    length_unit, command_unit = study.records[0].length_unit, study.records[0].command_unit
-    blocks: list[Block] = []
-    if study.suggested:
-        blocks.append(
-            "No spec was given. This one takes the largest kp of the records and a settling time that the model can"
-            " reach with a little to spare; ask for your own with kp and settling_time."
-        )
-    told = design_summary(study.design, forced=study.forced, length_unit=length_unit, command_unit=command_unit)
-    sentences = told.sentences
-    if study.design.withheld:
-        sentences = sentences[1:]  # the first says no more
-        blocks.append(
-            f"The gain is withheld. {study.lights['gain'].sentence} What follows is what the model says of gains, not"
-            " what the axis will do."
-        )
-    blocks += [
-        playground("gain", study.model, study.design),
-        Summary(title="", sentences=sentences, tables=told.tables),
-    ]
-    simpler = comparison_summary(comparison, length_unit=length_unit, command_unit=command_unit)
-    new = tuple(sentence for sentence in simpler.sentences if sentence not in told.sentences)
-    blocks.append(Summary(title="What simpler models recommend", sentences=new, tables=simpler.tables))
-    return Section(key="design", title=title, blocks=(*blocks, *_design_figures(columns(comparison), study.design)))
-
-
-def _design_figures(models: Sequence[Column], design: Design) -> list[Block]:
-    best = models[-1]
-    names = gain_names(design.spec, best.plant)
-    found = gain_map(best.plant, design.spec, *map_axes(best.plant, design.spec, count=MAPPED))
-    blocks: list[Block] = [
-        settling_figure(
-            "settling",
-            models,
-            f"Settling time against {names.free} on each model, with the gains that meet the spec shaded in its colour."
-            f" Cross: a gain that breaks the spec on the {best.name} model. Simulated, no measured data.",
-        ),
-        gains_figure(
-            "map",
-            found,
-            design,
-            best.plant,
-            f"Both gains on the {best.name} model: how soon the step settles, how far it overshoots, and what the"
-            f" controller makes of measurement noise ({best.plant.command_unit} for one {best.plant.length_unit} of"
-            " white noise). White: it does not settle in twice the time asked for. Simulated, no measured data.",
-        ),
-    ]
-    if any(model.design.kd is not None for model in models):
-        blocks.append(
-            steps_figure(
-                "steps",
-                models,
-                f"Step responses of these gains on the {best.name} model, with the band and the time it holds from"
-                " (dashed). Simulated, no measured data.",
-            )
-        )
-    return blocks

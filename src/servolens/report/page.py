@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from base64 import b64encode
 from datetime import UTC, datetime
 from hashlib import sha256
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from servolens import __version__
 from servolens.rendering import by_severity
@@ -30,6 +31,8 @@ __all__ = ["render_page", "write_page"]
 FOLDER = Path(__file__).parent
 PHONE, TABLET, GUTTER, UNBROKEN = 42, 92, 2, 12
 """Letters that a row of a table has room for; what the edge of a column takes; what is not broken between words."""
+BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|[nµmk]?(?:m|s|rad|V|A|N|Hz)\b))|(?<=\d [VAN]) (?=s/)")
+RANGE = re.compile(r"(?<=\d)–(?=\d)")
 
 
 def write_page(
@@ -65,7 +68,11 @@ def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], 
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
-        loader=FileSystemLoader(FOLDER), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader(FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        finalize=_unbroken,
     )
     made = f"Made by servolens {__version__} on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC."
     count_up = count(1)
@@ -88,6 +95,14 @@ def render_page(title: str, lead: str, more: Sequence[str | Findings | Lights], 
         by_severity=by_severity,
     )
     return with_shared_letters(html)
+
+
+def _unbroken(value: Any) -> Any:
+    """Return a text whose lines do not break between a number and its unit, nor within a range of numbers."""
+    if type(value) is not str:  # what is safe is no text
+        return value
+    kept = BEFORE_UNIT.sub("\u00a0", value)
+    return RANGE.sub("\u2060–\u2060", kept)
 
 
 def _scripts(sections: Sequence[Section]) -> list[str]:

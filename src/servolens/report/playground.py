@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +34,14 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.model import Model
     from servolens.plant import Plant
+    from servolens.simulation import Simulation
 
     Band = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 __all__ = ["playground"]
+
+FIRST_TRIED = 9
+"""Gains over the whole range that are tried where the axis diverges with the one to begin with."""
 
 SCENARIOS, SEED = 16, 2
 """Axes as they may be that the page shows; no other draws have this seed."""
@@ -49,8 +54,10 @@ SLIDER_BEGIN, SLIDER_END = 0.25, 2.5
 
 
 @styled
-def playground(key: str, model: Model, design: Design) -> Playground:
+def playground(key: str, model: Model, design: Design) -> Playground | None:
     """Return the step and the settling time of `design`, and what is needed to move its gains.
+
+    None where the simulated axis diverges with every gain: it has the wrong sign, or cannot be held.
 
     Parameters
     ----------
@@ -63,13 +70,15 @@ def playground(key: str, model: Model, design: Design) -> Playground:
     """
     spec, plant = design.spec, model.plant
     names = gain_names(spec, plant)
-    scenarios = drawn([model], [spec], SCENARIOS, np.random.default_rng([0, SEED]))
     last = last_gain([design])
+    begun = _begin(design, plant, last)
+    if begun is None:
+        return None
+    shown, step = begun
+    scenarios = drawn([model], [spec], SCENARIOS, np.random.default_rng([0, SEED]))
     gains = np.linspace(0.0, last, GAINS_DRAWN)
     line = settling_curve("as identified", plant, spec, gains, "velocity")
     top = highest([line], spec.settling_time)
-    shown = _shown_gain(design, last)
-    step = step_response(plant, spec, shown, SHOWN * spec.settling_time)
     stepped = curve("as identified", step.time, step.position, "velocity").thinned()
     figures, (left, right) = zip(*(panel_figure(3.3, HALF_WIDTH, 0.75) for _ in range(2)), strict=True)
     plot_step_responses(
@@ -128,6 +137,14 @@ def _shown_gain(design: Design, last: float) -> float:
     if design.recommended is not None:
         return design.recommended.kd
     return design.kd if design.kd is not None else float(f"{0.5 * last:.3g}")
+
+
+def _begin(design: Design, plant: Plant, last: float) -> tuple[float, Simulation] | None:
+    """Return the gain with which the figure begins and its step: another one where the axis diverges with it."""
+    for gain in (_shown_gain(design, last), *np.linspace(0.0, last, FIRST_TRIED).tolist()):
+        with suppress(NumericalError):
+            return gain, step_response(plant, design.spec, gain, SHOWN * design.spec.settling_time)
+    return None
 
 
 def _marks(design: Design) -> list[Mark]:

@@ -110,6 +110,7 @@ def plot_settling_times(  # noqa: PLR0913 - what is asked for, by keyword
         va="top",
         fontsize=8.5,
         zorder=6,
+        bbox={"boxstyle": "square,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.85},
     )
     if legend:
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)

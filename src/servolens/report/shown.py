@@ -35,6 +35,8 @@ __all__ = ["plot_result"]
 
 MOST_DRAWN = 6
 """Records of which a figure can be read."""
+COLUMNS = 2
+"""Of the legend below a figure."""
 ROLES: tuple[Role, ...] = ("velocity", "constant", "varying", "third", "second")
 
 
@@ -55,18 +57,25 @@ def plot_result(result: Result, ax: Axes | None = None) -> Axes:
         If the result was read from a file, which holds no records, or a design has no gain.
     """
     about: Any = result
-    return _step(about, ax) if result.kind == "design" else _responses(about, ax)
-
-
-def _axes(ax: Axes | None) -> Axes:
+    draw = _step if result.kind == "design" else _responses
     if ax is not None:
-        return ax
+        return draw(about, ax)
     from matplotlib import pyplot as plt
 
-    return plt.subplots(figsize=(FULL_WIDTH, 4.0), layout="constrained")[1]
+    figure, own = plt.subplots(figsize=(FULL_WIDTH, 4.0), layout="constrained")
+    try:
+        draw(about, own)
+    except InputError:
+        plt.close(figure)  # a notebook would show it empty
+        raise
+    lines, inside = own.get_legend_handles_labels(), own.get_legend()
+    if inside is not None:
+        inside.remove()
+    figure.legend(*lines, loc="outside lower center", ncols=COLUMNS, handlelength=3.2)  # inside, lines are everywhere
+    return own
 
 
-def _responses(result: Any, ax: Axes | None) -> Axes:
+def _responses(result: Any, ax: Axes) -> Axes:
     records: Sequence[Record] = result.records[:MOST_DRAWN]
     if not records:
         raise InputError("this result was read from a file, which holds no records; draw .simulate(records).plot()")
@@ -87,9 +96,7 @@ def _responses(result: Any, ax: Axes | None) -> Axes:
         if shown
         else listed([r.name for r in records], most=3)
     )
-    return plot_curves(
-        curves, xlabel="Time [s]", ylabel=f"Position [{records[0].length_unit}]", title=names, ax=_axes(ax)
-    )
+    return plot_curves(curves, xlabel="Time [s]", ylabel=f"Position [{records[0].length_unit}]", title=names, ax=ax)
 
 
 def _simulated(plants: Mapping[str, tuple[Role, Plant]], records: Sequence[Record]) -> Lines:
@@ -131,7 +138,7 @@ def _prediction(prediction: Prediction, records: Sequence[Record]) -> Lines:
     ]
 
 
-def _step(design: Design, ax: Axes | None) -> Axes:
+def _step(design: Design, ax: Axes) -> Axes:
     spec = design.spec
     gains: list[tuple[str, Role, float | None]] = [("least", "constant", design.kd)]
     if design.recommended is not None:
@@ -142,7 +149,7 @@ def _step(design: Design, ax: Axes | None) -> Axes:
             raise InputError(f"this design gives no gain to draw ({design.reason})")
         run = design.step(kd, duration=2.4 * spec.settling_time)
         curves.append(curve(f"{label}, {spec.free} = {number(kd)}", run.time, run.position, role).thinned())
-    ax = plot_step_responses(curves, spec, length_unit=design.plant.length_unit, ax=_axes(ax))
+    ax = plot_step_responses(curves, spec, length_unit=design.plant.length_unit, ax=ax)
     ax.set_title(f"Step with kp = {number(spec.kp)}")
     return ax
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from servolens.report.curves import Role
 
 __all__ = [
+    "ALONE",
     "COLOURS",
     "FULL_WIDTH",
     "HALF_WIDTH",
@@ -74,10 +75,10 @@ VARIABLES = {
 }
 """Colours of figures, and the page's variables that stand for them."""
 FULL_WIDTH = 5.6
-"""Inches at which text of a figure has the size of the page's small text."""
-NAMED, WIDE, HALF_WIDTH, THIRD_WIDTH = 6.2, 5.2, 3.75, 2.6
-"""The same of one with names at its side, of one that a phone can show, and of two and of three beside each other where
-there is room."""
+"""Inches of a figure for scripts and notebooks."""
+NAMED, ALONE, WIDE, HALF_WIDTH, THIRD_WIDTH = 5.2, 4.9, 4.6, 3.75, 2.6
+"""Inches of a figure of the page with names at its side, with two panels, with one, and of two and of three beside each
+other where there is room. A phone shows the first at three quarters of its size."""
 STYLE: Any = {
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
@@ -89,6 +90,7 @@ STYLE: Any = {
     "axes.spines.top": False,
     "axes.titlelocation": "left",
     "axes.titlesize": 10.0,
+    "axes.titley": 1.0,  # where nothing is above the axes; to find that out takes a seventh of the drawing
     "axes.titleweight": "bold",
     "figure.facecolor": "white",
     "font.family": "DejaVu Sans",

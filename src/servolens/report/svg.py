@@ -27,7 +27,7 @@ COLOUR = re.compile(r"(?<=: )#([0-9a-f]{6})\b")
 LETTER = re.compile(r'<path id="letter-[^"]+" d="[^"]*" transform="scale\([\d.]+\)"/>')
 PLACE = re.compile(r'(?<=\s)(x|y)="(-?\d+\.\d{3,})"')
 LINE_COMMANDS = {"M", "L"}
-GROWTH = 1.15
+GROWTH = 1.25
 """How far a picture may be enlarged where there is room."""
 SCRIPT_PREFIXES = ("panel-", "axis-", "live-", "xtick_", "ytick_")
 """How names begin that the page's script looks for."""

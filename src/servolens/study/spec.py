@@ -27,6 +27,8 @@ DEFAULTS = {
     ("reference",): "The step is, by default, that of {record}; --reference asks for another.",
 }
 """What is said of a spec of which these fields are not given."""
+LONGER = 4.0
+"""Times as long a step is watched where none settles."""
 SETTLING_SLACK = 1.25
 """The settling time asked for is the shortest that any gain reaches, times this, rounded up to two digits."""
 
@@ -98,10 +100,15 @@ def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     spec = _possible(**fields, band=band, settling_time=4 * sample_time)
     if spec is None:
         return None
-    spec = _possible(**{**spec.to_json(), "settling_time": max(12.0 / spec.rate(plant.gain), 4 * sample_time)})
-    shortest = None if spec is None else _shortest(plant, spec)
-    if spec is None or shortest is None:
-        return None
+    shortest, watched = None, max(12.0 / spec.rate(plant.gain), 4 * sample_time)
+    while shortest is None:  # a lag or a limit makes an axis slower than its gain says, but not than its records show
+        spec = _possible(**{**spec.to_json(), "settling_time": watched})
+        if spec is None:
+            return None
+        shortest = _shortest(plant, spec)
+        if shortest is None and watched >= record.duration:
+            return None
+        watched *= LONGER
     return _possible(**{**spec.to_json(), "settling_time": max(_round_up(SETTLING_SLACK * shortest), 4 * sample_time)})
 
 

@@ -213,9 +213,9 @@ def _designed(
     found = replace(found, model=model)
     wanted = spec or suggested_spec(records, model.plant)
     if wanted is None:
-        return replace(
-            found, why_none="the records state no loop, or the model settles with no gain; give kp and a settling time"
-        )
+        has_loop = any(record.controller is not None and record.controller.kp > 0 for record in records)
+        why = "the model settles with none that was tried" if has_loop else "the records state no loop"
+        return replace(found, why_none=f"{why}; give kp and a settling time")
     linear, nonlinear = (with_amplifier(one, records).plant for one in (fit.constant, fit.velocity) if one)
     diagnosed = None if found.diagnosis is None else model.plant
     try:

@@ -10,7 +10,7 @@ from servolens.summaries.gains import design_summary, gains_summary, map_summary
 from servolens.summaries.models import identification_summary, model_table, prediction_summary
 from servolens.summaries.reading import reading_summary
 from servolens.summaries.shown import summary_of
-from servolens.summaries.tuning import compared_summary, gain_sentences, tuning_summaries
+from servolens.summaries.tuning import compared_summary, gain_sentences, told_elsewhere, tuning_summaries
 
 __all__ = [
     "check_summary",
@@ -31,5 +31,6 @@ __all__ = [
     "prediction_summary",
     "reading_summary",
     "summary_of",
+    "told_elsewhere",
     "tuning_summaries",
 ]

@@ -82,7 +82,7 @@ def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
             "Samples",
             "Sample time [ms]",
             "Duration [s]",
-            f"Noise [{length}]",
+            f"Fast noise [{length}]",
             "Warnings and errors",
             "Usable",
         ),

@@ -20,31 +20,36 @@ if TYPE_CHECKING:
 __all__ = ["comparison_summary", "side_by_side"]
 
 COMPARED = ("linear", "nonlinear", "diagnosed")
+WORDS = {
+    "linear": "gain and constant damping",
+    "nonlinear": "damping that depends on speed",
+    "diagnosed": "the model of the diagnosis",
+}
 MORE_DIGITS = range(5, 7)
 """Of gains that look the same with four."""
 CLIFF = 0.02
 """Share of the settling time from which on gains that look the same do not do the same."""
 
 
-def comparison_summary(comparison: Comparison, *, length_unit: str = "m", command_unit: str = "V") -> Summary:
+def comparison_summary(
+    comparison: Comparison, *, with_best: bool = True, length_unit: str = "m", command_unit: str = "V"
+) -> Summary:
     """Tell what each recommendation does on the plant that the data support best.
 
     Parameters
     ----------
     comparison : Comparison
         Two or three designs.
+    with_best : bool
+        Whether the design on that plant is told too.
     length_unit, command_unit : str
         Of the plants.
     """
     designs = comparison.designs
     best = COMPARED[len(designs) - 1]
     kd_unit = f"{command_unit} s/{length_unit}"
-    sentences = [
-        _verdict(kind, design, gain, response, best, kd_unit)
-        for kind, design, gain, response in zip(
-            COMPARED, designs, _told_apart(designs), comparison.on_best, strict=False
-        )
-    ]
+    told = [*zip(COMPARED, designs, _told_apart(designs), comparison.on_best, strict=False)]
+    sentences = [_verdict(*one, best, kd_unit) for one in (told if with_best else told[:-1])]
     sentences += _cliff(designs, comparison.on_best)
     if comparison.linear.kd and designs[-1].kd:
         sentences.append(_saving(comparison.linear.kd, designs[-1].kd, best))
@@ -74,7 +79,8 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
         ("Meets the spec there", *(_meets(r, designs[0].spec) for r in on)),
     )
     columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))
-    return Table(title="Side by side", columns=columns, rows=rows)
+    note = " ".join(f"{kind.capitalize()}: {WORDS[kind]}." for kind in COMPARED[: len(designs)])
+    return Table(title="Side by side", columns=columns, rows=rows, note=note)
 
 
 def _settles(response: Response | None) -> str:
@@ -149,4 +155,5 @@ def _saving(linear: float, richer: float, best: str) -> str:
     change = 100 * (richer - linear) / linear
     if abs(change) < 0.5:
         return f"The linear and the {best} model ask for the same gain within half a percent."
-    return f"The {best} model asks for {percent(abs(change))} {'less' if change < 0 else 'more'} derivative gain."
+    how = f"{percent(abs(change))} {'less' if change < 0 else 'more'}"
+    return f"The {best} model asks for {how} derivative gain than the linear one."

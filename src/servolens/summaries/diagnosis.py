@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from servolens.findings import Finding
 
 __all__ = [
+    "SURROUNDINGS",
     "advice",
     "cause_phrase",
     "diagnosis_summary",
@@ -148,7 +150,8 @@ def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def noise_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
     found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
-    return [capital(unit(finding.message)) for finding in found if not is_told_already(finding, diagnosis)]
+    told = [unit(finding.message) for finding in found if not is_told_already(finding, diagnosis)]
+    return [capital(re.sub(r"^noise (?=[\d.])", "the sensor's noise is ", message)) for message in told]
 
 
 def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:

@@ -26,6 +26,8 @@ CLEAR = 1e-3
 """Significance from which on an instrument says something."""
 SHARE_WORTH_A_SENTENCE = 0.2
 """By how much the share of the error in a range must exceed its share of the samples to be worth a sentence."""
+MOST_SAMPLES = 0.5
+"""Share of the samples in a range from which on it tells nobody where to look."""
 NARROW, PEAK = 2, 0.7
 """Neighbouring bins in which so much of the error is one frequency; that it is slow, every error of a loop is."""
 QUANTITY_ORDER = ("speed", "direction", "position", "time_since_step", "voltage")
@@ -49,7 +51,8 @@ QUANTITIES = {
 def where_phrase(shares: Sequence[Share]) -> str:
     """Return what part of the error arises in which range of a measured quantity; empty if it arises everywhere."""
     places = [share for share in shares if share.quantity in QUANTITY_ORDER]
-    telling = [share for share in places if share.share_of_error - share.share_of_samples >= SHARE_WORTH_A_SENTENCE]
+    narrow = [share for share in places if share.share_of_samples <= MOST_SAMPLES]
+    telling = [share for share in narrow if share.share_of_error - share.share_of_samples >= SHARE_WORTH_A_SENTENCE]
     if not telling:
         return "".join(_peak(share) for share in shares if share.quantity == "frequency")
     most = max(share.share_of_error - share.share_of_samples for share in telling)

@@ -22,7 +22,6 @@ __all__ = [
     "least_gain",
     "light_sentences",
     "map_summary",
-    "recommended_sentences",
     "sentence",
 ]
 
@@ -61,7 +60,8 @@ def design_summary(
     """
     spec = design.spec
     kd_unit = f"{command_unit} s/{length_unit}"
-    trusted = light_sentences(lights or {})
+    why = "" if design.recommended is None else sentence(design.recommended.why)
+    trusted = [told.removesuffix(f" {why}") if why else told for told in light_sentences(lights or {})]
     if design.kd is None:
         how = "tune(…, force=True)" if in_python else "--force"
         why = f"The gain is withheld; {how} gives it all the same." if design.withheld else sentence(design.reason)
@@ -74,10 +74,11 @@ def design_summary(
         return Summary(title="Design", sentences=tuple(sentences), tables=tables)
     sentences = [
         *(["Forced: this gain would be withheld."] if forced else []),
-        *recommended_sentences(design, kd_unit),
+        *_recommended(design, kd_unit),
         f"{spec.free} = {least_gain(design)} {kd_unit} is the least gain that {_aim(spec)}{_elsewhere(design)}.",
         *_margin(design, kd_unit),
         *_simulated(design, command_unit),
+        *([] if design.recommended is None else [sentence(design.recommended.risk)]),
         *_hunting(design, length_unit, in_python=in_python),
         *_tracking(design, length_unit),
         *trusted,
@@ -87,7 +88,7 @@ def design_summary(
     return Summary(
         title="Design",
         sentences=tuple(sentences),
-        tables=(_intervals(design, kd_unit), _responses(design, command_unit)),
+        tables=(_intervals(design, kd_unit), *_responses(design, command_unit)),
     )
 
 
@@ -174,15 +175,13 @@ def light_sentences(lights: Mapping[str, Light]) -> list[str]:
     return [f"{name.capitalize()}: {light.light}. {light.sentence}" for name, light in lights.items()]
 
 
-def recommended_sentences(design: Design, kd_unit: str) -> list[str]:
-    """Tell the gain to use and what the least one risks; nothing where none was looked for."""
+def _recommended(design: Design, kd_unit: str) -> list[str]:
+    """Tell the gain to use; nothing where none was looked for."""
     chosen = design.recommended
     if chosen is None:
         return []
-    return [
-        f"{design.spec.free} = {number(chosen.kd)} {kd_unit} is recommended: it {sentence(chosen.why, capital=False)}",
-        sentence(chosen.risk),
-    ]
+    why = sentence(chosen.why, capital=False)
+    return [f"{design.spec.free} = {number(chosen.kd)} {kd_unit} is recommended: it {why}"]
 
 
 def least_gain(design: Design) -> str:
@@ -345,7 +344,10 @@ def _searched(design: Design) -> str:
     )
 
 
-def _responses(design: Design, command_unit: str) -> Table:
+def _responses(design: Design, command_unit: str) -> list[Table]:
+    """Return what the least gain does on each of several models; of one model a sentence says it."""
+    if len(design.verified) < 2:
+        return []
     rows = [
         (
             f"model {i}",
@@ -356,11 +358,12 @@ def _responses(design: Design, command_unit: str) -> Table:
         )
         for i, r in enumerate(design.verified, start=1)
     ]
-    return Table(
+    table = Table(
         title=f"Simulated with {design.spec.free} = {least_gain(design)}",
         columns=("Model", "Settles [s]", "Overshoot [%]", f"Peak [{command_unit}]", "Meets"),
         rows=tuple(rows),
     )
+    return [table]
 
 
 def sentence(reason: str | None, *, capital: bool = True) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,11 +11,23 @@ import numpy as np
 from servolens.effects import VelocityDecayDamping
 from servolens.model import NORMAL_95, Quantity
 from servolens.plant import Plant
-from servolens.summaries.wording import interval, listed, number, percent, plus_minus, scale, undetermined, unit
+from servolens.summaries.wording import (
+    capital,
+    interval,
+    listed,
+    number,
+    percent,
+    plus_minus,
+    scale,
+    undetermined,
+    unit,
+)
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from servolens.identification import Identification
     from servolens.identification.varying import VaryingDamping
@@ -22,7 +35,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.prediction import Prediction, RecordError
 
-__all__ = ["identification_summary", "model_table", "prediction_summary"]
+__all__ = ["MODEL_WORDS", "determined", "identification_summary", "model_table", "prediction_summary"]
 
 MODEL_WORDS = {
     "velocity": "damping that depends on speed",
@@ -43,7 +56,7 @@ def identification_summary(identification: Identification) -> Summary:
     for kind, model in models.items():
         sentences += [] if model is None else _doubtful(kind, model)
     tables = [
-        model_table(model, f"{MODEL_WORDS[kind].capitalize()} ({kind})")
+        replace(model_table(model, capital(MODEL_WORDS[kind])), note=_unknown(model))
         for kind, model in models.items()
         if model is not None
     ]
@@ -66,13 +79,17 @@ def model_table(model: Model, title: str) -> Table:
     for name, quantity in model.quantities.items():
         rows.append((name.rpartition(".")[2], plus_minus(quantity), interval(quantity), unit(quantity.unit)))
     effects = [effect.name for effect in model.plant.effects]
-    unknown = undetermined({name.rpartition(".")[2]: quantity for name, quantity in model.quantities.items()})
+    unknown = _unknown(model)
     return Table(
         title=title,
         columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
         rows=tuple(rows),
         note=" ".join(part for part in (f"Effects: {listed(effects)}." if effects else "", unknown) if part),
     )
+
+
+def _unknown(model: Model) -> str:
+    return undetermined({name.rpartition(".")[2]: quantity for name, quantity in model.quantities.items()})
 
 
 def prediction_summary(
@@ -140,17 +157,16 @@ def _damping_law(model: Model | None) -> list[str]:
 
 
 def _doubtful(kind: str, model: Model) -> list[str]:
-    """Name the parameters that are not determined or stand at a bound."""
+    """Name the parameters that stand at a bound or are not determined."""
     told = []
-    for name, quantity in model.quantities.items():
-        if quantity.stderr is None:
-            told.append(f"{kind}: {name} has no standard error: {quantity.reason or 'it is not known'}.")
+    for qualified, quantity in model.quantities.items():
+        name = f"{capital(MODEL_WORDS[kind])}: {qualified.rpartition('.')[2]}"
+        if bound := _bound(model.plant, qualified, quantity.value):
+            told.append(f"{name} stands at its bound {bound}.")
+        elif quantity.stderr is None:
+            told.append(f"{name} has no standard error: {quantity.reason or 'it is not known'}.")
         elif quantity.value and not _is_told(quantity):
-            told.append(
-                f"{kind}: {name} is not significantly different from zero (95 % interval {interval(quantity)})."
-            )
-        if bound := _bound(model.plant, name, quantity.value):
-            told.append(f"{kind}: {name} stands at its bound {bound}.")
+            told.append(f"{name} is not significantly different from zero (95 % interval {interval(quantity)}).")
     return told
 
 
@@ -175,10 +191,16 @@ def _varying_table(varying: VaryingDamping, gain_unit: str) -> list[Table]:
             plus_minus(Quantity(value=float(c), stderr=float(error), unit="1/s")),
             number(float(speed), 3),
         )
-        for start, end, c, error, speed in zip(
-            varying.edges[:-1], varying.edges[1:], varying.damping, errors, varying.speed, strict=False
+        for start, end, c, error, speed, is_known in zip(
+            varying.edges[:-1],
+            varying.edges[1:],
+            varying.damping,
+            errors,
+            varying.speed,
+            determined(varying),
+            strict=False,
         )
-        if error < max(c, LEAST_DAMPING)
+        if is_known
     ]
     if not rows:
         return []
@@ -187,12 +209,18 @@ def _varying_table(varying: VaryingDamping, gain_unit: str) -> list[Table]:
     gain = plus_minus(Quantity(value=varying.gain, stderr=float(errors[-1]), unit=gain_unit))
     active = f" Constraints that hold with equality: {listed(varying.active)}." if varying.active else ""
     table = Table(
-        title="Damping that varies in time (varying)",
+        title=capital(MODEL_WORDS["varying"]),
         columns=("Time since the step [s]", "Damping ± standard error [1/s]", f"Mean |speed| [{length_unit}/s]"),
         rows=tuple(rows),
         note=f"Gain {gain} {unit(gain_unit)}.{active}{left_out}",
     )
     return [table]
+
+
+def determined(varying: VaryingDamping) -> NDArray[np.bool_]:
+    """Return which pieces of time the data say something of: their error is smaller than their damping."""
+    errors = np.sqrt(np.maximum(np.diag(varying.covariance), 0.0))[: varying.damping.size]
+    return np.asarray(errors < np.maximum(varying.damping, LEAST_DAMPING))
 
 
 def _errors_table(identification: Identification) -> Table:
@@ -203,7 +231,7 @@ def _errors_table(identification: Identification) -> Table:
     ]
     return Table(
         title="Mean error of the simulated step [% of the step]",
-        columns=("Record", *kinds),
+        columns=("Record", *(capital(MODEL_WORDS[kind]) for kind in kinds)),
         rows=tuple(rows),
         note="On the records it was identified from; other records tell more.",
     )

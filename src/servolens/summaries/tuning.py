@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING
 
 from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary, side_by_side
-from servolens.summaries.diagnosis import is_told_already, remaining_sentences, rival_sentences, verdict_sentence
+from servolens.summaries.diagnosis import (
+    SURROUNDINGS,
+    is_told_already,
+    remaining_sentences,
+    rival_sentences,
+    verdict_sentence,
+)
 from servolens.summaries.diagnosis_tables import parameters_table
 from servolens.summaries.gains import (
     asked_sentence,
@@ -22,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.findings import Finding
     from servolens.study import Study
 
-__all__ = ["compared_summary", "gain_sentences", "tuning_summaries"]
+__all__ = ["compared_summary", "gain_sentences", "told_elsewhere", "tuning_summaries"]
 
 
 def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Summary, Summary]:
@@ -33,7 +39,7 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     study : Study
         Of one axis.
     overrule : str
-        How a withheld gain is asked for.
+        How a withheld gain is asked for; empty where nobody can.
     """
     record = study.records[0]
     checked = check_summary(study.check, length_unit=record.length_unit).sentences
@@ -58,6 +64,11 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     return told, Summary(title="The gain", sentences=(*lights, *gains))
 
 
+def told_elsewhere(study: Study, finding: Finding) -> bool:
+    """Tell whether a page's sentences on lights, verdict and noise say all of a finding."""
+    return _is_told(study, finding) or (study.diagnosis is not None and finding.code in SURROUNDINGS)
+
+
 def _is_told(study: Study, finding: Finding) -> bool:
     """Tell whether another sentence says all of a finding: on the diagnosis, or the light of the data."""
     if finding.message.rstrip(".") in study.lights["data"].sentence:
@@ -75,12 +86,13 @@ def compared_summary(study: Study) -> Summary:
 
 
 def gain_sentences(study: Study, *, overrule: str = "force=True") -> tuple[str, ...]:
-    """Return the gain to use and the least one, or why there is none."""
+    """Return the gain to use and the least one, or why there is none; `overrule` as in :func:`tuning_summaries`."""
     design, record = study.design, study.records[0]
     if design is None:
         return (f"No gain was sought: {study.why_none.rstrip('.')}.",)
     if design.withheld:
-        return (f"The gain is withheld: see its light. {overrule} gives it all the same.",)
+        how = f" {overrule} gives it all the same." if overrule else ""
+        return (f"The gain is withheld: see its light.{how}",)
     if design.kd is None:
         why = sentence(design.reason)
         said = "No gain is given" if study.lights["data"].light == "red" else "No gain meets the spec"

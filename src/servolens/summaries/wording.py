@@ -116,6 +116,8 @@ def plus_minus(quantity: Quantity) -> str:
     '1.9165 ± 0.0021 (0.11 %)'
     >>> plus_minus(Quantity(value=-3e-14, stderr=2160.0, unit="1/s"))
     '0 ± 2160'
+    >>> plus_minus(Quantity(value=-7.609e-06, stderr=5.2e-06, unit="rad"))
+    '-7.6e-06 ± 5.2e-06 (68.3 %)'
     """
     value, error = quantity.value, quantity.stderr
     if error is None:
@@ -123,7 +125,7 @@ def plus_minus(quantity: Quantity) -> str:
         return "none seen" if is_beyond else f"{number(value)} (error not known)"
     share = f" ({percent(100 * error / abs(value))})" if abs(value) > error else ""
     if error == 0 or not SMALLEST_PLAIN * 0.1 <= max(abs(value), error) < LARGEST_PLAIN:
-        return f"{number(value)} ± {number(error, 2)}{share}"
+        return f"{number(value, _digits(value, error))} ± {number(error, 2)}{share}"
     decimals = _decimals(error)
     return f"{_unsigned_zero(f'{value:.{decimals}f}')} ± {error:.{decimals}f}{share}"
 
@@ -255,6 +257,13 @@ def _unsigned_zero(text: str) -> str:
 def _decimals(error: float) -> int:
     """Decimals that show two significant digits of `error`."""
     return min(max(1 - math.floor(math.log10(error)), 0), 12)
+
+
+def _digits(value: float, error: float) -> int:
+    """Digits of `value` that its `error` leaves, its second one included; as of any number where there is no error."""
+    if error == 0 or value == 0:
+        return DIGITS
+    return max(2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error)), 1)
 
 
 def _toward(value: float, digits: int, rounding: Callable[[float], int]) -> float:
