@@ -135,7 +135,7 @@ def search(
     shaken = trials.shaken()
     second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), beside, is_enough, begun)
     trials.likelihood.count(shaken.likelihood.work)
-    second = _without_observer(trials, second, SPENT * effort.work)
+    second = _without_observer(trials, second, replace(effort, work=SPENT * effort.work), is_enough)
     likelier = min(second, first, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
 
@@ -151,13 +151,16 @@ def improved_path(
     return replace(found, path=steps, judged=best_of_each((*explorer.judged, *found.judged)))
 
 
-def _without_observer(trials: Trials, found: Search, work: float) -> Search:
-    """Return `found` with what it chose fitted as if nothing shook the axis, if that is likelier."""
+def _without_observer(trials: Trials, found: Search, effort: Effort, is_enough: Callable[[Hypothesis], bool]) -> Search:
+    """Return `found` with what it chose fitted as if nothing shook the axis, if that is likelier.
+
+    Then improved anew: an observer follows what a simpler cause leaves while it is not at its optimum.
+    """
     chosen = found.chosen
-    again = trials.likelihood.judged(chosen.plant, chosen, allowance=work) if chosen.causes else None
+    again = trials.likelihood.judged(chosen.plant, chosen, allowance=effort.work) if chosen.causes else None
     if again is None or again.total >= chosen.total:
         return found
-    return replace(found, path=(*found.path[:-1], again), judged=best_of_each((*found.judged, again)))
+    return improved_path(trials, found, (*found.path[:-1], again), effort, is_enough)
 
 
 @final
