@@ -283,11 +283,12 @@ class Problem:
         there = zip(slopes, before.starts, point.starts, left, strict=True)
         return [run.moved(change, new - old, residual) for run, old, new, residual in there]
 
-    def differences(self, point: Point) -> list[Slopes]:
+    def differences(self, point: Point, widths: NDArray[np.float64] | None = None) -> list[Slopes]:
         """Return each run's residual and its slopes by the parameters and by the initial state, of differences.
 
-        Central, one-sided at a bound and where one side is no plant.
+        Central, one-sided at a bound and where one side is no plant; of parameters at least these `widths`, shape (k,).
         """
+        self.least_shift = np.zeros(self.free.size) if widths is None else widths
         centres = [_Trial(point.values, start) for start in point.starts]
         plans = [self._moves(centre, i) for i, centre in enumerate(centres)]
         if point.substeps != tuple(self.substeps):
@@ -400,10 +401,8 @@ class Problem:
 
     def linearise_over(self, point: Point, widths: NDArray[np.float64]) -> Linearised:
         """Return what `linearise` does, with differences at least this wide."""
-        self.least_shift = widths
-        found = self.linearise(point)
-        self.least_shift = np.zeros(self.free.size)
-        return found
+        self.choose_substeps(point)
+        return self.equations(point, self.differences(point, widths))
 
     def variance(self, point: Point) -> float:
         """Return the variance of the residuals at `point`, the more the fewer samples there are for the unknowns."""

@@ -129,16 +129,14 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
     # a filter of another kind could have whitened what a model lacks, such as a mode that rings
     is_noise = is_independent and noise.counts_followed
     observed = FinalFit(refined, noise, records, "voltage", is_noise=is_noise)
-    if options.driven == "voltage" or best.noise.rate == 0.0 or not all(record.has_loop for record in records):
-        return observed
-    if simulation_error(observed, options) <= AT_NOISE * sensor_noise(records, options):
-        return observed
-    if is_shaking(likelihood, replace(best, plant=observed.refinement.plant)):
-        return replace(observed, is_shaken=True)
-    try:
-        return _closed(records, [h.plant for h in found], options)
-    except NumericalError:
-        return observed
+    is_driven = options.driven == "voltage" or best.noise.rate == 0.0 or not all(r.has_loop for r in records)
+    if not is_driven and simulation_error(observed, options) > AT_NOISE * sensor_noise(records, options):
+        is_shaken = is_shaking(likelihood, replace(best, plant=observed.refinement.plant))
+        observed = replace(observed, is_shaken=is_shaken)
+        with suppress(NumericalError):
+            if not is_shaken:
+                return _closed(records, [h.plant for h in found], options)
+    return replace(observed, refinement=counting_all_spectra(likelihood, refined, noise))
 
 
 def _is_independent(likelihood: Likelihood, best: Hypothesis) -> bool:

@@ -79,12 +79,13 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
     return replace(found, noise=counted)
 
 
-def parts_of(problem: Problem, point: Point) -> list[Part]:
+def parts_of(problem: Problem, point: Point, widths: NDArray[np.float64] | None = None) -> list[Part]:
     """Return what `problem` leaves of each run at `point`, as far as it is compared with measurements.
 
-    The columns of the sensitivity are the parameters, then the initial states of all runs.
+    The columns of the sensitivity are the parameters, of differences at least these `widths`, then the initial states
+    of all runs.
     """
-    sets = problem.differences(point)
+    sets = problem.differences(point, widths)
     states = np.cumsum([0, *(initial.shape[1] for _, _, initial in sets)])
     parts = []
     for i, (run, (residual, jacobian, initial)) in enumerate(zip(problem.runs, sets, strict=True)):

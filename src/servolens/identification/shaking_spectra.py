@@ -1,4 +1,4 @@
-"""Error bars on a shaken axis: as wide as what shakes it is unknown.
+"""Error bars on a shaken axis, which allow for how little is known of what shakes it.
 
 A record holds few correlation times of what shakes an axis slowly, so that many spectra of it are about as likely; and
 the likeliest is too small at low frequencies, for parameters and initial states have taken up a part of it. Beside each
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servolens.errors import NumericalError
-from servolens.identification.error_problem import Problem
+from servolens.identification.error_problem import COARSE, Problem
 from servolens.identification.noise_search import CORNERS
 from servolens.identification.restricted import Part, estimated, parts_of
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from servolens.identification.error_problem import Point
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
@@ -33,7 +34,7 @@ __all__ = ["counting_all_spectra"]
 STEP = 2.0**0.5
 """Factor from one spectrum to the next: of the power above its corner, or of the corner while that power stays."""
 UNLIKELY = 8.0
-"""Difference of −2 log-likelihood from the likeliest spectrum beyond which none is looked at: odds of 1 to 55."""
+"""Difference of −2 log-likelihood from the likeliest spectrum from which on one, of 1/55 its weight, is left alone."""
 MOST = 80
 """Spectra that are looked at."""
 
@@ -69,10 +70,10 @@ def counting_all_spectra(
     """
     if noise.rate == 0.0:
         return refined
-    options = likelihood.options(refined.plant)
-    problem = Problem(refined.plant, likelihood.runs(noise, unpowered=unpowered), options, None)
+    options, simulated = likelihood.options(refined.plant), 0
 
     def beside(place: _Place) -> _Beside | None:
+        nonlocal simulated
         power, corner = place
         other = replace(
             noise, rate=noise.rate * STEP ** (0.25 * power - 0.5 * corner), corner=noise.corner * STEP**corner
@@ -80,18 +81,22 @@ def counting_all_spectra(
         if not CORNERS[0] <= other.corner / likelihood.rate <= CORNERS[1] and place != (0, 0):
             return None
         runs = likelihood.runs(other, unpowered=unpowered)
-        problem.runs = runs
+        problem = Problem(refined.plant, runs, options, None)
+        determinant = sum(run.whiten.log_determinant for run in runs) - float(np.log(other.corner))
         try:
-            determinant = sum(run.whiten.log_determinant for run in runs) - float(np.log(other.corner))
             return _beside(problem, refined, determinant)
         except NumericalError:
             return None
+        finally:
+            simulated += problem.simulated
 
     found = list(_likely(beside))
-    likelihood.count(problem.simulated)
-    factors = np.ones(len(problem.names))
-    if found:
-        factors[problem.free] = _widened(found)
+    likelihood.count(simulated)
+    if not found:
+        return refined
+    columns = Problem(refined.plant, likelihood.runs(noise, unpowered=unpowered), options, None).free
+    factors = np.ones(len(refined.covariance))
+    factors[columns[::-1]] = _widened(found)[::-1]  # of parameters of the records' own the first
     return replace(refined, covariance=refined.covariance * np.outer(factors, factors))
 
 
@@ -121,7 +126,9 @@ def _beside(problem: Problem, refined: Refinement, determinant: float) -> _Besid
     """
     point = problem.at(refined.starts, refined.local)
     problem.choose_substeps(point)
-    parts, k = parts_of(problem, point), problem.free.size
+    parts, k = parts_of(problem, point, _widths(problem, point, refined)), problem.free.size
+    if sum(part.left.size for part in parts) <= parts[0].sensitivity.shape[1]:
+        raise NumericalError("there are no more samples than unknowns")
     free = np.ones(parts[0].sensitivity.shape[1])
     free[:k] = (point.values > problem.low) & (point.values < problem.high)
     parts = [part._replace(sensitivity=part.sensitivity * free) for part in parts]
@@ -133,8 +140,16 @@ def _beside(problem: Problem, refined: Refinement, determinant: float) -> _Besid
     return _Beside(found.misfit, found.change[:k], found.variances[:k])
 
 
+def _widths(problem: Problem, point: Point, refined: Refinement) -> NDArray[np.float64]:
+    """Return how far to look for slopes, as for the error bars: dry friction and contacts leave small ones rough."""
+    errors = np.nan_to_num(np.sqrt(np.diag(refined.covariance))[problem.free])
+    narrow = np.minimum(errors, 0.1 * np.abs(point.values))
+    is_rough = problem.touched if not refined.is_smooth else np.zeros_like(problem.touched)
+    return np.where(is_rough, problem.share_of(point, COARSE), narrow)
+
+
 def _widened(found: Sequence[_Beside]) -> NDArray[np.float64]:
-    """Return by which factor each standard deviation is larger than beside the first alone, shape (k,)."""
+    """Return how many times each standard deviation is that beside the first alone, shape (k,)."""
     misfits = np.array([beside.misfit for beside in found])
     weights = np.exp(-0.5 * (misfits - misfits.min()))
     weights /= weights.sum()

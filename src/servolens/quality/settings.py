@@ -367,8 +367,8 @@ def _rows(record: Record, used: Rows, case: _Case) -> Rows:
     rows &= (there >= 0) & (there < used.size)
     if case.column == "voltage":
         rows &= _moved(used, shift)
-    elif shift < 0:
-        rows[: remembered(controller_of(record), record) - shift] = False
+    if shift:
+        rows[: remembered(controller_of(record), record) + max(-shift, 0)] = False
     return rows
 
 
