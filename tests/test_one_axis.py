@@ -96,3 +96,21 @@ def test_a_record_that_does_not_move_is_not_asked():
     moving = run(12.0, "moving")
     still = moving.with_({"position": np.zeros(len(moving)), "name": "still"})
     assert contradiction([moving, still]) is None
+
+
+def test_a_wrong_sign_is_not_told_as_a_contradiction_too():
+    record = lab.step_record(lab.Truth(gain=2.0, damping=6.0), 40, noise=1e-5, seed=720_901)
+    mirrored = record.with_({"voltage": -record.voltage, "name": "mirrored"})
+    assert [finding.code for finding in check([record, mirrored])] == ["wrong_sign"]
+
+
+def test_gains_are_told_for_the_inertia_that_they_are_compared_at():
+    heavy = lab.step_record(lab.Truth(gain=2.0, damping=6.0), 40, noise=1e-5, seed=720_902)
+    light = lab.step_record(lab.Truth(gain=40.0, damping=6.0), 40, noise=1e-5, seed=720_903)
+    heavy, light = (
+        record.with_({"inertia": inertia, "name": name})
+        for record, inertia, name in ((heavy, 2.0, "heavy"), (light, 0.2, "light"))
+    )
+    (found,) = (finding for finding in check([heavy, light]) if finding.code == "records_contradict")
+    assert "in light (for the inertia of heavy)" in found.message
+    assert re.search(r"gain of 2\.0\d+ ± 0\.0\d+ |gain of 1\.9\d+ ± 0\.0\d+ ", found.message)

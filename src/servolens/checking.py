@@ -29,5 +29,6 @@ def check(records: Records, **settings: Unpack[RecordSettings]) -> tuple[Finding
     ['records_contradict']
     """
     runs = as_records(records, settings)
-    apart = contradiction(runs)
-    return (*(finding for record in runs for finding in assess(record).findings), *((apart,) if apart else ()))
+    qualities = [assess(record) for record in runs]
+    apart = contradiction([record for record, quality in zip(runs, qualities, strict=True) if quality.usable])
+    return (*(finding for quality in qualities for finding in quality.findings), *((apart,) if apart else ()))

@@ -147,7 +147,7 @@ def settled(text: str, admissible: Sequence[str], what: str) -> str:
     """
     if text in admissible:
         return text
-    meant = parse_unit(str(text))
+    meant = parse_unit(str(text)) or parse_unit(str(text).lower())
     for one in admissible:
         if meant is not None and meant == parse_unit(one):
             return one

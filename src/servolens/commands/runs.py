@@ -59,7 +59,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
         for done, record in enumerate(records):
             progress("Checking the records", done, len(records))
             qualities.append(assess(record))
-        apart = contradiction(records)
+        apart = contradiction([record for record, quality in zip(records, qualities, strict=True) if quality.usable])
     summary = check_summary(qualities, [apart] if apart else [], length_unit=records[0].length_unit)
     if json_file:
         write_json(json_file, "check", {"records": [quality.to_json() for quality in qualities]}, summary.findings)

@@ -74,7 +74,7 @@ def tune_gains(
     (True, True)
     """
     known = as_models(models)
-    wanted = wishes or GainWishes()
+    wanted = GainWishes() if wishes is None else wishes
     check_spec(spec)
     needed(wanted, GainWishes, "GainWishes(free=('kp', 'kd'))")
     search = GainsSearch(known, spec, wanted)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from math import floor, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,10 +44,10 @@ def contradiction(records: Sequence[Record]) -> Finding | None:
     records : sequence of Record
         In the same units.
     """
-    stated = next((record for record in records if record.inertia is not None), records[0])
+    stated = next((record for record in records if record.inertia is not None), next(iter(records), None))
     begun = [(record.name, *linear) for record in records if (linear := _linear(record))]
-    gains = [plant.for_record(stated).gain for _, plant, _ in begun]
-    if not gains or not _far_apart(min(gains), max(gains)):
+    gains = [plant.for_record(stated).gain for _, plant, _ in begun] if stated else []
+    if stated is None or not gains or not _far_apart(min(gains), max(gains)):
         return None
     names, plants, errors = [], [], []
     for name, start, segments in begun:
@@ -56,10 +57,12 @@ def contradiction(records: Sequence[Record]) -> Finding | None:
             names.append(name)
             plants.append(plant.for_record(stated))
             errors.append(error * plants[-1].gain / plant.gain)
-    return apart(plants, names, errors)
+    return apart(plants, names, errors, "" if stated.inertia is None else f" (for the inertia of {stated.name})")
 
 
-def apart(plants: Sequence[Plant], names: Sequence[str], errors: Sequence[float] | None = None) -> Finding | None:
+def apart(
+    plants: Sequence[Plant], names: Sequence[str], errors: Sequence[float] | None = None, scaled: str = ""
+) -> Finding | None:
     """Return a finding if `plants`, one fitted to each record alone, cannot be the same axis.
 
     Parameters
@@ -70,6 +73,8 @@ def apart(plants: Sequence[Plant], names: Sequence[str], errors: Sequence[float]
         Of the records.
     errors : sequence of float, optional
         Standard errors of their gains; where they are not given they are taken to be small.
+    scaled : str
+        What to add where gains are not those of the records themselves.
     """
     from scipy.stats import norm
 
@@ -83,12 +88,21 @@ def apart(plants: Sequence[Plant], names: Sequence[str], errors: Sequence[float]
     if not far:
         return None
     low, high = max(far, key=lambda pair: pair[1][0] - pair[0][0])
-    first, second = (f"{gain:.4g}{f' ± {error:.2g}' if error else ''}" for gain, error, _ in (low, high))
+    first, second = (_told(gain, error) for gain, error, _ in (low, high))
     message = (
         f"the records contradict each other: each by itself is explained, with a gain of {first} "
-        f"{plants[0].unit('gain')} in {low[2]} and of {second} in {high[2]}; are they of the same axis, load and units?"
+        f"{plants[0].unit('gain')} in {low[2]} and of {second} in {high[2]}{scaled}; are they of the same "
+        "axis, load and units?"
     )
     return Finding(code="records_contradict", severity="warning", message=message)
+
+
+def _told(gain: float, error: float) -> str:
+    """Return a gain with the digits that its error leaves."""
+    if not error > 0.0:
+        return f"{gain:.4g}"
+    digits = max(1 - floor(log10(error)), 0)
+    return f"{gain:.{digits}f} ± {error:.{digits}f}"
 
 
 def _far_apart(a: float, b: float) -> bool:

@@ -113,7 +113,8 @@ def study_records(
     check_request(runs, others, known, effort)
     progress("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
-    apart = contradiction((*runs, *others))
+    usable = [record for record, quality in zip((*runs, *others), check, strict=True) if quality.usable]
+    apart = contradiction(usable)
     begun = Study(
         records=runs,
         heldout=others,

@@ -261,7 +261,7 @@ def _decimals(error: float) -> int:
 
 def _digits(value: float, error: float) -> int:
     """Digits of `value` that its `error` leaves, its second one included; as of any number where there is no error."""
-    if error == 0 or value == 0:
+    if error == 0 or value == 0 or not (math.isfinite(value) and math.isfinite(error)):
         return DIGITS
     return max(2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error)), 1)
 
