@@ -367,7 +367,7 @@ def _rows(record: Record, used: Rows, case: _Case) -> Rows:
     rows &= (there >= 0) & (there < used.size)
     if case.column == "voltage":
         rows &= _moved(used, shift)
-    if shift:
+    if shift < 0 or case.column == "voltage":
         rows[: remembered(controller_of(record), record) + max(-shift, 0)] = False
     return rows
 
