@@ -125,7 +125,8 @@ def search(
         return _searched(trials, base, effort, tell, known, is_enough)
     finally:
         trials.likelihood.count(unshaken.likelihood.work)
-    is_white = first.chosen.noise.order == 0  # and so leaves nothing that an observer could follow
+    # white noise leaves nothing that an observer could follow; what is left of coarse steps is their rounding
+    is_white = first.chosen.noise.order == 0 or dominates(trials.likelihood.white)
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
     telling = [h for h in first.judged if h.causes and not is_last_resort(h)]

@@ -81,9 +81,10 @@ class NoiseTrials:
         """
         likelihood = self.likelihood
         self.look(noise)
-        if dominates(likelihood.white) and self._is_rounding():  # nothing tells shaking or jitter from it
+        is_coarse = dominates(likelihood.white)  # nothing tells jitter from rounding, nor shaking from as little
+        if is_coarse and self._is_rounding():
             return
-        if self._left is not None:
+        if self._left is not None and not is_coarse:
             jitter, floor = instants(self._left, [signals.speed for signals in likelihood.signals])
             if jitter > 0.0:
                 late = replace(noise, jitter=jitter, floor=min(floor, noise.floor))
