@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from servolens import Plant, effects, lab
+from servolens import Plant, effects, fit, lab
 from servolens.identification.fitting import likelihood_of
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import minimise_error
@@ -93,3 +94,16 @@ def test_error_bars_of_dry_friction_are_no_artefact_of_small_differences():
         assert noise.rate > 0.0
         assert (ratio > 0.8).all()
         assert (ratio < 1.6).all()
+
+
+def test_a_fit_allows_for_the_spectra_once():
+    records = shaken_records(720_660)
+    found = fit("constant_force", records)
+    likelihood, noise = likelihood_of(records, found.plant, FitOptions()), found.noise_model
+    alone = minimise_error(
+        found.plant, likelihood.runs(noise), likelihood.options(found.plant), noise=likelihood.weighed_by(noise)
+    )
+    once = counting_all_spectra(likelihood, alone, noise)
+    assert noise.rate > 0.0
+    assert np.diag(once.covariance)[NAMES.index("constant_force.acceleration")] > 1.2 * np.diag(alone.covariance)[-1]
+    assert np.diag(found.model.covariance) == pytest.approx(np.diag(once.covariance), rel=0.05)

@@ -125,7 +125,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
     is_independent = is_large and noise.rate == 0.0 and _is_independent(likelihood, best)
     if options.driven == "voltage" and is_large and not is_independent:
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
-    refined = counting_all_spectra(likelihood, _observed(likelihood, best.plant, noise, best.starts), noise)
+    refined = _observed(likelihood, best.plant, noise, best.starts)
     # a filter of another kind could have whitened what a model lacks, such as a mode that rings
     is_noise = is_independent and noise.counts_followed
     observed = FinalFit(refined, noise, records, "voltage", is_noise=is_noise)
