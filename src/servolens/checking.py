@@ -9,10 +9,14 @@ from servolens.inputs import as_records
 from servolens.quality import assess
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servolens.findings import Finding
     from servolens.inputs import Records, RecordSettings
+    from servolens.quality import RecordQuality
+    from servolens.record import Record
 
-__all__ = ["check"]
+__all__ = ["check", "contradictions"]
 
 
 def check(records: Records, **settings: Unpack[RecordSettings]) -> tuple[Finding, ...]:
@@ -30,5 +34,10 @@ def check(records: Records, **settings: Unpack[RecordSettings]) -> tuple[Finding
     """
     runs = as_records(records, settings)
     qualities = [assess(record) for record in runs]
-    apart = contradiction([record for record, quality in zip(runs, qualities, strict=True) if quality.usable])
-    return (*(finding for quality in qualities for finding in quality.findings), *((apart,) if apart else ()))
+    return (*(finding for quality in qualities for finding in quality.findings), *contradictions(runs, qualities))
+
+
+def contradictions(records: Sequence[Record], qualities: Sequence[RecordQuality]) -> tuple[Finding, ...]:
+    """Return what is found of all records together: of those that have no error of their own."""
+    apart = contradiction([record for record, quality in zip(records, qualities, strict=True) if quality.usable])
+    return (apart,) if apart else ()

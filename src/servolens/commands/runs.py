@@ -49,7 +49,7 @@ def check(recordings: Recordings, json_file: str | None) -> int:
     whether the records contradict each other.
     Exit status 1 if a record is unfit for identification, or a sign or a unit in it is wrong.
     """
-    from servolens.identification.one_axis import contradiction
+    from servolens.checking import contradictions
     from servolens.quality import assess
     from servolens.summaries import check_summary
 
@@ -59,8 +59,8 @@ def check(recordings: Recordings, json_file: str | None) -> int:
         for done, record in enumerate(records):
             progress("Checking the records", done, len(records))
             qualities.append(assess(record))
-        apart = contradiction([record for record, quality in zip(records, qualities, strict=True) if quality.usable])
-    summary = check_summary(qualities, [apart] if apart else [], length_unit=records[0].length_unit)
+        of_all = contradictions(records, qualities)
+    summary = check_summary(qualities, of_all, length_unit=records[0].length_unit)
     if json_file:
         write_json(json_file, "check", {"records": [quality.to_json() for quality in qualities]}, summary.findings)
     show(summary, json_file)

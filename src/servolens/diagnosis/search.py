@@ -104,7 +104,7 @@ def search(
     is_one = base.noise.rate == 0.0 or trials.likelihood.simulates
     if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
         return _searched(trials, base, effort, tell, known, is_enough)
-    unshaken, beside = trials.unshaken(), [*known]
+    unshaken, beside, is_coarse = trials.unshaken(), [*known], dominates(trials.likelihood.white)
 
     def shaken_likewise(found: Hypothesis, work: float) -> Hypothesis | None:
         shaken = trials.shaken().likelihood
@@ -118,7 +118,7 @@ def search(
     try:
         told = _part(tell, 0.0, UNSHAKEN)
         # what an encoder's coarse steps do not show moving is rather a cause that is missing
-        share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
+        share = LIKELIER if is_coarse else UNSHAKEN
         budget = _Budget(share, LIKELIER, base.total, shaken_likewise)
         first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
     except NumericalError:
@@ -126,7 +126,7 @@ def search(
     finally:
         trials.likelihood.count(unshaken.likelihood.work)
     # white noise leaves nothing that an observer could follow; what is left of coarse steps is their rounding
-    is_white = first.chosen.noise.order == 0 or dominates(trials.likelihood.white)
+    is_white = first.chosen.noise.order == 0 or is_coarse
     if first.chosen.total < base.total and is_white and is_enough(first.chosen):
         return first
     telling = [h for h in first.judged if h.causes and not is_last_resort(h)]

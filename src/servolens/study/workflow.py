@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeVar, Unpack
 
 import numpy as np
 
+from servolens.checking import contradictions
 from servolens.design import compare, recommend
 from servolens.design.spec import check_spec
 from servolens.diagnosis import diagnose
@@ -16,7 +17,6 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
-from servolens.identification.one_axis import contradiction
 from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
 from servolens.processors import single_threaded_blas
@@ -113,8 +113,6 @@ def study_records(
     check_request(runs, others, known, effort)
     progress("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
-    usable = [record for record, quality in zip((*runs, *others), check, strict=True) if quality.usable]
-    apart = contradiction(usable)
     begun = Study(
         records=runs,
         heldout=others,
@@ -129,7 +127,7 @@ def study_records(
         lights={},
         forced=False,
         suggested=spec is None,
-        findings=(apart,) if apart else (),
+        findings=contradictions((*runs, *others), check),
     )
     fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
     train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
