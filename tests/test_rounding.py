@@ -9,7 +9,7 @@ from servolens.effects import EndStop
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
 from servolens.identification.resampling import profile
-from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, parted, rounded
+from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, own_spectrum, parted, rounded
 
 STEP = 1e-5
 TIME = np.arange(2000) * 1e-3
@@ -24,6 +24,11 @@ def run_of(position):
     return ObservedRun(Signals.of(record, STEP, AXIS, 10.0), 0, NoiseModel.white(0.0, STEP))
 
 
+def draws_of(run, plant, start):
+    of = [run], [plant], [np.array(start)]
+    return rounded(*of, own_spectrum(*of))
+
+
 def test_limit_of_a_multiple_of_chi_square_is_its_quantile():
     draws = 3.0 * np.random.default_rng(5).chisquare(7, 40_000)
     assert limit_of(draws, 1e-3) == pytest.approx(3.0 * chi2.isf(1e-3, 7), rel=0.03)
@@ -35,7 +40,7 @@ def test_limit_of_nothing_is_nothing():
 
 def test_rounding_at_rest_is_one_error_all_along():
     run = run_of(np.full(TIME.size, 0.02))
-    (drawn,) = rounded([run], [AXIS], [np.array([0.02, 0.0])])
+    (drawn,) = draws_of(run, AXIS, [0.02, 0.0])
     assert drawn.shape == (TIME.size, DRAWS)
     assert np.all(np.ptp(drawn, axis=0) < 1e-9)
     assert np.ptp(drawn[0]) > 0.0
@@ -43,7 +48,7 @@ def test_rounding_at_rest_is_one_error_all_along():
 
 def test_rounding_of_a_fast_motion_is_white():
     run = run_of(0.0173 * TIME)  # 1.73 steps a sample
-    (drawn,) = rounded([run], [AXIS], [np.array([0.0, 0.0173])])
+    (drawn,) = draws_of(run, AXIS, [0.0, 0.0173])
     centred = drawn - drawn.mean(axis=0)
     together = np.sum(centred[1:] * centred[:-1]) / np.sum(centred**2)
     assert abs(together) < 0.4
@@ -63,7 +68,7 @@ def stage(noise, seed):
 def drawn_of(record, noise):
     axis = Plant(gain=1.9, damping=6.0)
     run = ObservedRun(Signals.of(record, 2e-5, axis, 10.0), 0, NoiseModel.white(noise, 2e-5))
-    (drawn,) = rounded([run], [axis], [np.array([record.position[0], 0.0])])
+    (drawn,) = draws_of(run, axis, [record.position[0], 0.0])
     return run, drawn
 
 

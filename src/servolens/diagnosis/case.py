@@ -20,7 +20,7 @@ from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.observed import clock_error
 from servolens.identification.ripple import Ripple, mains_lines, ripple_in
-from servolens.identification.rounding import dominates
+from servolens.identification.rounding import dominates, is_coarse
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
 from servolens.identification.structure import depends_on_inputs
@@ -180,10 +180,12 @@ class Case:
     def burst(self, hypothesis: Hypothesis) -> Burst | None:
         """Return the strongest burst of what `hypothesis` takes for shaking or slow noise; None where that is steady.
 
-        Of a hypothesis that leaves nothing that depends on the inputs: the noise that it claims must be noise.
+        Of a hypothesis that leaves nothing that depends on the inputs: the noise that it claims must be noise. Coarse
+        steps of an encoder, which show no noise at rest, are not steady beside an observer either.
         """
         noise = hypothesis.noise
-        if (noise.rate == 0.0 and noise.order == 0) or not self.is_enough(hypothesis):
+        is_steady = is_coarse(noise) if noise.rate > 0.0 else noise.order == 0
+        if is_steady or not self.is_enough(hypothesis):
             return None
         likelihood = self.likelihood
         return _once(self._bursts, hypothesis, lambda h: burst_of(ScoreTest(likelihood, likelihood.whitened_well(h))))
@@ -194,16 +196,18 @@ class Case:
         An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process:
         what they leave is whitened as well as can be. Noise that moves the axis by a material part of its travel has to
         be shown, which only a loop that can be simulated can do; where there is none, simulations that miss as much
-        may lack anything.
+        may lack anything. An axis of which simulations under its voltage diverge, as with cogging, is observed although
+        nothing shakes it: its loop then misses no more than the sensor's noise.
         """
         noise = hypothesis.noise
         if noise.rate == 0.0 and noise.spread <= noise.least:
             return False
         closed = all(record.has_loop for record in self.records)
-        is_rough = noise.rate > 0.0 or dominates(noise)
+        is_rough = noise.rate > 0.0 or dominates(self.likelihood.white)
         asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis
         try:
-            if noise.is_model_error or depends_on_inputs(ScoreTest(self.likelihood, asked)):
+            test = ScoreTest(self.likelihood, asked)
+            if noise.is_model_error or depends_on_inputs(test):
                 return True
         except NumericalError:  # what cannot be asked is not shown
             return True
@@ -217,8 +221,13 @@ class Case:
             return is_material
         ripple = self.ripple_beside(hypothesis)
         ripples = [ripple.at(i, record.time) for i, record in enumerate(self.records)]
-        found = loop_error(plants, self.records, errors, noise, self.likelihood.rate, ripples)
-        return found.depends or ((noise.rate > 0.0 or is_material) and not found.is_seen)
+        of = plants, self.records, errors
+        found = loop_error(*of, noise, self.likelihood.rate, ripples, test.unrounded)
+        depends = found.depends or ((noise.rate > 0.0 or is_material) and not found.is_seen)
+        if not depends or noise.rate == 0.0:
+            return depends
+        still = loop_error(*of, self.likelihood.white, self.likelihood.rate, ripples)
+        return still.depends or still.is_larger
 
     def is_material(self, errors: Sequence[NDArray[np.float64]], noise: float) -> bool:
         """Tell whether `errors` of the training records are material, beyond a `noise` [m or rad]."""

@@ -95,7 +95,9 @@ class LoopRun(OneByOne):
         return self.whiten(np.ascontiguousarray(lfilter(*weights, forces, axis=1).T))
 
 
-def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white: NoiseModel) -> LoopFit | None:
+def fit_loop(
+    plant: Plant, records: Sequence[Record], options: FitOptions, white: NoiseModel, most_substeps: float
+) -> LoopFit | None:
     """Fit `plant` to whole records in closed loop, and the noise of the loop with it; None where that fails.
 
     Parameters
@@ -108,6 +110,8 @@ def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white
         What is held, and priors.
     white : NoiseModel
         The sensor's noise, to begin with.
+    most_substeps : float
+        A sample; a plant that needs more is so fast that it cannot be told from what is rigid, and has no fit.
     """
     if not all(record.has_loop for record in records):
         return None
@@ -116,8 +120,11 @@ def fit_loop(plant: Plant, records: Sequence[Record], options: FitOptions, white
         for _ in range(ROUNDS):
             runs = [LoopRun(record, i, noise) for i, record in enumerate(records)]
             problem = Problem(plant, runs, options, 1.0)
-            problem.one_sided = True
-            point, _ = descend(problem, problem.start(), ITERATIONS, NEGLIGIBLE_ON_THE_WAY)
+            problem.one_sided, problem.most_substeps = True, most_substeps
+            point = problem.start()
+            if problem.too_stiff(point):
+                return None
+            point, _ = descend(problem, point, ITERATIONS, NEGLIGIBLE_ON_THE_WAY)
             plant = problem.plant_at(point.values, 0)
             missed = [
                 run.missed(plant, start, substeps)

@@ -125,7 +125,8 @@ def explained(
             is_enough = is_shaking(likelihood, found)
         if is_enough and found.noise.rate == 0.0:
             return Explained(likelihood, found, is_enough)
-    loop = fit_loop(plant if found is None else found.plant, excerpt, options, likelihood.white)
+    begin = plant if found is None else found.plant
+    loop = fit_loop(begin, excerpt, options, likelihood.white, likelihood.most_substeps)
     if loop is None or not loop.is_enough:
         return Explained(likelihood, found, is_enough)
     return Explained(likelihood, found, True, loop.refined, is_shaken=is_enough)

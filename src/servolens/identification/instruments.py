@@ -7,12 +7,14 @@ Söderström and Stoica 1989, chapter 11).
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from servolens.errors import NumericalError, ServolensError
 from servolens.identification.loop_errors import shifted
+from servolens.identification.segments import applied_voltage
 from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
@@ -22,10 +24,11 @@ if TYPE_CHECKING:
 
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.identification.score import ScoreTest
+    from servolens.plant import Plant
 
     Motion = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
-__all__ = ["forces_along", "instruments", "noise_free"]
+__all__ = ["forces_along", "instruments", "noise_free", "noise_free_run"]
 
 SMALL = 1e-3
 """Share of the largest voltage with which the axis is pushed to see what a force would do."""
@@ -151,6 +154,16 @@ def noise_free(test: ScoreTest, i: int) -> Motion:
         return value, slope, np.concatenate([signals.voltage[:1], signals.voltage[:-1]])
     at = [np.interp(signals.time, record.time, signal) for signal in (run.position, run.velocity, run.voltage)]
     return at[0], at[1], at[2]
+
+
+def noise_free_run(run: ObservedRun | SimulatedRun, plant: Plant) -> ObservedRun | SimulatedRun:
+    """Return a record as it would be if `plant` were the axis and nothing disturbed it; as it is without a loop."""
+    record = run.signals.record
+    if record.has_loop:
+        with suppress(ServolensError):
+            moved = simulate(plant, record)
+            return run.measured_as(moved.measured, applied_voltage(replace(record, voltage=moved.voltage)))
+    return run
 
 
 def _hats(values: NDArray[np.float64], knots: NDArray[np.float64]) -> list[NDArray[np.float64]]:

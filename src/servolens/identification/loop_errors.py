@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Errors = Sequence[NDArray[np.float64]]
 
-__all__ = ["LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
+__all__ = ["VISIBLE", "LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
 
 REFERENCE_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
@@ -57,15 +57,22 @@ class LoopError:
         Whether the error depends on the inputs.
     is_seen : bool
         Whether the records would show it if nine tenths of the error did; if half of it did, where it is material.
+    is_larger : bool
+        Whether the error is larger than noise and shaking make it.
     """
 
     depends: bool
     is_seen: bool
+    is_larger: bool
 
     @property
     def is_noise(self) -> bool:
         """Whether it is shown that noise and shaking are all there is."""
         return self.is_seen and not self.depends
+
+
+NO_LOOP = LoopError(depends=True, is_seen=True, is_larger=True)
+"""Where the loop cannot be simulated."""
 
 
 def loop_error(
@@ -75,6 +82,7 @@ def loop_error(
     noise: NoiseModel,
     rate: float,
     ripples: Errors = (),
+    unrounded: NDArray[np.float64] | None = None,
 ) -> LoopError:
     """Compare the errors of simulations in closed loop with what noise and shaking alone would do.
 
@@ -100,21 +108,24 @@ def loop_error(
         Of the loops [rad/s].
     ripples : sequence of ndarray, shape (n,)
         Of the mains in each record [m or rad].
+    unrounded : ndarray, shape (m,), optional
+        Spectrum of the sensor's noise before the encoder rounds it; by default what rounding leaves of `noise`.
     """
     if not all(np.isfinite(error).all() for error in errors):
-        return LoopError(depends=True, is_seen=True)
+        return NO_LOOP
     shares = _Shares(plants, records, rate)
     asked = slice(None) if noise.rate > 0.0 else slice(1)
-    draws = drawn_loop_errors(plants, records, noise, ripples)
+    draws = drawn_loop_errors(plants, records, noise, ripples, unrounded)
     if len(draws) < DRAWS // 2:
-        return LoopError(depends=True, is_seen=True)
+        return NO_LOOP
     drawn = np.array([shares.of(draw)[asked] for draw in draws])
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
     found = np.array(shares.of(errors)[asked])
     size = _size(errors)
     is_material = size > MATERIAL * max(float(np.ptp(record.position)) for record in records)
-    depends = bool(np.any(found > limits)) or (is_material and size > _largest([_size(draw) for draw in draws]))
-    return LoopError(depends, bool(limits[0] < (MATTERS if is_material else VISIBLE)))
+    is_larger = size > _largest([_size(draw) for draw in draws])
+    depends = bool(np.any(found > limits)) or (is_material and is_larger)
+    return LoopError(depends, bool(limits[0] < (MATTERS if is_material else VISIBLE)), is_larger)
 
 
 def _size(errors: Errors) -> float:
@@ -131,13 +142,17 @@ def _largest(sizes: Sequence[float]) -> float:
 
 
 def drawn_loop_errors(
-    plants: Sequence[Plant], records: Sequence[Record], noise: NoiseModel, ripples: Errors = ()
+    plants: Sequence[Plant],
+    records: Sequence[Record],
+    noise: NoiseModel,
+    ripples: Errors = (),
+    unrounded: NDArray[np.float64] | None = None,
 ) -> list[tuple[NDArray[np.float64], ...]]:
     """Return draws of what simulations in closed loop miss of the records if `plants` are the axis.
 
     The loop answers to the noise, and to what shakes the axis; the simulation that is compared with the record knows
-    neither. Rounding that is part of the noise is done in the loop, which begins anywhere within a step. Draws in which
-    the loop diverges are left out.
+    neither. Rounding that is part of the noise is done in the loop, which begins anywhere within a step, all records at
+    the same place: those of an axis that always comes home do. Draws in which the loop diverges are left out.
 
     Returns
     -------
@@ -147,17 +162,16 @@ def drawn_loop_errors(
     stream = np.random.default_rng(2)
     still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
     step = noise.rounding if noise.rate == 0.0 else 0.0
-    spectrum = spectrum_of(noise) * (1.0 - noise.share)
+    spectrum = spectrum_of(noise) * (1.0 - noise.share) if unrounded is None else unrounded
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]
     shakes = [shaking(noise, record, stream) for record in records]
-    places = step * stream.uniform(-0.5, 0.5, (len(records), DRAWS))
+    places = step * stream.uniform(-0.5, 0.5, DRAWS)
 
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         loops = [
-            replace(record, position=record.position + place, encoder_resolution=step or None)
-            for record, place in zip(records, places[:, k], strict=True)
+            replace(record, position=record.position + places[k], encoder_resolution=step or None) for record in records
         ]
         with suppress(ServolensError):
             return tuple(

@@ -82,7 +82,7 @@ class NoiseTrials:
         likelihood = self.likelihood
         self.look(noise)
         is_coarse = dominates(likelihood.white)  # nothing tells jitter from rounding, nor shaking from as little
-        if is_coarse and self._is_rounding():
+        if self.best is not None and self._is_rounding(self.best[0]):
             return
         if self._left is not None and not is_coarse:
             jitter, floor = instants(self._left, [signals.speed for signals in likelihood.signals])
@@ -96,9 +96,10 @@ class NoiseTrials:
         if best.rate > 0.0:
             self.look(self._improved(best) if rates else best, is_coloured=True)
 
-    def _is_rounding(self) -> bool:
-        """Tell whether what a simulation leaves is no more than rounding can be."""
-        return self.best is not None and self.best[0].spread <= AT_NOISE * self.likelihood.white.spread
+    def _is_rounding(self, noise: NoiseModel) -> bool:
+        """Tell whether no more is left than rounding can be, which is most of the sensor's noise."""
+        white = self.likelihood.white
+        return dominates(white) and noise.spread <= AT_NOISE * white.spread
 
     def _improved(self, noise: NoiseModel) -> NoiseModel:
         """Return noise of the likeliest rate and corner near these, by Newton's method on their logarithms.
@@ -169,7 +170,8 @@ class NoiseTrials:
         noise = (
             first.scaled(steady) if likelihood.simulates else first.coloured(missed, whiteners, most_order=most_order)
         )
-        if noise.spread > NEGLIGIBLE * likelihood.travel and noise.rate == 0.0 and (noise.wanders or noise.swings):
+        is_left = noise.rate == 0.0 and noise.spread > NEGLIGIBLE * likelihood.travel and not self._is_rounding(noise)
+        if is_left and (noise.wanders or noise.swings):
             noise = replace(first.scaled(steady), is_model_error=True)
         elif noise.swings:
             noise = first.coloured(missed, whiteners, most_order=0)

@@ -33,8 +33,10 @@ __all__ = [
     "dominates",
     "drawn_noise",
     "has_mean",
+    "is_coarse",
     "is_rounded",
     "limit_of",
+    "own_spectrum",
     "parted",
     "rounded",
     "spectrum_of",
@@ -65,17 +67,30 @@ def dominates(noise: NoiseModel) -> bool:
     return noise.share > DOMINATES
 
 
+def is_coarse(noise: NoiseModel, unrounded: NDArray[np.float64] | None = None) -> bool:
+    """Tell whether rounding is most of what the sensor adds, beside an axis that is observed too.
+
+    Where the spectrum `unrounded` is known, by that: an axis that rests is up to half a step away all the time, so that
+    rounding may look larger than it is on average.
+    """
+    own = max(noise.spread, noise.floor) ** 2 - noise.rounding**2 / 12.0 if unrounded is None else np.mean(unrounded)
+    return bool(noise.rounding**2 / 12.0 * (1.0 - DOMINATES) > DOMINATES * own)
+
+
 def has_mean(noise: NoiseModel) -> bool:
     """Tell whether rounding leaves something of simulations on average: of a loop that seeks one side of a step."""
     return is_rounded(noise) and dominates(noise) and not noise.is_model_error
 
 
 def rounded(
-    runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
+    runs: Sequence[ObservedRun | SimulatedRun],
+    plants: Sequence[Plant],
+    starts: Sequence[NDArray[np.float64]],
+    spectrum: NDArray[np.float64],
 ) -> list[NDArray[np.float64]]:
     """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
 
-    The position, with noise as the model has it, rounded as the encoder does. In closed loop the position is that of a
+    The position, with noise of this `spectrum`, rounded as the encoder does. In closed loop the position is that of a
     loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
     which is where the encoder shows the next step, and so at one side of it. While it rests against a stop, the encoder
     shows one value: where the stop lies within that step is unknown, and drawn. Else the position is the run's own, and
@@ -87,17 +102,23 @@ def rounded(
         Without an observer's correction.
     plants, starts : sequence
         The plant of each run and its initial state.
+    spectrum : ndarray, shape (m,)
+        See :func:`own_spectrum`.
     """
-    whole = [
-        run.whiten.position + run.missed(plant, start, substeps_for(plant, run.sample_time))
-        for run, plant, start in zip(runs, plants, starts, strict=True)
-    ]
-    noise = runs[0].noise
-    spectrum = _own_spectrum(runs, plants, whole, noise)
     stream = np.random.default_rng(0)
     return [
         np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectrum, stream)])
-        for run, plant, position in zip(runs, plants, whole, strict=True)
+        for run, plant, position in zip(runs, plants, _whole(runs, plants, starts), strict=True)
+    ]
+
+
+def _whole(
+    runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
+) -> list[NDArray[np.float64]]:
+    """Return the position of each run's plant, as no encoder has rounded it."""
+    return [
+        run.whiten.position + run.missed(plant, start, substeps_for(plant, run.sample_time))
+        for run, plant, start in zip(runs, plants, starts, strict=True)
     ]
 
 
@@ -112,18 +133,21 @@ def parted(run: ObservedRun | SimulatedRun, drawn: NDArray[np.float64]) -> tuple
     return mean, (drawn - mean[:, None]) * np.sqrt((count + 1.0) / (count - 1.0))
 
 
-def _own_spectrum(
-    runs: Sequence[ObservedRun | SimulatedRun],
-    plants: Sequence[Plant],
-    positions: Sequence[NDArray[np.float64]],
-    noise: NoiseModel,
+def own_spectrum(
+    runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the spectrum of the sensor's noise as the encoder has not rounded it yet, at even frequencies up to half.
+    """Return the spectrum of the sensor's noise before the encoder rounds it, at even frequencies up to half.
 
     Its quick part is white and as large as makes draws turn back as often as the records do: an encoder shows noise
     far smaller than its step only where the axis is between two steps. What the records have more of in all is slow,
     with the spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+
+    Parameters
+    ----------
+    runs, plants, starts
+        As of :func:`rounded`.
     """
+    noise, positions = runs[0].noise, _whole(runs, plants, starts)
     shown = spectrum_of(noise)
     turned = sum(_turns(run.whiten.position, noise.rounding) for run in runs)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from functools import cached_property
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -11,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
 from servolens.identification.restricted import parts_of
-from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, parted, rounded
+from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectrum, parted, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
 
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
+    from servolens.identification.observed import ObservedRun, SimulatedRun
+    from servolens.identification.restricted import Part
     from servolens.plant import Plant
 
-__all__ = ["FALSE_ALARM", "ScoreTest"]
+__all__ = ["FALSE_ALARM", "ScoreTest", "free_of"]
 
 FALSE_ALARM = 1e-3
 """Familywise error rate: probability that any of all that is tried enters a model that lacks none."""
@@ -57,20 +60,32 @@ class ScoreTest:
         self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.count
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
-        problem = Problem(hypothesis.plant, self.runs, likelihood.options(hypothesis.plant), 1.0)
-        parts = parts_of(problem, problem.at(hypothesis.starts, hypothesis.local))
-        likelihood.count(problem.simulated)
+        self._options = likelihood.options(hypothesis.plant)
+        parts = self._linearised(self.runs)
         self.residual = np.concatenate([part.left for part in parts])
-        own = np.concatenate([part.sensitivity for part in parts])
-        sizes = np.linalg.norm(own, axis=0)
-        self._own = np.linalg.qr(own[:, sizes > 0.0] / sizes[sizes > 0.0])[0]
+        self._own = _basis(parts)
         self._draws: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self.left = self._less_mean(self.residual)  # now: jobs that share a test shall not wait for its draws
+
+    def _linearised(self, runs: Sequence[ObservedRun | SimulatedRun]) -> list[Part]:
+        """Return what the hypothesis leaves of `runs`, and how that answers to its parameters and initial states."""
+        problem = Problem(self.hypothesis.plant, runs, self._options, 1.0)
+        parts = parts_of(problem, problem.at(self.hypothesis.starts, self.hypothesis.local))
+        self._count(problem.simulated)
+        return parts
 
     @property
     def is_drawn(self) -> bool:
         """Whether chance is not that of white noise, and is drawn: rounding or shaking are part of the noise."""
         return is_rounded(self.hypothesis.noise) or self.hypothesis.noise.rate > 0.0
+
+    @cached_property
+    def unrounded(self) -> NDArray[np.float64] | None:
+        """Spectrum of the sensor's noise before the encoder rounds it; None where rounding is no part of it."""
+        if not is_rounded(self.hypothesis.noise):
+            return None
+        plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
+        return own_spectrum(self.runs, plants, self.hypothesis.starts)
 
     @property
     def drawn(self) -> NDArray[np.float64]:
@@ -90,7 +105,10 @@ class ScoreTest:
             white = np.random.default_rng(4).standard_normal((self.residual.size, DRAWS))
             return np.zeros(self.residual.size), self.free_of_own(white)
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        drawn = rounded(self.runs, plants, starts) if is_rounded(noise) else shaken(self.runs, plants, starts)
+        if self.unrounded is not None:
+            drawn = rounded(self.runs, plants, starts, self.unrounded)
+        else:
+            drawn = shaken(self.runs, plants, starts)
         means = [np.zeros(draws.shape[0]) for draws in drawn]
         if has_mean(noise):
             means, drawn = map(list, zip(*map(parted, self.runs, drawn), strict=True))
@@ -103,8 +121,14 @@ class ScoreTest:
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
-        once = columns - self._own @ (self._own.T @ columns)
-        return np.asarray(once - self._own @ (self._own.T @ once))
+        return free_of(self._own, columns)
+
+    def own_along(self, runs: Sequence[ObservedRun | SimulatedRun]) -> NDArray[np.float64]:
+        """Return an orthonormal basis, shape (n, p), of what the hypothesis' own parameters do along other `runs`.
+
+        Of the same records, with another log of position and voltage.
+        """
+        return _basis(self._linearised(runs))
 
     def gain(self, plant: Plant) -> float:
         """Return the score statistic of the direction from the hypothesis to `plant`; 0 where it has no simulation.
@@ -240,3 +264,16 @@ class ScoreTest:
         values = plant.named
         own = {name: float(found[group]) for name, found in local.items() if name in values}
         return plant.with_values(list({**values, **own}.values()))
+
+
+def free_of(basis: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `columns`, shape (n,) or (n, k), at right angles to an orthonormal `basis`, shape (n, p)."""
+    once = columns - basis @ (basis.T @ columns)
+    return np.asarray(once - basis @ (basis.T @ once))
+
+
+def _basis(parts: Sequence[Part]) -> NDArray[np.float64]:
+    """Return an orthonormal basis of the sensitivities, shape (n, p)."""
+    columns = np.concatenate([part.sensitivity for part in parts])
+    sizes = np.linalg.norm(columns, axis=0)
+    return np.asarray(np.linalg.qr(columns[:, sizes > 0.0] / sizes[sizes > 0.0])[0])

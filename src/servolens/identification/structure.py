@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.instruments import instruments, noise_free
+from servolens.identification.instruments import instruments, noise_free, noise_free_run
 from servolens.identification.loop_errors import loop_error
-from servolens.identification.rounding import dominates, limit_of
-from servolens.identification.score import FALSE_ALARM, ScoreTest
+from servolens.identification.rounding import is_coarse, limit_of
+from servolens.identification.score import FALSE_ALARM, ScoreTest, free_of
 from servolens.model_evidence import MATERIAL
 from servolens.simulation.loop import simulate
 
@@ -56,6 +56,9 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     motion is compared with rest.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11): without a reference products are left out.
+    What the hypothesis itself explains is told of the measured signals. Of an instrument that is like one of its own
+    parameters, as a force over the velocity is like damping, nothing but the noise in these would be left: so the
+    instruments are at right angles to what its parameters do along the noise-free signals, first.
     """
     return any(statistic > limit for statistic, limit in statistics(test)) or _differs_in_motion(test)
 
@@ -83,8 +86,9 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
 
 def statistics(test: ScoreTest) -> Iterator[tuple[float, float]]:
     """Yield what instruments explain of the residual, with limits: of each kind all together, then the strongest."""
+    own = test.own_along([noise_free_run(run, test.hypothesis.plant_of(i)) for i, run in enumerate(test.runs)])
     for columns in instruments(test):
-        directions = _unit(test.free_of_own(columns), columns)
+        directions = _unit(test.free_of_own(free_of(own, columns)), columns)
         if directions.shape[1]:
             yield _of_all(test, directions)
             yield _of_strongest(test, directions)
@@ -137,7 +141,7 @@ def _differs_in_motion(test: ScoreTest) -> bool:
     from scipy.stats import f, t
 
     noise = test.hypothesis.noise
-    if dominates(noise):
+    if is_coarse(noise, test.unrounded):
         return False
     fast = [np.abs(noise_free(test, i)[1]) for i in range(len(test.runs))]
     fast = [v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, fast, strict=True)]

@@ -17,6 +17,7 @@ from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.model import UNDETERMINED
+from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -73,7 +74,8 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
     findings = [] if is_all else [_shortened(used)]
     steps = () if left.is_enough or not all(s.record.has_loop for s in used) else _first_steps(_records_of(used))
     if steps:
-        refined = _in_closed_loop((constant, start, refined.plant), used, steps, options)
+        most = left.likelihood.most_substeps
+        refined = _in_closed_loop((constant, start, refined.plant), used, steps, options, most) or refined
     elif not depends:
         findings.append(Finding(code="no_velocity_dependence", severity="note", message=f"{NO_DEPENDENCE}."))
     if not refined.converged:
@@ -127,16 +129,21 @@ def _records_of(segments: Sequence[Segment]) -> tuple[Record, ...]:
 
 
 def _in_closed_loop(
-    starts: tuple[Plant, ...], segments: Sequence[Segment], records: Sequence[Record], options: FitOptions
-) -> Refinement:
-    """Fit the law to whole steps in closed loop, from where it errs least."""
+    starts: tuple[Plant, ...], segments: Sequence[Segment], records: Sequence[Record], options: FitOptions, most: float
+) -> Refinement | None:
+    """Fit the law to whole steps in closed loop, from where it errs least.
+
+    Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does.
+    """
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
     steep = VelocityDecayDamping(alpha1=EXTRA * abs(starts[0].damping), alpha2=DECAY / max(fastest, 1e-12))
     trials = [*starts[1:], replace(starts[0], damping=abs(starts[0].damping), effects=(steep,))]
     trials = [trial.with_named(options.values) for trial in trials]
-    found = [refine_closed_loop(trial, records, options, noise=noise) for trial in trials]
-    return min(found, key=lambda refined: refined.rms_error)
+    step = max(record.sample_time for record in records)
+    slow = [trial for trial in trials if substeps_for(trial, step) <= most]
+    found = [refine_closed_loop(trial, records, options, noise=noise) for trial in slow]
+    return min(found, key=lambda refined: refined.rms_error, default=None)
 
 
 def _first_samples(segments: Sequence[Segment]) -> tuple[tuple[Segment, ...], bool]:
