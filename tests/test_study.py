@@ -164,6 +164,22 @@ def test_wrong_sign_leaves_no_gain():
     assert body["reason"]
 
 
+@pytest.mark.parametrize("stated", [{"derivative_filter": 1.0}, {"kd": 0.6}], ids=["filter", "gain"])
+def test_gain_for_a_loop_that_the_logs_contradict_is_in_doubt(stated):
+    """The gain was green beside logs that fit another derivative filter than the one it was computed for."""
+    setups = [lab.Setup(controller=Controller(kp=kp, kd=0.5, derivative_filter=0.25)) for kp in (60, 80)]
+    runs = [lab.step_record(CART, setup=setup, noise=1e-5, seed=i) for i, setup in enumerate(setups)]
+    otherwise = [run.with_({"controller": replace(run.controller, **stated)}) for run in runs]
+    found = study_records(otherwise, SPEC, effort="quick")
+    light = found.lights["gain"]
+    assert light.light == "amber"
+    assert light.sentence.startswith(
+        "Computed for a loop with kp = 80 V/m, derivative_filter = 1 and a sample time of 1 ms; but the log of"
+        f" {runs[0].name} and {runs[1].name} fits another setting: correct it and repeat."
+    )
+    assert found.design.recommended is not None
+
+
 def test_wrong_sign_has_one_remedy():
     """Who changed the sign, as was said first, and then inverted the command was wrong again."""
     (record,) = steps(CART, 60)

@@ -25,10 +25,15 @@ if TYPE_CHECKING:
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
-__all__ = ["RecordQuality", "assess", "fatal"]
+__all__ = ["RecordQuality", "assess", "fatal", "of_the_loop"]
 
 FATAL = ("wrong_sign", "units_contradict")
 """Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
+OF_THE_LOOP = (
+    "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
+    "position_shifted", "reference_shifted", "voltage_shifted", *FATAL,
+)  # fmt: skip
+"""Findings that what a log states of its loop is wrong: neither a simulation of that loop nor a gain for it is sure."""
 
 
 @final
@@ -144,6 +149,22 @@ def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     ['wrong_sign']
     """
     return tuple(finding for finding in findings if finding.severity == "error" and finding.code in FATAL)
+
+
+def of_the_loop(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings that what a log states of its loop is wrong.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1)
+    >>> of_the_loop(assess(record).findings)
+    ()
+    >>> late = record.with_({"voltage": [0.0, *record.voltage[:-1]]})
+    >>> [finding.code for finding in of_the_loop(assess(late).findings)]
+    ['voltage_shifted']
+    """
+    return tuple(finding for finding in findings if finding.code in OF_THE_LOOP)
 
 
 def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Finding, ...]]:

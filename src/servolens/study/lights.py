@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design import Light, trust
-from servolens.quality import assess, fatal
+from servolens.findings import listed
+from servolens.quality import assess, fatal, of_the_loop
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.design import Design
+    from servolens.design import Design, PDSpec
     from servolens.diagnosis import Diagnosis
     from servolens.findings import Finding
     from servolens.model import Model
@@ -21,6 +23,8 @@ __all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 MOST_NAMED = 3
 OF_ALL_RECORDS = ("records_contradict",)
 """Findings that speak against records as they are together."""
+SETTINGS = ("settings_contradict_log", "gains_contradict_log")
+"""Findings that name the setting which a log fits."""
 
 
 def is_fit(quality: RecordQuality) -> bool:
@@ -58,8 +62,13 @@ def diagnosis_lights(diagnosis: Diagnosis) -> dict[str, Light]:
     return {"data": data_light(check, diagnosis.findings), "model": trust(diagnosis.model, None)[0]}
 
 
-def study_lights(data: Light, model: Model | None, design: Design | None, why_none: str) -> dict[str, Light]:
-    """Return the lights of ``"data"``, ``"model"`` and ``"gain"``; on wrong data no gain is to be given."""
+def study_lights(
+    data: Light, model: Model | None, design: Design | None, why_none: str, findings: Sequence[Finding] = ()
+) -> dict[str, Light]:
+    """Return the lights of ``"data"``, ``"model"`` and ``"gain"``; on wrong data no gain is to be given.
+
+    Beside `findings` that what the records state of their loop is wrong, no gain is sure.
+    """
     if model is None:
         of_model = Light(light="red", sentence="No model was found.")
         of_gain = Light(light="red", sentence=f"No gain was sought: {why_none.rstrip('.')}.")
@@ -69,7 +78,22 @@ def study_lights(data: Light, model: Model | None, design: Design | None, why_no
         of_gain = Light(light="red", sentence=f"No gain was sought: {why_none.rstrip('.')}.")
     elif data.light == "red":
         of_gain = Light(light="red", sentence="A gain would rest on wrong data; correct the records first.")
+    elif of_gain.light != "red" and (wrong := of_the_loop(findings)):
+        doubt = _of_another_loop(wrong, design.spec, model)
+        of_gain = Light(light="amber", sentence=doubt if of_gain.light == "green" else f"{doubt} {of_gain.sentence}")
     return {"data": data, "model": of_model, "gain": of_gain}
+
+
+def _of_another_loop(wrong: Sequence[Finding], spec: PDSpec, model: Model) -> str:
+    """Say for which loop a gain was computed where the log says that its own is not the one that is stated."""
+    plant, records = model.plant, listed(list(dict.fromkeys(str(finding.record) for finding in wrong)), MOST_NAMED)
+    kp = f"kp = {spec.kp:.4g} {'1/s' if spec.controller == 'cascade' else f'{plant.command_unit}/{plant.length_unit}'}"
+    sampled = (
+        f", derivative_filter = {spec.derivative_filter:.4g} and a sample time of {readable(spec.sample_time, 's')}"
+    )
+    loop = f"an ideal continuous PD with {kp}" if spec.control == "continuous" else f"a loop with {kp}{sampled}"
+    fits = "fits another setting" if wrong[0].code in SETTINGS else "does not fit the loop that is stated for it"
+    return f"Computed for {loop}; but the log of {records} {fits}: correct it and repeat."
 
 
 def _told(findings: Sequence[Finding]) -> str:

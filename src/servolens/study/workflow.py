@@ -233,18 +233,19 @@ def _judged(found: Study, *, force: bool) -> Study:
     of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
     of_models += [] if found.diagnosis is None else found.diagnosis.findings
     of_all = together(found.findings, of_models)
-    lights = study_lights(data_light(found.check, of_all), found.model, design, found.why_none)
+    checked = _findings(found.check)
+    lights = study_lights(data_light(found.check, of_all), found.model, design, found.why_none, checked)
     red = lights["gain"].light == "red" and design is not None and design.feasible
     if red and not force and design is not None:
         design = design.withhold(lights["gain"].sentence)
-    is_wrong = not force and bool(fatal(_findings(found.check)))
+    is_wrong = not force and bool(fatal(checked))
     if is_wrong and design is not None and not design.feasible:
         design = replace(design, reason=lights["gain"].sentence, conflict=(), nearest=())
     if design is not None:
         design = replace(design, lights=lights, check=found.check, diagnosis=found.diagnosis)
     if comparison is not None and comparison.diagnosed is not None:
         comparison = replace(comparison, diagnosed=design)
-    told = together(_findings(found.check), [] if is_wrong else of_all)
+    told = together(checked, [] if is_wrong else of_all)
     return replace(
         found, lights=lights, design=design, comparison=comparison, forced=red and force, findings=_sorted(told)
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
 from servolens.effects import catalogue
-from servolens.quality import fatal
+from servolens.quality import fatal, of_the_loop
 from servolens.rendering import grouped
 from servolens.summaries.diagnosis_tables import candidates_table, parameters_table, records_table
 from servolens.summaries.evidence import CLEAR, instrument_sentence, reach_sentence, where_phrase
@@ -45,11 +45,6 @@ FEW_SAMPLES = 200
 """Samples up to which records show little."""
 SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
-OF_THE_LOOP = (
-    "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
-    "position_shifted", "reference_shifted", "voltage_shifted", "units_contradict", "wrong_sign",
-)  # fmt: skip
-"""Findings that what a log states of its loop is wrong: a simulation of that loop cannot be right."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
 """Times the noise from which on a remainder that knows no input is worth a sentence."""
@@ -359,7 +354,7 @@ def _is_wrong(diagnosis: Diagnosis) -> bool:
 
 def _is_of_the_loop(diagnosis: Diagnosis) -> bool:
     """Tell whether a log states its loop wrongly."""
-    return any(_has(diagnosis, code) for code in OF_THE_LOOP)
+    return bool(of_the_loop(diagnosis.findings))
 
 
 def _is_more_than_noise(diagnosis: Diagnosis) -> bool:
