@@ -17,6 +17,7 @@ import servolens
 from servolens import PDSpec, Plant, diagnose, identify, lab, study_records, tune
 from servolens import design as designing
 from servolens.design import settling_time
+from servolens.diagnosis.logs import lower_limit
 from servolens.effects import ActuatorLag, CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.findings import Finding
@@ -304,6 +305,25 @@ def test_limit_of_the_amplifier_that_the_records_state_is_part_of_the_design():
     assert found.design.kd is not None
     kd = found.design.recommended.kd
     assert on_the_truth(CART, SPEC, kd, setup=lab.Setup(voltage_limit=4.0)) <= 0.5
+
+
+def test_stated_limit_of_the_amplifier_is_contradicted_by_a_lower_one_that_the_records_show():
+    """Told nothing, its owner went on stating 12 V, of an amplifier that gives 4."""
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"saturation": {"limit": 4.0}})
+    runs = [run.with_({"voltage_limit": 12.0}) for run in steps(truth, 60, 80)]
+    found = study_records(runs, PDSpec(kp=80, settling_time=0.9), effort="quick")
+    (against,) = (finding for finding in found.findings if finding.code == "limit_contradicts_log")
+    assert against.message == (
+        "the records show that the amplifier gives no more than 4 V; the stated limit is 12 V. State voltage_limit = 4"
+        " V."
+    )
+    assert found.lights["data"].light == "amber"
+    assert against.message[1:] in found.lights["data"].sentence
+    assert against not in tuning_summaries(found)[0].findings
+    (cause,) = found.diagnosis.causes
+    assert [*lower_limit(runs, [replace(cause, rivals=("force_limit",))])] == []
+    for limit in (3.95, None):  # less than the tolerance of amplifiers apart, or not stated
+        assert [*lower_limit([runs[0].with_({"voltage_limit": limit})], [cause])] == []
 
 
 def test_healthy_axis_is_designed_on_gain_and_damping():

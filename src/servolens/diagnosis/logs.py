@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.effects import Saturation
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.identification.one_axis import apart
 from servolens.identification.segments import applied_voltage
 from servolens.quality import assess, fatal
+from servolens.quality.limits import NEAR
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
+    from servolens.diagnosis.result import Cause
     from servolens.record import Record
 
-__all__ = ["BEYOND", "apart", "beyond", "is_blamed", "log_findings"]
+__all__ = ["BEYOND", "apart", "beyond", "is_blamed", "log_findings", "lower_limit"]
 
 BEYOND = 1.3
 """Times the largest command of the training records from which on a record is an extrapolation."""
@@ -82,3 +85,18 @@ def beyond(trained: Sequence[Record], others: Sequence[Record]) -> list[Finding]
             )
             found.append(Finding(code="extrapolation", severity="warning", message=message, record=record.name))
     return found
+
+
+def lower_limit(records: Sequence[Record], causes: Sequence[Cause]) -> Iterator[Finding]:
+    """Yield a finding if the causes name a limit of the amplifier, and nothing else, below the one that is stated."""
+    stated = min((record.voltage_limit for record in records if record.voltage_limit is not None), default=None)
+    for cause in causes:
+        if stated is None or cause.effect != Saturation.name or cause.rivals:
+            continue
+        limit, unit = cause.quantities["limit"], records[0].command_unit
+        if limit.interval is not None and (1.0 + NEAR) * limit.interval[1] < stated:
+            message = (
+                f"the records show that the amplifier gives no more than {limit.value:.3g} {unit}; the stated limit is"
+                f" {stated:.4g} {unit}. State voltage_limit = {limit.value:.3g} {unit}."
+            )
+            yield Finding(code="limit_contradicts_log", severity="warning", message=message)

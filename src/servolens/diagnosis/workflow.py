@@ -14,7 +14,7 @@ from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.explorer import SPENT
 from servolens.diagnosis.in_time import instruments
-from servolens.diagnosis.logs import is_blamed, log_findings
+from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, rival_plants
@@ -131,9 +131,9 @@ def _diagnosed(
         gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
     told = (*findings, *powerless, *decision.findings, *fits[-1].findings)
-    told = (*told, *said(case, decision, path[-1], gains, verdict, remainder))
-    model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
+    told = (*told, *said(case, decision, path[-1], gains, verdict, remainder), *lower_limit(case.records, causes))
+    model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
     sure = {cause.effect: cause.confidence for cause in causes}
     diagnosis = Diagnosis(

@@ -21,7 +21,7 @@ from servolens.summaries.gains import (
     light_sentences,
     sentence,
 )
-from servolens.summaries.wording import number
+from servolens.summaries.wording import capital, number
 from servolens.summary import Summary
 
 if TYPE_CHECKING:
@@ -71,8 +71,9 @@ def told_elsewhere(study: Study, finding: Finding) -> bool:
 
 def _is_told(study: Study, finding: Finding) -> bool:
     """Tell whether another sentence says all of a finding: on the diagnosis, or the light of the data."""
-    if finding.message.rstrip(".") in study.lights["data"].sentence:
-        return finding.record is None or f"{finding.record}: " in study.lights["data"].sentence
+    said, message = study.lights["data"].sentence, finding.message.rstrip(".")
+    if (message if finding.record else capital(message)) in said:
+        return finding.record is None or f"{finding.record}: " in said
     return study.diagnosis is not None and is_told_already(finding, study.diagnosis)
 
 
