@@ -37,9 +37,9 @@ from servolens.report.wording import symbol_text
 from servolens.simulation import simulate
 from servolens.summaries import diagnosis_summary
 from servolens.summaries.diagnosis import (
+    doubt_sentences,
     findings_of_logs,
     remaining_sentences,
-    rival_sentences,
     verdict_sentence,
 )
 from servolens.summaries.diagnosis_tables import data_kinds
@@ -450,10 +450,20 @@ def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
     )
 
 
-def test_rivals_of_a_cause_are_told(rubbing):
-    doubtful = replace(rubbing, causes=(replace(rubbing.causes[0], rivals=("presliding",)),))
-    assert rival_sentences(doubtful) == ["These data cannot distinguish Coulomb friction from presliding friction."]
-    assert rival_sentences(rubbing) == []
+def test_doubt_in_a_cause_is_told_with_its_rivals(rubbing):
+    """A cause of confidence 0.5 was told by `tune` like one of 0.999, and so was one of 0.005."""
+    (sure,) = rubbing.causes
+    doubtful = replace(rubbing, causes=(replace(sure, confidence=0.5, rivals=("second_order_actuator",)),))
+    assert doubt_sentences(doubtful) == [
+        "Confidence in Coulomb friction: 50 %; these data cannot distinguish it from an actuator of second order."
+    ]
+    partly = replace(rubbing, verdict="partly_explained", causes=(replace(sure, confidence=0.4936),))
+    assert doubt_sentences(partly) == [
+        "Confidence in Coulomb friction: 49.4 %; it may stand for something that nothing explains."
+    ]
+    slight = replace(rubbing, causes=(replace(sure, confidence=0.97),))
+    assert doubt_sentences(slight) == ["Confidence in Coulomb friction: 97 %."]
+    assert doubt_sentences(rubbing) == []
 
 
 def test_speed_of_rounding_is_told_as_zero():

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.model import Quantity
 
-__all__ = ["causes_of", "distinctness", "rival_plants", "twins_of"]
+__all__ = ["MOST_CONFIDENT", "causes_of", "distinctness", "rival_plants", "twins_of"]
 
 MOST_CONFIDENT = 0.999
 OF_A_PART = 0.5

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from servolens.diagnosis.logs import is_blamed
+from servolens.diagnosis.reasons import MOST_CONFIDENT
 from servolens.effects import catalogue
 from servolens.quality import fatal, of_the_loop
 from servolens.rendering import grouped
@@ -27,6 +28,7 @@ __all__ = [
     "advice",
     "cause_phrase",
     "diagnosis_summary",
+    "doubt_sentences",
     "experiment_sentence",
     "experiment_summary",
     "findings_of_logs",
@@ -35,7 +37,6 @@ __all__ = [
     "noise_sentences",
     "other_findings",
     "remaining_sentences",
-    "rival_sentences",
     "spoken",
     "verdict_sentence",
     "why_enough",
@@ -206,13 +207,20 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     return told
 
 
-def rival_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Say of each cause what else it may be."""
-    return [
-        f"These data cannot distinguish {spoken(cause.effect)} from {listed(rivals, last='or')}."
-        for cause in diagnosis.causes
-        if (rivals := [spoken(rival) for rival in _rivals(cause)])
-    ]
+def doubt_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Say of each cause that is in doubt how sure it is, and what else it may be."""
+    told = []
+    for cause in diagnosis.causes:
+        rivals = [spoken(rival) for rival in _rivals(cause)]
+        if not rivals and cause.confidence >= MOST_CONFIDENT:
+            continue
+        sure = f"Confidence in {spoken(cause.effect)}: {percent(100 * cause.confidence)}"
+        if rivals:
+            sure += f"; these data cannot distinguish it from {listed(rivals, last='or')}"
+        elif diagnosis.verdict == "partly_explained":
+            sure += "; it may stand for something that nothing explains"
+        told.append(f"{sure}.")
+    return told
 
 
 def next_sentences(diagnosis: Diagnosis) -> list[str]:

@@ -13,8 +13,11 @@ if TYPE_CHECKING:
 
 __all__ = ["cause_phrase", "spoken", "spoken_parameter"]
 
-ALONE = {"gain_and_damping": "gain and damping alone"}
-"""What stands for no effect."""
+NO_EFFECTS = {
+    "gain_and_damping": "gain and damping alone",
+    "second_order_actuator": "an actuator of second order",
+}
+"""Names that are no effects of the catalogue."""
 SIDES = {"level_positive": "level forward", "level_negative": "level backward"}
 """Of parameters whose name is no phrase."""
 MANY = 5
@@ -30,7 +33,7 @@ def spoken(name: str) -> str:
     ('Coulomb friction', 'backlash', 'without delay', 'a delay together with Coulomb friction')
     """
     known = catalogue()
-    told = [known[part].spoken if part in known else ALONE.get(part, "") for part in name.split(" + ")]
+    told = [known[part].spoken if part in known else NO_EFFECTS.get(part, "") for part in name.split(" + ")]
     return " together with ".join(
         words or part.replace("_", " ") for words, part in zip(told, name.split(" + "), strict=True)
     )

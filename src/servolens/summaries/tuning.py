@@ -9,9 +9,9 @@ from servolens.summaries.checks import check_summary
 from servolens.summaries.comparison import comparison_summary, side_by_side
 from servolens.summaries.diagnosis import (
     SURROUNDINGS,
+    doubt_sentences,
     is_told_already,
     remaining_sentences,
-    rival_sentences,
     verdict_sentence,
 )
 from servolens.summaries.diagnosis_tables import parameters_table
@@ -47,7 +47,7 @@ def tuning_summaries(study: Study, *, overrule: str = "force=True") -> tuple[Sum
     tables = []
     if study.diagnosis is not None:
         found = study.diagnosis
-        sentences += [verdict_sentence(found), *rival_sentences(found), *remaining_sentences(found)]
+        sentences += [verdict_sentence(found), *doubt_sentences(found), *remaining_sentences(found)]
         tables.append(parameters_table(study.diagnosis))
     elif study.fit is not None and study.why_undiagnosed:
         sentences.append(f"No cause was sought: {study.why_undiagnosed.rstrip('.')}.")
