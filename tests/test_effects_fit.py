@@ -255,7 +255,14 @@ def test_sticking_and_delay_are_found_though_the_linear_gain_is_far_off():
     assert misses(fit, arm) == {}
     assert_at_noise(fit)
     assert "above_noise" in codes(bare)
-    assert codes(bare)["above_noise"].endswith("of the best such model. Run servolens diagnose.")
+    assert codes(bare)["above_noise"].endswith(
+        " noise. This model does not explain the data to noise level: these errors"
+        " hold only if it were right. Do not rely on them. Run servolens diagnose."
+    )
+    told = bare.summary()
+    assert told.tables[0].note.endswith(codes(bare)["above_noise"][1:])
+    assert "above_noise" not in {finding.code for finding in told.findings}
+    assert fit.summary().tables[0].note == ""
 
 
 PAIRS = {

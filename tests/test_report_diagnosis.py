@@ -18,10 +18,12 @@ from servolens.effects import CATALOGUE, PeriodicDisturbance
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.model import NOT_REACHED, UNDETERMINED, Quantity
+from servolens.model_evidence import UNRELIABLE
 from servolens.plant import Plant
 from servolens.rendering import grouped
 from servolens.report import write_diagnosis_report
 from servolens.report.curves import curve
+from servolens.report.diagnosis_story import diagnosis_sections
 from servolens.report.equation import motion_latex
 from servolens.report.figures_diagnosis import candidates_figure, edge_text, instrument_figure, telling_instrument
 from servolens.report.laws import law_along
@@ -45,6 +47,7 @@ from servolens.summaries.diagnosis import (
 from servolens.summaries.diagnosis_tables import data_kinds
 from servolens.summaries.evidence import instrument_sentence, where_phrase
 from servolens.summaries.names import cause_phrase
+from servolens.summary import Table
 
 CART = {"gain": 1.9, "damping": 6.0}
 
@@ -464,6 +467,18 @@ def test_doubt_in_a_cause_is_told_with_its_rivals(rubbing):
     slight = replace(rubbing, causes=(replace(sure, confidence=0.97),))
     assert doubt_sentences(slight) == ["Confidence in Coulomb friction: 97 %."]
     assert doubt_sentences(rubbing) == []
+
+
+@pytest.mark.parametrize("verdict", ["healthy", "explained", "partly_explained", "unexplained"])
+def test_error_bars_of_a_model_that_leaves_more_than_noise_are_told_not_to_be_relied_on(rubbing, verdict):
+    """They were printed like those of a model that explains its data, and missed the truth by many of themselves."""
+    judged = replace(rubbing, verdict=verdict)
+    pages = [block for section in diagnosis_sections(judged) for block in section.blocks]
+    tables = [diagnosis_summary(judged).tables[0], *(one for one in pages if isinstance(one, Table))]
+    notes = [table.note for table in tables if "Value ± standard error" in table.columns]
+    assert len(notes) == 2
+    is_doubtful = verdict in ("partly_explained", "unexplained")
+    assert [note.startswith(UNRELIABLE) for note in notes] == [is_doubtful, is_doubtful]
 
 
 def test_speed_of_rounding_is_told_as_zero():

@@ -13,11 +13,15 @@ from servolens.results import to_finite
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["MATERIAL", "DataRange", "Evidence", "How", "Missed", "ModelError", "Remainder"]
+__all__ = ["MATERIAL", "UNRELIABLE", "DataRange", "Evidence", "How", "Missed", "ModelError", "Remainder"]
 
 How = Literal["held_out", "left_out", "end"]
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
+UNRELIABLE = (
+    "This model does not explain the data to noise level: these errors hold only if it were right. Do not rely on them."
+)
+"""What stands beside the error bars of a model that leaves more than noise."""
 
 
 @final

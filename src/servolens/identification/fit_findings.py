@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
+from servolens.model_evidence import UNRELIABLE
 from servolens.plant import ENDLESS
 
 if TYPE_CHECKING:
@@ -29,10 +30,7 @@ def above_noise(error: float, noise: float) -> tuple[Finding, ...]:
     if error <= AT_NOISE * noise:
         return ()
     times = f"{error / noise:.3g} times the noise" if noise > 0.0 else "not noise"
-    message = (
-        f"the simulation's error is {times}: this model does not explain the data to noise level; its intervals are"
-        " those of the best such model. Run servolens diagnose."
-    )
+    message = f"the simulation's error is {times}. {UNRELIABLE} Run servolens diagnose."
     return (Finding(code="above_noise", severity="warning", message=message),)
 
 

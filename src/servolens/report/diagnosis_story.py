@@ -34,7 +34,7 @@ from servolens.summaries.diagnosis import (
     verdict_sentence,
     why_enough,
 )
-from servolens.summaries.diagnosis_tables import candidates_table, records_table
+from servolens.summaries.diagnosis_tables import candidates_table, records_table, reliance
 from servolens.summaries.evidence import CLEAR, instrument_sentence
 from servolens.summaries.names import spoken, spoken_parameter
 from servolens.summaries.wording import capital, listed, plus_minus, unit
@@ -180,6 +180,7 @@ def _symbols(diagnosis: Diagnosis) -> Table:
         title="Its parameters, from the training records",
         columns=("Parameter", "Symbol", "Value ± standard error", "Unit"),
         rows=tuple(rows),
+        note=reliance(diagnosis),
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.errors import KEPT
 from servolens.diagnosis.logs import BEYOND
+from servolens.model_evidence import UNRELIABLE
 from servolens.summaries.names import spoken
 from servolens.summaries.wording import capital, number, plus_minus, scale, undetermined, unit
 from servolens.summary import Table
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.result import Diagnosis
     from servolens.model import Quantity
 
-__all__ = ["candidates_table", "data_kinds", "kinds_sentence", "parameters_table", "records_table"]
+__all__ = ["candidates_table", "data_kinds", "kinds_sentence", "parameters_table", "records_table", "reliance"]
 
 OF_SHAKEN = " *"
 """Marks the error of what is likeliest beside something that shakes the axis: it is in it."""
@@ -30,8 +31,14 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     ]
     title = "Model with the causes" if diagnosis.causes else "Model of gain and damping"
     columns = ("Parameter", "Value ± standard error", "Unit")
-    note = undetermined({name.replace(".", " "): quantity for name, quantity in diagnosis.model.quantities.items()})
+    known = undetermined({name.replace(".", " "): quantity for name, quantity in diagnosis.model.quantities.items()})
+    note = " ".join(part for part in (reliance(diagnosis), known) if part)
     return Table(title=title, columns=columns, rows=tuple(rows), note=note)
+
+
+def reliance(diagnosis: Diagnosis) -> str:
+    """Return what is to be known of the error bars of a model that leaves more than noise; empty of any other."""
+    return UNRELIABLE if diagnosis.verdict in ("partly_explained", "unexplained") else ""
 
 
 def records_table(diagnosis: Diagnosis) -> Table:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from servolens.identification.fitted import AT_BOUND, GIVEN
 from servolens.summaries.names import spoken
-from servolens.summaries.wording import interval, length, listed, number, plus_minus, prefixed, unit
+from servolens.summaries.wording import capital, interval, length, listed, number, plus_minus, prefixed, unit
 from servolens.summary import Summary, Table
 
 if TYPE_CHECKING:
@@ -17,6 +17,8 @@ __all__ = ["fit_summary"]
 
 LEAST_CORRELATION, MOST_PAIRS = 0.1, 8
 """Correlations that are shown, the largest first."""
+OF_THE_ERRORS = ("above_noise",)
+"""Findings that stand directly under the error bars that they are about."""
 
 
 def fit_summary(fit: Fit) -> Summary:
@@ -32,13 +34,14 @@ def fit_summary(fit: Fit) -> Summary:
         title="Parameters",
         columns=("Parameter", "Value ± standard error", "95 % interval", "Unit"),
         rows=tuple((name, *_row(quantity)) for name, quantity in fit.quantities.items()),
+        note=" ".join(capital(finding.message) for finding in fit.findings if finding.code in OF_THE_ERRORS),
     )
     pairs = _correlations(fit)
     return Summary(
         title=f"Fit of {listed(parts, most=8)} to {listed(fit.model.identified_from)}",
         sentences=(_accuracy(fit), _how(fit)),
         tables=(parameters, *([pairs] if pairs else [])),
-        findings=fit.findings,
+        findings=tuple(finding for finding in fit.findings if finding.code not in OF_THE_ERRORS),
     )
 
 
