@@ -142,6 +142,9 @@ def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
     assert "noise_model" in codes(diagnosis)
     assert ("shaken_axis" in codes(diagnosis)) == (world == "shaken")
     assert ("mains_ripple" in codes(diagnosis)) == (world == "hum")
+    said = " ".join(finding.message for finding in diagnosis.findings if finding.code == "noise_parts")
+    assert ("change slowly" in said) == bool(campaign.surroundings.noise.autoregression)
+    assert ("is most of the noise" in said) == (world == "coarse")
     floor = campaign.floor if world != "shaken" else campaign.noise  # what shakes the axis is no noise of its sensor
     assert diagnosis.noise_floor == pytest.approx(floor, rel=0.2)
     if world == "shaken":
@@ -188,6 +191,8 @@ def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
     assert diagnosis.remainder.times_noise > 3.0
     assert diagnosis.remainder.depends_on_inputs
     assert (diagnosis.verdict, diagnosis.causes) == ("unexplained", ())
+    (noise,) = (finding.message for finding in diagnosis.findings if finding.code == "noise_model")
+    assert noise.endswith("(r.m.s. while the axis rests, without what changes more slowly).")
     assert not diagnosis.remainder.material  # 0.2 % of the travel: none of the causes that would take most of it
 
 

@@ -985,7 +985,7 @@ def test_rounding_is_told_as_noise_where_the_axis_rests():
     record = lab.step_record(lab.NLM1, 60, encoder=1e-4)
     quality = assess(record)
     told = check_summary([quality], length_unit="m").tables[0]
-    noise = dict(zip(told.columns, told.rows[0], strict=True))["Fast noise [µm]"]
+    noise = dict(zip(told.columns, told.rows[0], strict=True))["Fast noise or rounding [µm]"]
     assert float(noise) >= 28  # 0.1 mm / √12
 
 

@@ -43,7 +43,7 @@ def said(
     case: Case, decision: Decision, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
-    told = [_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
+    told = [*_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
     ripple = case.ripple_beside(chosen)
     if ripple:
         lines = " and ".join(f"{f:g}" for f in ripple.frequencies)
@@ -75,25 +75,35 @@ def said(
     return told
 
 
-def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Finding:
-    """Describe the noise model in a sentence."""
-    noise, unit = chosen.noise, case.records[0].length_unit
-    sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
+def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding]:
+    """Tell the size of the noise, then what it is made of where that is known."""
+    noise, unit, size = chosen.noise, case.records[0].length_unit, gains.noise
     is_random = noise.is_fitted and noise.spread > 0.0 and not dominates(noise)
-    share = noise.spread_error(case.likelihood.samples) / noise.spread if is_random else 0.0
-    told = f"noise {readable(gains.noise, unit, share * gains.noise)} (r.m.s.)"
+    error = size * noise.spread_error(case.likelihood.samples) / noise.spread if is_random else 0.0
+    of_what = "r.m.s."
+    if not case.is_enough(chosen):  # what the model leaves is more than noise
+        is_fast = size <= case.likelihood.floor
+        of_what += " of its fast part" if is_fast else " while the axis rests, without what changes more slowly"
+    message = f"the sensor's noise is {readable(size, unit, error)} ({of_what})."
+    yield Finding(code="noise_model", severity="note", message=message)
+    parts = []
     memory = noise.memory()
-    if noise.rate == 0.0 and memory > 2.0:
-        slow = gains.noise * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
-        if slow > share * gains.noise:  # less is within the error of the noise itself
-            told += f", of which {readable(slow, unit)} change slowly ({readable(memory * sample, 's')})"
+    if noise.rate == 0.0 and memory > 2.0 and not dominates(noise):
+        slow = size * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
+        sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
+        if slow > error:  # less is within the error of the noise itself
+            parts.append(
+                f"{readable(slow, unit)} of the sensor's noise change slowly ({readable(memory * sample, 's')})"
+            )
     if dominates(noise):
-        told += f"; rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, dominates"
+        parts.append(
+            f"rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, is most of the noise"
+        )
     groups = repeats(case.records)
     if groups:
         spread = readable(spread_of(case.records, groups), unit)
-        told += f"; {sum(len(g) for g in groups)} runs repeat others and differ from them by {spread}"
-    return Finding(code="noise_model", severity="note", message=f"{told}.")
+        parts.append(f"{sum(len(g) for g in groups)} runs repeat others and differ from them by {spread}")
+    yield from (Finding(code="noise_parts", severity="note", message=f"{part}.") for part in parts)
 
 
 def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:

@@ -61,7 +61,9 @@ def _counted(warnings: int) -> list[str]:
 
 
 def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
-    noise = [max(q.noise, (q.quantisation_step or 0.0) / math.sqrt(12.0)) for q in qualities]  # rounding is noise too
+    rounding = [(quality.quantisation_step or 0.0) / math.sqrt(12.0) for quality in qualities]
+    noise = [max(quality.noise, own) for quality, own in zip(qualities, rounding, strict=True)]
+    is_rounded = any(own > quality.noise for quality, own in zip(qualities, rounding, strict=True))
     factor, length = scale(noise, length_unit)
     rows = [
         (
@@ -82,7 +84,7 @@ def _table(qualities: Sequence[RecordQuality], length_unit: str) -> Table:
             "Samples",
             "Sample time [ms]",
             "Duration [s]",
-            f"Fast noise [{length}]",
+            f"Fast noise{' or rounding' if is_rounded else ''} [{length}]",
             "Warnings and errors",
             "Usable",
         ),

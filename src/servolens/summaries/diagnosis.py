@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -44,7 +43,7 @@ __all__ = [
 
 FEW_SAMPLES = 200
 """Samples up to which records show little."""
-SURROUNDINGS = ("noise_model", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
+SURROUNDINGS = ("noise_model", "noise_parts", "mains_ripple", "noise_in_loop", "shaken_axis", "bursts")
 """Findings about what the records hold beside the motion: sentences of their own."""
 TOLD_WITH_THE_REMAINDER = "immaterial_remainder"
 BEYOND_NOISE = 1.5
@@ -146,15 +145,13 @@ def other_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
 def noise_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say what the records hold beside the motion: the sensor's noise, a ripple of the mains, what shakes the axis."""
     found = [finding for code in SURROUNDINGS for finding in diagnosis.findings if finding.code == code]
-    told = [unit(finding.message) for finding in found if not is_told_already(finding, diagnosis)]
-    return [capital(re.sub(r"^noise (?=[\d.])", "the sensor's noise is ", message)) for message in told]
+    return [capital(unit(finding.message)) for finding in found if not is_told_already(finding, diagnosis)]
 
 
 def is_told_already(finding: Finding, diagnosis: Diagnosis) -> bool:
     """Whether the sentences on the verdict or the remainder say all that a finding says."""
-    is_plain = finding.code == "noise_model" and finding.message.endswith("(r.m.s.).") and ";" not in finding.message
-    of_noise = is_plain and "the noise is" in verdict_sentence(diagnosis)
-    return of_noise or finding.code == TOLD_WITH_THE_REMAINDER
+    tells_noise = diagnosis.verdict == "explained"  # where something is left, the finding says what the noise is of
+    return finding.code == TOLD_WITH_THE_REMAINDER or (finding.code == "noise_model" and tells_noise)
 
 
 def remaining_sentences(diagnosis: Diagnosis) -> list[str]:
