@@ -107,7 +107,7 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding]:
 
 
 def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:
-    """Tell how strongly the axis is shaken; what to do where that is more than the sensor's noise hides.
+    """Tell how strongly the axis is shaken; what to do where that is material.
 
     In the position, or in the command of a stiff loop, which hides it from the position.
     """
@@ -117,8 +117,9 @@ def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:
     told = readable(size, f"{case.records[0].length_unit}/s^2", size * float(np.sqrt(0.5 / max(independent, 1.0))))
     share = f"{100 * remainder.of_motor:.2g} % of what the motor gives at most"
     message = f"something shakes the axis irregularly, by about {told} (r.m.s.), {share}"
-    if remainder.rms < noise and remainder.of_motor <= MATERIAL:
-        message += ": it moves the axis by less than the sensor's noise, and nothing need be done."
+    if not remainder.material and remainder.of_motor <= MATERIAL:
+        hidden = "it moves the axis by less than the sensor's noise, and " if remainder.rms < noise else ""
+        message += f": {hidden}nothing need be done."
     else:
         message += (
             ". It does not depend on the reference: it is no cause of the catalogue, and no gain designed from a model"
