@@ -807,10 +807,19 @@ def test_two_of_which_only_the_sum_is_known_are_named():
     assert fit.plant.values[2] + fit.plant.values[3] == pytest.approx(2.5, rel=0.01)
 
 
+GRAVITY = ("pendulum_gravity.amplitude", "pendulum_gravity.phase")
+
+
 def test_parameters_that_the_data_hardly_tell_apart_are_named():
-    """Over 0.15 rad a pendulum's gravity is a spring and a constant force, which amplitude and phase share."""
+    """Over 0.15 rad a pendulum's gravity is a spring and a constant force, which amplitude and phase share.
+
+    Their estimates are as much correlated in little noise, where both are known to a part in ten thousand.
+    """
     truth = axis(pendulum_gravity={"amplitude": 1.2, "phase": 0.4})
-    fit = servolens.fit(effects_of(truth, 1.5), campaign(truth))
+    sure, fit = (servolens.fit(effects_of(truth, 1.5), campaign(truth, noise=noise)) for noise in (NOISE, 300 * NOISE))
+    assert all(sure.quantities[name].stderr < 2e-4 * sure.quantities[name].value for name in GRAVITY)
+    assert sure.correlations[GRAVITY] < -0.98
+    assert "strongly_correlated" not in codes(sure)
     message = codes(fit)["strongly_correlated"]
     assert "pendulum_gravity.amplitude and pendulum_gravity.phase are correlated at" in message
     assert message.endswith("fix one, give a prior, or log a run that moves them differently.")

@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
-from servolens.model_evidence import UNRELIABLE
+from servolens.model_evidence import MATERIAL, UNRELIABLE
 from servolens.plant import ENDLESS
 
 if TYPE_CHECKING:
@@ -92,12 +92,16 @@ def _vague(refined: Refinement) -> list[Finding]:
 
 
 def _alike(refined: Refinement) -> list[Finding]:
-    """Name the parameters that the data cannot tell apart: those of one effect, or of two, in one sentence."""
-    names = list(refined.plant.parameters)
+    """Name the parameters that the data cannot tell apart: those of one effect, or of two, in one sentence.
+
+    Of two that are known to less than what is material, whatever their correlation, each is told from the other.
+    """
+    names, values = list(refined.plant.parameters), np.abs(refined.plant.values)
+    is_known = np.sqrt(np.diag(refined.covariance)) <= MATERIAL * values
     groups: dict[frozenset[str], list[tuple[int, int]]] = {}
     for i in range(len(names)):
         for k in range(i):
-            if abs(refined.correlation[i, k]) > HARDLY_APART:
+            if abs(refined.correlation[i, k]) > HARDLY_APART and not (is_known[i] and is_known[k]):
                 groups.setdefault(frozenset(names[n].rpartition(".")[0] for n in (i, k)), []).append((k, i))
     found = []
     for pairs in groups.values():
