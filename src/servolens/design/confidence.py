@@ -98,7 +98,8 @@ def _model_light(model: Model) -> Light:
         return Light(
             light="amber",
             sentence=(
-                f"The simulation misses {share} beyond the noise, but {_untaught(evidence, unit)}: {_lesson(evidence)}."
+                f"The simulation misses {share} beyond the noise, but {_untaught(evidence, unit)}: of"
+                " another run it may miss as much."
             ),
         )
     tested = "" if missed is None else f", and {_untaught(evidence, unit)}"
@@ -171,13 +172,6 @@ def _untaught(evidence: Evidence, unit: str) -> str:
     worst = max(evidence.missed, key=lambda missed: missed.of_step)
     who = WHO[worst.how].format(record=worst.record)
     return f"{_share(worst.of_step)} of the step of {readable(worst.step, unit)} of {who}"
-
-
-def _lesson(evidence: Evidence) -> str:
-    """Return what it means that data which were not fitted are missed by more than those that were."""
-    if any(missed.how == "held_out" for missed in evidence.missed):
-        return "fit this record too"
-    return "of another run it may miss as much"
 
 
 def _beyond_band(evidence: Evidence, unit: str, spec: PDSpec) -> str:
