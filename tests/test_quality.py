@@ -247,7 +247,7 @@ def test_too_few_samples_are_unusable():
 def test_coarse_encoder_is_said():
     finding = only(simulated(encoder=1e-3))
     assert finding.code == "coarse_quantisation"
-    assert "0.001 m, 1 % of the step" in finding.message
+    assert "0.001 m, 1 % of the step: whether the axis stays within a band of ±1 % or less" in finding.message
 
 
 @pytest.mark.parametrize(("stated", "code"), [(1e-5, None), (2e-6, True), (7e-5, True)])

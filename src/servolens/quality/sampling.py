@@ -186,9 +186,10 @@ def _encoder(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield a step that a 1 % band holds fewer than two of, and one that is not the stated encoder's."""
     unit, stated = record.length_unit, record.encoder_resolution
     if seen.step is not None and seen.step > 0.00501 * record.step_size > 0:
+        share = f"{100 * seen.step / record.step_size:.2g} %"
         message = (
-            f"the position moves in steps of {seen.step:.3g} {unit}, {100 * seen.step / record.step_size:.2g} % of the"
-            " step; a 1 % band is hardly seen, use a finer encoder or larger steps."
+            f"the position moves in steps of {seen.step:.3g} {unit}, {share} of the step: whether the axis stays within"
+            f" a band of ±{share} or less cannot be seen. For such a band use a finer encoder or larger steps."
         )
         yield Finding(code="coarse_quantisation", severity="warning", message=message)
     if stated is not None and _contradicts(record.position, stated, seen.step):
