@@ -444,6 +444,19 @@ def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help
     assert "the held-out error falls from" in verdict_sentence(rubbing)
 
 
+def test_model_without_the_cause_that_diverges_is_not_told_as_an_error(rubbing):
+    """Of an axis that moves 0.1 m it was said that the error falls from 38 m, and at which speeds it arises."""
+    away = replace(rubbing, baseline=replace(rubbing.baseline, heldout_rms_error=38.0))
+    told = verdict_sentence(away)
+    assert told.startswith("The cause is Coulomb friction, ")
+    assert told.endswith("; without, the simulation diverges.")
+    assert "38" not in told
+    assert " m (r.m.s." not in told
+    unknown = replace(away, verdict="unexplained", causes=())
+    assert "a model of gain and damping diverges on held-out data, and no effect" in verdict_sentence(unknown)
+    assert "diverges" not in verdict_sentence(rubbing)
+
+
 def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
     left = replace(rubbing.remainder, rms=0.0, of_travel=0.0, depends_on_inputs=True)
     told = remaining_sentences(replace(rubbing, verdict="partly_explained", remainder=left))

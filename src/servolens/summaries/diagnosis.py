@@ -242,7 +242,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return _unexplained(diagnosis)
     causes = [cause_phrase(cause) for cause in diagnosis.causes]
     names, them = (listed(causes), "them") if len(causes) > 1 else (causes[0], "it")
-    where = where_phrase(diagnosis.where)
+    runs_away = _diverges(diagnosis, after=False) and not _diverges(diagnosis, after=True)
+    where = "" if runs_away else where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     if diagnosis.verdict == "explained":
         start += f"the cause{'s are' if len(causes) > 1 else ' is'} {names}"
@@ -250,8 +251,14 @@ def _verdict(diagnosis: Diagnosis) -> str:
         start += f"part of {'it' if where else 'the error'} is explained by {names}"
     unit_ = diagnosis.plant.length_unit
     errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
-    before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
+    if runs_away:
+        after, noise = (length(error, unit_, beside=errors[1]) for error in errors[1:])
+        return (
+            f"{start}; with {them} the {held}error is {after} (r.m.s., the noise is {noise}); without, the simulation"
+            " diverges."
+        )
+    before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     falls = errors[1] < errors[0]
     has_phases = any(effect.phase_per_record for effect in diagnosis.plant.effects)
     if has_phases and not falls and diagnosis.remainder.rms < errors[0]:
@@ -308,9 +315,10 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     where = where_phrase(diagnosis.where)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
+    is_off = "diverges" if _diverges(diagnosis, after=False) else f"is {error} (r.m.s.) off"
     return (
-        f"{start}nothing in the catalogue explains {'it' if where else 'the error'}: a model of gain and damping is"
-        f" {error} (r.m.s.) off{_data(diagnosis)}, and no effect that was tried makes that much better."
+        f"{start}nothing in the catalogue explains {'it' if where else 'the error'}: a model of gain and damping"
+        f" {is_off}{_data(diagnosis)}, and no effect that was tried makes that much better."
     )
 
 
@@ -374,6 +382,12 @@ def _has(diagnosis: Diagnosis, code: str) -> bool:
 def _error(diagnosis: Diagnosis, *, after: bool) -> float:
     errors = diagnosis.extended if after else diagnosis.baseline
     return errors.rms_error if errors.heldout_rms_error is None else errors.heldout_rms_error
+
+
+def _diverges(diagnosis: Diagnosis, *, after: bool) -> bool:
+    """Tell whether simulations leave the axis: they miss, r.m.s., more than all of its travel."""
+    ranges = [logged.position_range for logged in (*diagnosis.experiments, *diagnosis.tests)]
+    return not _error(diagnosis, after=after) <= max((high - low for low, high in ranges), default=math.inf)
 
 
 def _data(diagnosis: Diagnosis) -> str:
