@@ -128,6 +128,19 @@ def test_settling_time_that_looks_as_asked_is_told_with_what_it_misses(cart, by,
     assert {row[0]: row[1] for row in table.rows}["Meets the spec there"] == says
 
 
+def test_gain_that_misses_the_spec_for_it_is_too_low_is_told_by_how_much(cart):
+    """A linear model that was the diagnosed one to six digits did not meet the spec there: its gain was too low."""
+    best, missed = cart.comparison.diagnosed.kd, replace(cart.comparison.linear_on_diagnosed, meets=False)
+    low = replace(cart.comparison.linear, kd=best * (1.0 - 4.4e-6))
+    table = side_by_side(replace(cart.comparison, linear=low, linear_on_diagnosed=missed), "V s/m", "V")
+    assert {name: first for name, first, *_ in table.rows}["Meets the spec there"] == "no, too low"
+    assert table.note.endswith(
+        "Too low: below the least gain of the diagnosed model, by 0.00044 % (linear) and 3.9 % (nonlinear)."
+    )
+    met = {name: replace(missed, meets=True) for name in ("linear_on_diagnosed", "nonlinear_on_diagnosed")}
+    assert "oo low" not in str(side_by_side(replace(cart.comparison, **met), "V s/m", "V"))
+
+
 def test_what_a_diagnosis_answers_is_no_finding_of_its_study(cart):
     assert {finding.code for finding in cart.fit.findings} & OF_SIMPLER_MODELS
     assert not {finding.code for finding in cart.findings} & OF_SIMPLER_MODELS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.summaries.gains import asked_sentence, least_gain, sentence
-from servolens.summaries.wording import inside, number, number_up, percent
+from servolens.summaries.wording import inside, listed, number, number_up, percent
 from servolens.summary import Summary, Table
 from servolens.units import readable
 
@@ -76,11 +76,22 @@ def side_by_side(comparison: Comparison, kd_unit: str, command_unit: str) -> Tab
         (f"Settles on the {best} plant [s]", *map(_settles, on)),
         ("Overshoot there [%]", *("–" if r is None else number(100 * r.overshoot, 3) for r in on)),
         (f"Peak command there [{command_unit}]", *("–" if r is None else number(r.peak_voltage) for r in on)),
-        ("Meets the spec there", *(_meets(r, designs[0].spec) for r in on)),
+        ("Meets the spec there", *(_meets(r, design, designs[-1]) for r, design in zip(on, designs, strict=True))),
     )
     columns = ("", *(kind.capitalize() for kind in COMPARED[: len(designs)]))
-    note = " ".join(f"{kind.capitalize()}: {WORDS[kind]}." for kind in COMPARED[: len(designs)])
-    return Table(title="Side by side", columns=columns, rows=rows, note=note)
+    told = [f"{kind.capitalize()}: {WORDS[kind]}." for kind in COMPARED[: len(designs)]]
+    low = [
+        f"{percent(100 * _below(design, designs[-1]))} ({kind})"
+        for kind, response, design in zip(COMPARED, on, designs, strict=False)
+        if response is not None and not response.meets and _below(design, designs[-1]) > 0.0
+    ]
+    told += [f"Too low: below the least gain of the {best} model, by {listed(low)}."] if low else []
+    return Table(title="Side by side", columns=columns, rows=rows, note=" ".join(told))
+
+
+def _below(design: Design, best: Design) -> float:
+    """Return by which share of it the least gain is below the best one; 0 if it is not, or there is none."""
+    return 0.0 if design.kd is None or not best.kd else max(1.0 - design.kd / best.kd, 0.0)
 
 
 def _settles(response: Response | None) -> str:
@@ -89,12 +100,15 @@ def _settles(response: Response | None) -> str:
     return "never" if response.settling_time is None else number(response.settling_time)
 
 
-def _meets(response: Response | None, spec: PDSpec) -> str:
-    """Return yes or no, and by how much a settling time is late that looks as the one that was asked for."""
+def _meets(response: Response | None, design: Design, best: Design) -> str:
+    """Return yes or no, and why not: a gain below the least one there, or a time that looks as the one asked for."""
     if response is None:
         return "–"
     if response.meets:
         return "yes"
+    if _below(design, best) > 0.0:
+        return "no, too low"
+    spec = design.spec
     took, asked = response.settling_time, spec.settling_time
     looks_alike = took is not None and took > asked and number(took) == number(asked)
     return f"no, {readable(took - asked, 's')} late" if took is not None and looks_alike else "no"
