@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servolens import read_record, units
+from servolens import PDSpec, read_record, units
+from servolens.controller import NUMBERS
 from servolens.errors import InputError
 from servolens.lab import NLM1, step_record
 from servolens.record import Controller, Record
@@ -103,6 +104,23 @@ def test_commands_in_other_units_are_no_record(text):
 def test_positions_are_in_metres_or_radians(text):
     with pytest.raises(InputError, match=f"record: length_unit must be 'm' or 'rad', got '{text}'$"):
         record(length_unit=text)
+
+
+def test_number_in_an_array_of_no_dimension_is_a_number():
+    """What NumPy's functions give for a scalar was refused as `array(60.)`."""
+    loop = Controller(
+        kp=np.array(60.0), kd=np.float64(1.5), control_period=np.array(0.002), derivative_window=np.array(2)
+    )
+    assert loop == Controller(kp=60.0, kd=1.5, control_period=0.002, derivative_window=2)
+    limited = {"voltage_limit": 10.0, "voltage_before": 0.5, "inertia": 0.1, "encoder_resolution": 1e-5}
+    written = RUN.with_({**{name: np.array(value) for name, value in limited.items()}, "controller": loop})
+    assert {name: getattr(written, name) for name in limited} == limited
+    numbers = (*(getattr(loop, name) for name in NUMBERS), *(getattr(written, name) for name in limited))
+    assert {type(number) for number in numbers if number is not None} == {float, int}
+    assert PDSpec(kp=np.array(60.0), settling_time=np.array(0.5)) == PDSpec(kp=60.0, settling_time=0.5)
+    for wrong in (np.array([60.0]), np.array(True), np.array("60")):
+        with pytest.raises(InputError, match=r"^kp must be a number, got "):
+            Controller(kp=wrong)
 
 
 def test_name_of_several_lines_cannot_state_a_setting(tmp_path):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.errors import InputError, unwrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -98,6 +98,7 @@ class Controller:
 
     def __post_init__(self) -> None:
         for name in NUMBERS:
+            object.__setattr__(self, name, unwrapped(getattr(self, name)))
             _check_number(name, getattr(self, name), optional=name in OPTIONAL)
         for name, allowed in TEXT_CHOICES.items():
             value = getattr(self, name)
@@ -163,6 +164,7 @@ class Controller:
         >>> drive.kp, drive.kd, drive.integral_rate
         (100.0, 5.0, 10.0)
         """
+        kp, kv, kiv, feedforward_speed = map(unwrapped, (kp, kv, kiv, feedforward_speed))
         for name, value in (("kp", kp), ("kv", kv), ("kiv", kiv), ("feedforward_speed", feedforward_speed)):
             _check_number(name, value)
         if kv == 0:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like", "needed"]
+__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like", "needed", "unwrapped"]
 
 MOST_NAMES = 6
 """Names that a message offers where many hold what was written."""
@@ -52,6 +52,18 @@ def needed(value: Any, kind: type, example: str) -> None:
     """
     if not isinstance(value, kind):
         raise InputError(f"a {kind.__name__} is needed, such as {example}; got {described(value)}")
+
+
+def unwrapped(value: Any) -> Any:
+    """Return the number of an array without dimensions, as NumPy makes of one, and anything else as it is.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> unwrapped(np.array(60.0)), unwrapped(60), unwrapped(None)
+    (60.0, 60, None)
+    """
+    return value.item() if getattr(value, "shape", None) == () and hasattr(value, "item") else value
 
 
 def names_like(name: str, known: Iterable[str], otherwise: str) -> str:

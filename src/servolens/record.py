@@ -13,7 +13,7 @@ import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
 from servolens.controller import Controller
-from servolens.errors import InputError, described, needed
+from servolens.errors import InputError, described, needed, unwrapped
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
 from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
@@ -31,6 +31,8 @@ __all__ = ["Controller", "Record", "as_numbers"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
+POSITIVE = ("encoder_resolution", "voltage_limit", "inertia")
+"""Quantities of a record that are positive where they are known."""
 RESTS, STAIRS = 20, 20
 """Samples without a change after which a reference sets out anew; steps of less than this part of its range, one after
 the other to the same side, are a slow ramp as a log with few digits shows it."""
@@ -105,6 +107,8 @@ class Record:
     sample_time: float = field(init=False)
 
     def __post_init__(self) -> None:
+        for quantity in (*POSITIVE, "voltage_before"):
+            object.__setattr__(self, quantity, unwrapped(getattr(self, quantity)))
         for signal in SIGNALS:
             value = getattr(self, signal)
             if value is not None:
@@ -129,7 +133,7 @@ class Record:
             f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd (on the command"
             " line --record-kp and --record-kd)",
         )
-        for quantity in ("encoder_resolution", "voltage_limit", "inertia"):
+        for quantity in POSITIVE:
             value = getattr(self, quantity)
             _require(
                 value is None or (_is_number(value) and value > 0),

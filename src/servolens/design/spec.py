@@ -8,7 +8,7 @@ from typing import Any, Literal, final
 import numpy as np
 
 from servolens.controller import AntiWindup, Controller
-from servolens.errors import InputError, needed
+from servolens.errors import InputError, needed, unwrapped
 
 __all__ = ["LINEAR_LIMITS", "PDSpec", "check_spec"]
 
@@ -215,8 +215,10 @@ def _check_ideal(spec: PDSpec) -> None:
 
 
 def _check_numbers(spec: PDSpec) -> None:
+    """Convert and check what has to be a number."""
     for field in (f for f in fields(spec) if f.name not in WORDS):
-        value = getattr(spec, field.name)
+        value = unwrapped(getattr(spec, field.name))
+        object.__setattr__(spec, field.name, value)
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (is_number or (value is None and field.default is None)):
             raise InputError(f"{field.name} must be a number, got {value!r}")
