@@ -61,7 +61,7 @@ def design_summary(
     spec = design.spec
     kd_unit = f"{command_unit} s/{length_unit}"
     why = "" if design.recommended is None else sentence(design.recommended.why)
-    trusted = [told.removesuffix(f" {why}") if why else told for told in light_sentences(lights or {})]
+    trusted = light_sentences(lights or {}, told=why)
     if design.kd is None:
         how = "tune(…, force=True)" if in_python else "--force"
         why = f"The gain is withheld; {how} gives it all the same." if design.withheld else sentence(design.reason)
@@ -170,9 +170,12 @@ def map_summary(
     return Summary(title="Map", sentences=tuple(sentences))
 
 
-def light_sentences(lights: Mapping[str, Light]) -> list[str]:
-    """Return a sentence for each light."""
-    return [f"{name.capitalize()}: {light.light}. {light.sentence}" for name, light in lights.items()]
+def light_sentences(lights: Mapping[str, Light], *, told: str = "") -> list[str]:
+    """Return for each light its colour and, but for what is `told` beside it, why."""
+    return [
+        f"{name.capitalize()}: {light.light}.{'' if light.sentence == told else f' {light.sentence}'}"
+        for name, light in lights.items()
+    ]
 
 
 def _recommended(design: Design, kd_unit: str) -> list[str]:
