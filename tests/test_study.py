@@ -194,6 +194,14 @@ def test_gain_for_a_loop_that_the_logs_contradict_is_in_doubt(stated):
     assert found.design.recommended is not None
 
 
+def test_gain_from_logs_with_a_late_column_is_in_doubt():
+    runs = [lab.step_record(CART, kp, 0.5, noise=1e-5, seed=kp) for kp in (60, 80)]
+    late = [run.with_({"voltage": np.concatenate([np.zeros(2), run.voltage[:-2]])}) for run in runs]
+    light = study_records(late, SPEC, effort="quick").lights["gain"]
+    assert light.light == "amber"
+    assert f"{runs[0].name} and {runs[1].name} does not fit the loop that is stated for it: correct" in light.sentence
+
+
 def test_wrong_sign_has_one_remedy():
     """Who changed the sign, as was said first, and then inverted the command was wrong again."""
     (record,) = steps(CART, 60)
