@@ -96,8 +96,8 @@ def _alike(refined: Refinement) -> list[Finding]:
 
     Of two that are known to less than what is material, whatever their correlation, each is told from the other.
     """
-    names, values = list(refined.plant.parameters), np.abs(refined.plant.values)
-    is_known = np.sqrt(np.diag(refined.covariance)) <= MATERIAL * values
+    names = list(refined.plant.parameters)
+    is_known = np.diag(refined.covariance) <= (MATERIAL * np.array(refined.plant.values)) ** 2
     groups: dict[frozenset[str], list[tuple[int, int]]] = {}
     for i in range(len(names)):
         for k in range(i):
