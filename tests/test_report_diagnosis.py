@@ -473,12 +473,9 @@ def test_doubt_in_a_cause_is_told_with_its_rivals(rubbing):
     assert doubt_sentences(doubtful) == [
         "Confidence in Coulomb friction: 50 %; these data cannot distinguish it from an actuator of second order."
     ]
-    partly = replace(rubbing, verdict="partly_explained", causes=(replace(sure, confidence=0.4936),))
-    assert doubt_sentences(partly) == [
-        "Confidence in Coulomb friction: 49.4 %; it may stand for something that nothing explains."
-    ]
-    slight = replace(rubbing, causes=(replace(sure, confidence=0.97),))
-    assert doubt_sentences(slight) == ["Confidence in Coulomb friction: 97 %."]
+    causes = (replace(sure, confidence=0.4936), replace(sure, effect="cogging", confidence=0.2), sure)
+    partly = replace(rubbing, verdict="partly_explained", causes=causes)
+    assert doubt_sentences(partly) == ["Confidence: Coulomb friction 49.4 % and cogging 20 %."]
     assert doubt_sentences(rubbing) == []
 
 

@@ -206,18 +206,16 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
 
 def doubt_sentences(diagnosis: Diagnosis) -> list[str]:
     """Say of each cause that is in doubt how sure it is, and what else it may be."""
-    told = []
+    told, alone = [], []
     for cause in diagnosis.causes:
-        rivals = [spoken(rival) for rival in _rivals(cause)]
-        if not rivals and cause.confidence >= MOST_CONFIDENT:
-            continue
-        sure = f"Confidence in {spoken(cause.effect)}: {percent(100 * cause.confidence)}"
+        rivals, name = [spoken(rival) for rival in _rivals(cause)], spoken(cause.effect)
+        sure = percent(100 * cause.confidence)
         if rivals:
-            sure += f"; these data cannot distinguish it from {listed(rivals, last='or')}"
-        elif diagnosis.verdict == "partly_explained":
-            sure += "; it may stand for something that nothing explains"
-        told.append(f"{sure}.")
-    return told
+            others = listed(rivals, last="or")
+            told.append(f"Confidence in {name}: {sure}; these data cannot distinguish it from {others}.")
+        elif cause.confidence < MOST_CONFIDENT:
+            alone.append(f"{name} {sure}")
+    return [*told, f"Confidence: {listed(alone)}."] if alone else told
 
 
 def next_sentences(diagnosis: Diagnosis) -> list[str]:
