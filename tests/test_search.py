@@ -124,3 +124,31 @@ def test_what_was_found_as_if_nothing_shook_the_axis_is_tried_beside_both_noises
     tried = [h.noise.rate for h in beside_shaking([still, shaken], shaken.noise)]
     assert tried == [0.0, 30.0, 30.0]
     assert [*beside_shaking([still], still.noise)] == [still]
+
+
+@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 2])
+def test_two_causes_whose_true_pair_is_not_the_likeliest_beside_an_observer_are_found(seed):
+    """Beside slow noise an axis seems shaken, and of what an observer helps an impostor is likelier."""
+    around = lab.Surroundings(noise=lab.SensorNoise(deviation=2e-5, autoregression=(0.9,)), encoder=0.0)
+    truth = lab.Truth(gain=15.0, damping=4.0, effects={"coulomb_friction": {"level": 0.6}, "dead_zone": {"width": 0.3}})
+    setup, runs = lab.Setup(surroundings=around), ((60.0, 2.0, (0.05, 0.0)), (90.0, 3.0, (0.08, 0.02)))
+    records = [
+        lab.step_record(truth, kp, kd, reference=levels, duration=1.2, seed=100 * seed + i, setup=setup)
+        for i, (kp, kd, levels) in enumerate(runs)
+    ]
+    found = diagnose(records)
+    assert found.verdict == "explained"
+    assert {cause.effect for cause in found.causes} == {"coulomb_friction", "dead_zone"}
+
+
+@pytest.mark.parametrize(
+    ("effect", "world", "seed", "share"),
+    [("position_friction", "coloured", 721_205, 0.09), ("periodic_disturbance", "white", 721_206, 0.17)],
+)
+def test_a_single_cause_that_leaves_noise_alone_ends_the_search(effect, world, seed, share):
+    """Neither beside an observer nor from an impostor that has fewer parameters is anything looked for."""
+    campaign, effort = lab.hidden_campaign(seed, effects=[effect], world=world), EFFORT["normal"]
+    case = Case(tuple(campaign.records), tuple(campaign.heldout), {}, len(catalogue()))
+    found = search(case.trials, case.base, effort, is_enough=case.is_enough)
+    assert found.chosen.causes == (effect,)
+    assert case.likelihood.work < share * effort.work

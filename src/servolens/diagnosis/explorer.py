@@ -9,12 +9,9 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.diagnosis.ordering import (
-    beside_shaking,
     by_total,
     by_worst,
-    chosen_for_extension,
     distinct,
-    families,
     is_last_resort,
     parted,
     simplified,
@@ -71,10 +68,8 @@ class Explorer:
         known: Sequence[Hypothesis],
         is_enough: Callable[[Hypothesis], bool],
         share: float,
-        ends: Callable[[Hypothesis, float], Hypothesis | None] = lambda _found, _allowance: None,
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
-        self._ends, self.has_ended = ends, False
         self.likelihood = trials.likelihood
         self.worked, self._share = self.likelihood.work, share
         self.judged: list[Hypothesis] = [*known]
@@ -101,77 +96,12 @@ class Explorer:
         """Tell whether of so much `work` enough is left to look for a further effect."""
         return self._spent < (1.0 - SPENT) * work
 
-    def _allowance(self, jobs: int, kept: float = 0.0) -> float:
+    def allowance(self, jobs: int, kept: float = 0.0) -> float:
         """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
 
         As if a share `kept` of the effort were left in any case.
         """
         return SHARE * max(self.left, kept * self._share * self.effort.work) / max(jobs, 1)
-
-    def path_to_the_best(self, base: Hypothesis, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the way from `base` to the best of those `begun`, if one is likelier.
-
-        Those that were found as if nothing shook an axis that seems shaken are fitted beside the noise of `base` too.
-        """
-        self.singles += distinct([h for h in begun if len(h.causes) == 1])
-        found = self._judged([(h.plant, h) for h in beside_shaking(distinct(begun), base.noise)])
-        if not found or found[0].total >= base.total:
-            return [base]
-        best = self.improved(found[0])
-        return self._steps([base], best) if best.causes else [best]
-
-    def walked(self, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], bool]:
-        """Return `path` and further steps of one effect each, and whether `work` was spent before the end.
-
-        Then it ends with the likeliest of all that was fitted.
-        """
-        beam, steps = path[-1:], 0
-        while len(path[-1].causes) < self.effort.causes:
-            if not (self.has_more(work) if steps else self.left > 0.0):
-                return self._to_the_likeliest(path), True
-            steps += 1
-            found = self.extended(beam, len(path[-1].causes))
-            if not path[-1].causes and found and not self.is_enough(found[0]):
-                several = self.paired(path[-1], found[0])
-                # what leaves something is compared with what single effects come to with a second one
-                if found[0].total >= path[-1].total or any(self.is_enough(h) for h in several):
-                    found = sorted([*found, *several], key=by_total)
-            path[-1] = self._beside_noise_of(found[:1], path[-1])
-            better = [h for h in found if h.total < path[-1].total]
-            if not better or self.is_chance(path[-1], better[0]):
-                break
-            best = self.improved(better[0])
-            if not best.causes:
-                return [best], False
-            path = self._steps(path, best)
-            self.has_ended = self._is_overtaken(best)
-            if self.has_ended:
-                break
-            further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
-            beam = chosen_for_extension(families([best, *further]), self.effort.beam)
-        return path, False
-
-    def _is_overtaken(self, best: Hypothesis) -> bool:
-        """Tell whether the search ends with `best`: beside other noise it is likelier than any last resort is here."""
-        other = None if self.is_enough(best) else self._ends(best, self._allowance(1))
-        if other is None:
-            return False
-        resorts = self._judged([(plant, best) for plant in self._last_resorts(best)])
-        return not resorts or resorts[0].total >= other.total
-
-    def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return `path` as it leads to the likeliest of all that was fitted."""
-        best = min([path[-1], *self.judged], key=by_total)
-        if best is path[-1] or self.is_chance(path[-1], best):
-            return [*path]
-        best = self.reduced(best)
-        return self._steps(path, best) if best.causes else [best]
-
-    def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
-        """Return `path` as it leads to `best`, with what was found on the way where that adds several causes."""
-        before = [h for h in path if len(h.causes) < len(best.causes)]
-        steps = [h for h in (*self.judged, *self.singles) if set(before[-1].causes) < set(h.causes) < set(best.causes)]
-        return [*before, *sorted(steps, key=by_total)[:1], best]
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
@@ -179,7 +109,8 @@ class Explorer:
         if noise.rate == 0.0 and not noise.is_model_error and not self.likelihood.simulates:
             # what leaves no more than sensor noise is no impostor, unless what has no more parameters reaches as far
             best, *others = beam
-            beam = [best, *(h for h in others if h.plant.unusual + 1 <= best.plant.unusual)]
+            is_answer = self.is_enough(best) and not is_last_resort(best)
+            beam = [best, *(h for h in others if h.plant.unusual + 1 <= best.plant.unusual and not is_answer)]
         members = sorted(beam, key=lambda h: (is_last_resort(h), noise.is_model_error and bool(own_phases(h.plant))))
         found: list[Hypothesis] = []
         first: list[Hypothesis] = []
@@ -195,7 +126,7 @@ class Explorer:
             self.singles += distinct(found)
         known = [h for h in self.judged if len(h.causes) == number + 1]
         jobs = distinct([*found[: self.effort.judged], *first])
-        fitted = self._judged([(h.plant, h) for h in jobs])
+        fitted = self.fitted([(h.plant, h) for h in jobs])
         reached = {frozenset(h.causes) for h in fitted}
         kept = [h for h in jobs if frozenset(h.causes) not in reached]  # where no effort was left to go on
         self.judged += kept
@@ -210,20 +141,20 @@ class Explorer:
         if test is None or self.likelihood.simulates:
             return []
         plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
-        share = self._allowance(len(plants))
+        share = self.allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
         )
-        return self._judged([(h.plant, h) for h in begun if h and h.total < best.total])
+        return self.fitted([(h.plant, h) for h in begun if h and h.total < best.total])
 
-    def _beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
+    def beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
         own = [h for h in others if h.noise.rate > 0.0 and h.total < hypothesis.total]
-        return min([hypothesis, *self._judged([(hypothesis.plant, h) for h in own])], key=by_total)
+        return min([hypothesis, *self.fitted([(hypothesis.plant, h) for h in own])], key=by_total)
 
     def _leaves_nothing(self, found: Sequence[Hypothesis], before: Hypothesis) -> bool:
         """Tell whether the best of `found` is likelier than the hypothesis `before`, and leaves nothing but noise."""
-        best = self._judged([(h.plant, h) for h in found])[:1]
+        best = self.fitted([(h.plant, h) for h in found])[:1]
         return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
 
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
@@ -273,14 +204,14 @@ class Explorer:
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
             return found
 
-        share_of_work = self._allowance(len(chosen))
+        share_of_work = self.allowance(len(chosen))
         begun = in_parallel(lambda s: told(self._begun(s, hypothesis, share_of_work)), chosen)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
         if is_observed:
             return found
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
-        share_of_work = self._allowance(len(close))
+        share_of_work = self.allowance(len(close))
         further = in_parallel(lambda h: told(self._simulated(h, share_of_work)), close)
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
@@ -345,7 +276,7 @@ class Explorer:
         keys = [(frozenset(e.name for e in plant.effects), noise.rate, noise.order) for plant in plants]
         least = hypothesis.total + NO_BETTER
         new = [p for key, p in zip(keys, plants, strict=True) if self._simpler.get(key, (np.inf,))[0] > least]
-        for found in self._judged([(plant, hypothesis) for plant in new]):
+        for found in self.fitted([(plant, hypothesis) for plant in new]):
             self._simpler[frozenset(found.causes), noise.rate, noise.order] = hypothesis.total, found
         return sorted((self._simpler[key][1] for key in keys if key in self._simpler), key=by_total)
 
@@ -363,7 +294,7 @@ class Explorer:
             for plant in plants
             if (causes := frozenset(effect.name for effect in plant.effects)) not in known
         }
-        return min([hypothesis, *self._judged([(plant, hypothesis) for plant in others.values()])], key=by_total)
+        return min([hypothesis, *self.fitted([(plant, hypothesis) for plant in others.values()])], key=by_total)
 
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
@@ -374,10 +305,10 @@ class Explorer:
         plants = [*hypothesis.plant.freed()]
         if not plants or (hypothesis.noise.rate == 0.0 and self.is_enough(hypothesis)):
             return hypothesis
-        further = self._judged([(plant, hypothesis) for plant in plants])
+        further = self.fitted([(plant, hypothesis) for plant in plants])
         while further and further[0].total < hypothesis.total - NO_BETTER:
             hypothesis = further[0]
-            further = self._judged([(hypothesis.plant, hypothesis)]) if self.left > 0.0 else []
+            further = self.fitted([(hypothesis.plant, hypothesis)]) if self.left > 0.0 else []
         return hypothesis
 
     def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
@@ -415,10 +346,10 @@ class Explorer:
         """
         if hypothesis.noise.rate > 0.0 or not self.is_enough(hypothesis):
             return hypothesis
-        found = self._judged([(plant, hypothesis) for plant in self._last_resorts(hypothesis)])
+        found = self.fitted([(plant, hypothesis) for plant in self.last_resorts(hypothesis)])
         return self.improved(found[0]) if found and found[0].total < hypothesis.total else hypothesis
 
-    def _last_resorts(self, hypothesis: Hypothesis) -> Iterator[Plant]:
+    def last_resorts(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a last resort in the place of causes that it generalises, or of their kin."""
         for plant in (hypothesis.plant, *specialised(hypothesis.plant, self.trials.screen)):
             test = ScoreTest(self.likelihood, replace(hypothesis, plant=plant))
@@ -433,17 +364,17 @@ class Explorer:
             return hypothesis
         hypothesis = self.generalised(hypothesis)
         others = [*specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)]
-        forms = self._judged([(plant, hypothesis) for plant in others])
+        forms = self.fitted([(plant, hypothesis) for plant in others])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=by_total)
         simpler = sorted((h for h in forms if h is not best), key=lambda h: h.plant.unusual)
         best = next((h for h in simpler if self.is_chance(h, best)), best)
-        plain = self._judged([(plant, best) for plant in simplified(best.plant, self.trials.seen)])
+        plain = self.fitted([(plant, best) for plant in simplified(best.plant, self.trials.seen)])
         return next((h for h in plain if h.total <= best.total + INDISTINCT), best)
 
-    def _judged(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
+    def fitted(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
-        share = self._allowance(len(jobs), SPENT)
+        share = self.allowance(len(jobs), SPENT)
         fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
         found = [h for h in fits if h]
         self.judged += found

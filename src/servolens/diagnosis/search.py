@@ -6,12 +6,12 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from servolens.diagnosis.explorer import INDISTINCT, SPENT, Explorer
-from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
+from servolens.diagnosis.explorer import SPENT, Explorer
+from servolens.diagnosis.ordering import beside_shaking, best_of_each, is_last_resort
+from servolens.diagnosis.walk import Search, Walk
 from servolens.errors import NumericalError
 from servolens.identification.rounding import dominates
 
@@ -22,64 +22,34 @@ if TYPE_CHECKING:
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
 
+    Tell = Callable[[str, float], None]
+    Enough = Callable[[Hypothesis], bool]
+
 __all__ = ["Search", "improved_path", "search"]
 
-SIMPLE = 0.75
-"""Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
-UNSHAKEN, LIKELIER = 0.4, 0.7
-"""Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
-something likelier than that the axis is shaken. Chosen likewise."""
-
-
-@final
-@dataclass(frozen=True, slots=True, eq=False)
-class Search:
-    """What a search went through.
-
-    Attributes
-    ----------
-    path : tuple of Hypothesis
-        The best with no effect, one, two …; the last is the one chosen.
-    judged : tuple of Hypothesis
-        All that were fitted to their optimum, one of each set of effects, the best first.
-    singles : tuple of Hypothesis
-        Single effects, not all of them to their optimum, the best first.
-    ended_early : bool
-        Whether the effort was spent before nothing more could be found, and what is left depends on the inputs.
-    """
-
-    path: tuple[Hypothesis, ...]
-    judged: tuple[Hypothesis, ...]
-    singles: tuple[Hypothesis, ...]
-    ended_early: bool
-
-    @property
-    def chosen(self) -> Hypothesis:
-        """The hypothesis that explains most for its parameters."""
-        return self.path[-1]
-
-    def rivals_of(self, cause: str) -> list[Hypothesis]:
-        """Return what explains about as much as the chosen one, without `cause` among its effects."""
-        limit = self.chosen.total + INDISTINCT
-        return [h for h in self.judged if cause not in h.causes and h.total <= limit]
+OBSERVED, UNSHAKEN, LIKELIER = 0.6, 0.4, 0.7
+"""Of the effort, what a search beside an observer may take, and one that takes the axis for one that nothing shakes;
+and that if it has found something likelier than the other. Chosen on axes of the laboratory."""
+PARTS = 0.15, 0.3, 0.7
+"""Of the progress, where the first causes have been looked for, and where the search beside an observer ends."""
 
 
 def search(
     trials: Trials,
     base: Hypothesis,
     effort: Effort,
-    tell: Callable[[str, float], None] = lambda _, __: None,
+    tell: Tell = lambda _, __: None,
     known: Sequence[Hypothesis] = (),
-    is_enough: Callable[[Hypothesis], bool] = lambda _: False,
+    is_enough: Enough = lambda _: False,
     begun: Sequence[Hypothesis] = (),
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
 
-    An axis that seems to be shaken is first taken for one that nothing shakes: an observer follows what causes do
-    before all are found, and so hides that together they leave nothing. If what is found then is likelier than gain and
-    damping on a shaken axis, and leaves white noise that does not depend on the inputs, it is the answer. That search
-    ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs, unless a
-    last resort in their place is likelier. Where it ends a second one begins, and the likelier of both is returned.
+    An axis that seems to be shaken is looked at in two ways: as if nothing shook it, where a single cause is not
+    blurred, but one that lacks another is far off; and beside an observer, which follows what causes do before all are
+    found, and so shows each of them by itself, but may hide that together they leave nothing. Each looks for a first
+    cause, then the latter goes on and then the former, until what is found leaves nothing that depends on the inputs.
+    Of what leaves something the likelier is returned.
 
     Parameters
     ----------
@@ -99,12 +69,75 @@ def search(
     begun : sequence of Hypothesis
         What an earlier search has found, if any: this one begins there, and none without shaking is made before it.
     """
-    if begun:
-        return _searched(trials, base, effort, tell, known, is_enough, begun, _Budget(goes_on=True))
     is_one = base.noise.rate == 0.0 or trials.likelihood.simulates
-    if is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
-        return _searched(trials, base, effort, tell, known, is_enough)
-    unshaken, beside, is_coarse = trials.unshaken(), [*known], dominates(trials.likelihood.white)
+    if begun or is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
+        return Walk(trials, base, effort, tell, is_enough, known).whole(begun, goes_on=bool(begun))
+    observing = _observing(trials, base, effort, tell, known, is_enough)
+    alone = _alone(trials, base, effort, tell, is_enough)
+    try:
+        unshaken = alone and alone.first()
+        if unshaken and _is_unshaken(trials, base, unshaken.chosen, is_enough):
+            return unshaken
+        observed = observing.first()
+        if observed:
+            return _without_observer(trials, observed, effort, is_enough)
+        begun = unshaken.path[1:] if unshaken else ()
+        observed = observing.whole([h for h in begun if not is_last_resort(h)])
+        observed = _without_observer(trials, observed, effort, is_enough)
+        if alone and not unshaken and not is_enough(observed.chosen):
+            unshaken = alone.whole(longer=LIKELIER, promising=observed.chosen.total)
+    finally:
+        trials.likelihood.count(observing.work + (alone.work if alone else 0))
+    if not unshaken:
+        return observed
+    likelier = min(observed, unshaken, key=lambda found: found.chosen.total)
+    return replace(likelier, judged=best_of_each((*observed.judged, *unshaken.judged)))
+
+
+def _is_unshaken(trials: Trials, base: Hypothesis, found: Hypothesis, is_enough: Enough) -> bool:
+    """Tell whether what was found as if nothing shook the axis is the answer: likelier than that something does.
+
+    Whether it shakes gain and damping alone, or the axis with the same causes. White noise leaves nothing that an
+    observer could follow; what is left of coarse steps is their rounding.
+    """
+    if not (found.total < base.total and is_enough(found)):
+        return False
+    if found.noise.order == 0 or dominates(trials.likelihood.white):
+        return True
+    shaken = trials.shaken().likelihood
+    likewise = [shaken.judged(h.plant, h) for h in beside_shaking([found], base.noise) if h.noise.rate > 0.0]
+    trials.likelihood.count(shaken.work)
+    return all(h is None or h.total >= found.total for h in likewise)
+
+
+def _observing(
+    trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, known: Sequence[Hypothesis], is_enough: Enough
+) -> Walk:
+    """Return the search beside an observer; it ends with what leaves nothing without one, and is likelier so."""
+    shaken = trials.shaken()
+
+    def unobserved(found: Hypothesis, work: float) -> Hypothesis | None:
+        alone = trials.unshaken().likelihood
+        again = alone.judged(found.plant, replace(found, noise=alone.white), allowance=work)
+        if again is None or again.total >= found.total or not is_enough(again):
+            shaken.likelihood.count(alone.work)
+            return None
+        # the records may begin elsewhere than where an observer, which soon forgets that, has them begin
+        other = alone.judged(again.plant, replace(again, noise=alone.white, starts=()), allowance=work)
+        shaken.likelihood.count(alone.work)
+        return other if other and other.total < again.total else again
+
+    parts = (PARTS[0], PARTS[1]), (PARTS[1], PARTS[2])
+    return Walk(shaken, base, effort, tell, is_enough, known, OBSERVED, unobserved=unobserved, parts=parts)
+
+
+def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enough: Enough) -> Walk | None:
+    """Return the search that takes the axis for one that nothing shakes; None where gain and damping have no fit.
+
+    It ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs, unless a
+    last resort in their place is likelier.
+    """
+    unshaken = trials.unshaken()
 
     def shaken_likewise(found: Hypothesis, work: float) -> Hypothesis | None:
         shaken = trials.shaken().likelihood
@@ -112,33 +145,14 @@ def search(
         telling = (h for h in fits if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
         other = next(telling, None)
         unshaken.likelihood.count(shaken.work)
-        beside.extend([other] if other else [])
         return other
 
     try:
-        told = _part(tell, 0.0, UNSHAKEN)
-        # what an encoder's coarse steps do not show moving is rather a cause that is missing
-        share = LIKELIER if is_coarse else UNSHAKEN
-        budget = _Budget(share, LIKELIER, base.total, shaken_likewise)
-        first = _searched(unshaken, unshaken.base(), effort, told, known, is_enough, budget=budget)
+        begun = unshaken.base()
     except NumericalError:
-        return _searched(trials, base, effort, tell, known, is_enough)
-    finally:
-        trials.likelihood.count(unshaken.likelihood.work)
-    # white noise leaves nothing that an observer could follow; what is left of coarse steps is their rounding
-    is_white = first.chosen.noise.order == 0 or is_coarse
-    if first.chosen.total < base.total and is_white and is_enough(first.chosen):
-        return first
-    telling = [h for h in first.judged if h.causes and not is_last_resort(h)]
-    further = (*beside[len(known) :], *first.path[1:], *telling[: effort.judged], *first.singles[: effort.judged])
-    begun = [h for h in further if not is_last_resort(h)]
-    left = replace(effort, work=max(effort.work - unshaken.likelihood.work, 0.0))
-    shaken = trials.shaken()
-    second = _searched(shaken, base, left, _part(tell, UNSHAKEN, 1.0), beside, is_enough, begun)
-    trials.likelihood.count(shaken.likelihood.work)
-    second = _without_observer(trials, second, replace(effort, work=SPENT * effort.work), is_enough)
-    likelier = min(second, first, key=lambda found: found.chosen.total)
-    return replace(likelier, judged=best_of_each((*second.judged, *first.judged)))
+        return None
+    parts = (0.0, PARTS[0]), (PARTS[2], 1.0)
+    return Walk(unshaken, begun, effort, tell, is_enough, (), UNSHAKEN, ends=shaken_likewise, parts=parts)
 
 
 def improved_path(
@@ -157,71 +171,10 @@ def _without_observer(trials: Trials, found: Search, effort: Effort, is_enough: 
 
     Then improved anew: an observer follows what a simpler cause leaves while it is not at its optimum.
     """
-    chosen = found.chosen
+    chosen, effort = found.chosen, replace(effort, work=SPENT * effort.work)
+    if chosen.noise.rate == 0.0:
+        return improved_path(trials, found, found.path, effort, is_enough)
     again = trials.likelihood.judged(chosen.plant, chosen, allowance=effort.work) if chosen.causes else None
     if again is None or again.total >= chosen.total:
         return found
     return improved_path(trials, found, (*found.path[:-1], again), effort, is_enough)
-
-
-@final
-@dataclass(frozen=True, slots=True)
-class _Budget:
-    """Shares of the effort: what a search may take; and what, if it has found a total less than the `promising` one.
-
-    The search `ends` at once with a hypothesis if what that function makes of it, given the work it may do, is likelier
-    than its last resorts. It `goes_on` from where it begins even if that leaves something which depends on the inputs.
-    """
-
-    share: float = 1.0
-    longer: float = 1.0
-    promising: float = -math.inf
-    ends: Callable[[Hypothesis, float], Hypothesis | None] = lambda _found, _work: None
-    goes_on: bool = False
-
-
-def _part(tell: Callable[[str, float], None], low: float, high: float) -> Callable[[str, float], None]:
-    """Return what is told of a search that is the part from `low` to `high` of the whole."""
-    return lambda what, share: tell(what, low + (high - low) * share)
-
-
-def _searched(
-    trials: Trials,
-    base: Hypothesis,
-    effort: Effort,
-    tell: Callable[[str, float], None],
-    known: Sequence[Hypothesis],
-    is_enough: Callable[[Hypothesis], bool],
-    begun: Sequence[Hypothesis] = (),
-    budget: _Budget | None = None,
-) -> Search:
-    """Return what is found beside noise of one kind within a `budget`, by default all of the effort.
-
-    What was found beside another, `begun`, is where it begins.
-    """
-    budget = budget or _Budget()
-    explorer = Explorer(trials, effort, tell, known, is_enough, budget.share, budget.ends)
-    reached = explorer.path_to_the_best(base, begun)
-    first = reached if budget.goes_on or is_enough(reached[-1]) else [base]
-    path, early = explorer.walked(first, SIMPLE * budget.share * effort.work)
-    if explorer.has_ended:
-        return _as_search(explorer, path)
-    if is_enough(path[-1]):
-        early = False
-    else:
-        explorer.with_last_resorts = True
-        further, early = explorer.walked([base], budget.share * effort.work)
-        if explorer.has_ended:
-            return _as_search(explorer, further)
-        path = min(path, further, reached, key=lambda steps: steps[-1].total)
-        is_promising = path[-1].total < budget.promising and not is_enough(path[-1])
-        if early and is_promising and explorer.has_more(budget.longer * effort.work):
-            explorer.grant(budget.longer)
-            path, early = explorer.walked(path, budget.longer * effort.work)
-    chosen = explorer.settled(path[-1])
-    return _as_search(explorer, [*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], ended_early=early)
-
-
-def _as_search(explorer: Explorer, path: Sequence[Hypothesis], *, ended_early: bool = False) -> Search:
-    singles = tuple(sorted(explorer.singles, key=by_total))
-    return Search(tuple(path), best_of_each(explorer.judged), singles, ended_early=ended_early)

@@ -104,6 +104,7 @@ class Trials:
         )
         self.standing = _standing_command(records)
         self._proposals: dict[str, Proposals] = {}
+        self._observed: Plant | None = None
 
     def simulating(self) -> Trials:
         """Return the trials by simulations in closed loop, for models that are known not to be the axis."""
@@ -137,6 +138,7 @@ class Trials:
         for start in starts:
             found = self.likelihood.judged(start)
             if found is not None:
+                self._observed = found.plant if found.noise.rate > 0.0 else self._observed
                 return found
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
@@ -160,6 +162,8 @@ class Trials:
             plant = plant.without_effect(special)
         try:
             tried, free = self._proposed(plant, cls), self._free(plant, cls)
+            if self._observed is not None and not plant.effects and test.hypothesis.noise.rate == 0.0:
+                tried += self._proposed(self._observed, cls)
         except (InputError, NumericalError):
             return []
         whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Errors = Sequence[NDArray[np.float64]]
 
-__all__ = ["VISIBLE", "LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
+__all__ = ["LoopError", "drawn_loop_errors", "loop_error", "share_limit", "shifted"]
 
 REFERENCE_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""

@@ -1,0 +1,280 @@
+"""A search beside noise of one kind: one cause at first, then as many as the effort finds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, final
+
+from servolens.diagnosis.explorer import INDISTINCT, Explorer
+from servolens.diagnosis.ordering import (
+    beside_shaking,
+    best_of_each,
+    by_total,
+    chosen_for_extension,
+    distinct,
+    families,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from servolens.diagnosis.effort import Effort
+    from servolens.diagnosis.trials import Trials
+    from servolens.identification.hypothesis import Hypothesis
+
+    MadeOf = Callable[[Hypothesis, float], Hypothesis | None]
+
+__all__ = ["Search", "Walk"]
+
+SIMPLE = 0.75
+"""Of the effort, what the search without last resorts may take. Chosen on axes of the laboratory."""
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """What a search went through.
+
+    Attributes
+    ----------
+    path : tuple of Hypothesis
+        The best with no effect, one, two …; the last is the one chosen.
+    judged : tuple of Hypothesis
+        All that were fitted to their optimum, one of each set of effects, the best first.
+    singles : tuple of Hypothesis
+        Single effects, not all of them to their optimum, the best first.
+    ended_early : bool
+        Whether the effort was spent before nothing more could be found, and what is left depends on the inputs.
+    """
+
+    path: tuple[Hypothesis, ...]
+    judged: tuple[Hypothesis, ...]
+    singles: tuple[Hypothesis, ...]
+    ended_early: bool
+
+    @property
+    def chosen(self) -> Hypothesis:
+        """The hypothesis that explains most for its parameters."""
+        return self.path[-1]
+
+    def rivals_of(self, cause: str) -> list[Hypothesis]:
+        """Return what explains about as much as the chosen one, without `cause` among its effects."""
+        limit = self.chosen.total + INDISTINCT
+        return [h for h in self.judged if cause not in h.causes and h.total <= limit]
+
+
+@final
+@dataclass(slots=True, eq=False)
+class Walk:
+    """A search that may be interrupted after its first cause, and then goes on from there.
+
+    Attributes
+    ----------
+    trials : Trials
+        The records, with the noise that is looked at beside a model.
+    base : Hypothesis
+        Gain and damping alone.
+    effort : Effort
+        How far to go.
+    tell : callable
+        Is told what is done and the share of the whole search that is.
+    parts : pair of (float, float)
+        Of the whole search, where :meth:`first` and :meth:`whole` begin and end.
+    is_enough : callable
+        Tells whether a hypothesis leaves nothing that depends on the inputs.
+    known : sequence of Hypothesis
+        Others that were fitted to these records before.
+    share : float
+        Of the effort, what it may take.
+    ends : callable
+        It ends with a hypothesis at once if what this makes of it, given the work it may do, is likelier than its last
+        resorts.
+    unobserved : callable
+        It ends at once with what this makes of a hypothesis, if anything.
+    """
+
+    trials: Trials
+    base: Hypothesis
+    effort: Effort
+    tell: Callable[[str, float], None]
+    is_enough: Callable[[Hypothesis], bool]
+    known: Sequence[Hypothesis] = ()
+    share: float = 1.0
+    ends: MadeOf = lambda _found, _work: None
+    unobserved: MadeOf = lambda _found, _work: None
+    parts: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 1.0))
+    explorer: Explorer = field(init=False)
+    _looked: tuple[list[Hypothesis], list[Hypothesis]] | None = field(init=False, default=None)
+    _asked: set[tuple[str, ...]] = field(init=False, default_factory=set)
+    _has_ended: bool = field(init=False, default=False)
+    _part: tuple[float, float] = field(init=False, default=(0.0, 1.0))
+
+    def __post_init__(self) -> None:
+        self.explorer = Explorer(self.trials, self.effort, self._told, self.known, self.is_enough, self.share)
+
+    @property
+    def work(self) -> int:
+        """Samples times substeps that were simulated."""
+        return self.trials.likelihood.work
+
+    def _told(self, what: str, share: float) -> None:
+        low, high = self._part
+        self.tell(what, low + (high - low) * share)
+
+    def first(self) -> Search | None:
+        """Look for one cause, and return the whole search where that is the end of it.
+
+        That is so if it leaves nothing that depends on the inputs, and nothing shakes the axis. What is beside shaking
+        may be an impostor of which an observer follows the rest.
+        """
+        self._part = self.parts[0]
+        found, pairs = self._looked = self._next([self.base], [self.base])
+        alone = self._without_observer(pairs)
+        if alone:
+            return self._found([self.base, alone])
+        best = min([self.base, *found[:1]], key=by_total)
+        return self.whole() if best.noise.rate == 0.0 and self.is_enough(best) else None
+
+    def whole(
+        self,
+        begun: Sequence[Hypothesis] = (),
+        *,
+        goes_on: bool = False,
+        longer: float = 0.0,
+        promising: float = -math.inf,
+    ) -> Search:
+        """Go on, and return all that was found.
+
+        Parameters
+        ----------
+        begun : sequence of Hypothesis
+            What was found beside other noise.
+        goes_on : bool
+            Whether to begin there even if that leaves something which depends on the inputs.
+        longer, promising : float
+            Share of the effort to take if a total less than this has been found.
+        """
+        self._part = self.parts[1]
+        explorer, is_enough, work = self.explorer, self.is_enough, self.effort.work
+        reached = self._path_to_the_best(begun)
+        begins_there = goes_on or is_enough(reached[-1])
+        path, early = self._walked(reached if begins_there else [self.base], SIMPLE * self.share * work)
+        if self._has_ended:
+            return self._found(path)
+        if is_enough(path[-1]):
+            early = False
+        else:
+            explorer.with_last_resorts = True
+            further, early = self._walked([self.base], self.share * work)
+            if self._has_ended:
+                return self._found(further)
+            path = min(path, further, reached, key=lambda steps: steps[-1].total)
+            is_promising = path[-1].total < promising and not is_enough(path[-1])
+            if early and is_promising and explorer.has_more(longer * work):
+                explorer.grant(longer)
+                path, early = self._walked(path, longer * work)
+        chosen = explorer.settled(path[-1])
+        return self._found([*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], early=early)
+
+    def _found(self, path: Sequence[Hypothesis], *, early: bool = False) -> Search:
+        singles = tuple(sorted(self.explorer.singles, key=by_total))
+        return Search(tuple(path), best_of_each(self.explorer.judged), singles, ended_early=early)
+
+    def _path_to_the_best(self, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the way to the best of those `begun`, if one is likelier than gain and damping alone.
+
+        Those that were found as if nothing shook an axis that seems shaken are fitted beside the noise of the latter
+        too.
+        """
+        base, explorer = self.base, self.explorer
+        explorer.singles += distinct([h for h in begun if len(h.causes) == 1])
+        found = explorer.fitted([(h.plant, h) for h in beside_shaking(distinct(begun), base.noise)])
+        if not found or found[0].total >= base.total:
+            return [base]
+        best = explorer.improved(found[0])
+        return self._steps([base], best) if best.causes else [best]
+
+    def _walked(self, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], bool]:
+        """Return `path` and further steps of one effect each, and whether `work` was spent before the end.
+
+        Then it ends with the likeliest of all that was fitted.
+        """
+        beam, steps, explorer = path[-1:], 0, self.explorer
+        while len(path[-1].causes) < self.effort.causes:
+            if not (explorer.has_more(work) if steps else explorer.left > 0.0):
+                return self._to_the_likeliest(path), True
+            steps += 1
+            looked, self._looked = None if path[-1].causes else self._looked, None
+            found, pairs = looked or self._next(path, beam)
+            path[-1] = explorer.beside_noise_of(found[:1], path[-1])
+            better = [h for h in found if h.total < path[-1].total]
+            alone = self._without_observer(pairs)
+            if alone:
+                return self._steps(path, alone), False
+            if not better or explorer.is_chance(path[-1], better[0]):
+                break
+            best = explorer.improved(better[0])
+            alone = self._without_observer()
+            if alone:
+                return self._steps(path, alone), False
+            if not best.causes:
+                return [best], False
+            path = self._steps(path, best)
+            self._has_ended = self._is_overtaken(best)
+            if self._has_ended:
+                break
+            further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
+            beam = chosen_for_extension(families([best, *further]), self.effort.beam)
+        return path, False
+
+    def _next(
+        self, path: Sequence[Hypothesis], beam: Sequence[Hypothesis]
+    ) -> tuple[list[Hypothesis], list[Hypothesis]]:
+        """Return what one more cause makes of the `beam`, the best first, and, of the first cause, pairs."""
+        found, pairs = self.explorer.extended(beam, len(path[-1].causes)), []
+        if not path[-1].causes and found and not self.is_enough(found[0]):
+            pairs = self.explorer.paired(path[-1], found[0])
+            # what leaves something is compared with what single effects come to with a second one
+            if found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
+                found = sorted([*found, *pairs], key=by_total)
+        return found, pairs
+
+    def _without_observer(self, pairs: Sequence[Hypothesis] = ()) -> Hypothesis | None:
+        """Return what leaves nothing if nothing shakes the axis, and end with it; None if nothing does.
+
+        Asked once are the likeliest hypotheses, and the likeliest of the `pairs`: among what an observer helps the true
+        one need not be the first.
+        """
+        likeliest = best_of_each([h for h in self.explorer.judged if h.causes])[: self.effort.judged]
+        observed = [h for h in (*likeliest, *pairs[:1]) if h.noise.rate > 0.0 and h.causes not in self._asked]
+        self._asked |= {h.causes for h in observed}
+        alone = (self.unobserved(h, self.explorer.allowance(1 + len(observed))) for h in observed)
+        found = next((h for h in alone if h), None)
+        self._has_ended = found is not None
+        return found
+
+    def _is_overtaken(self, best: Hypothesis) -> bool:
+        """Tell whether the search ends with `best`: beside other noise it is likelier than any last resort is here."""
+        explorer = self.explorer
+        other = None if self.is_enough(best) else self.ends(best, explorer.allowance(1))
+        if other is None:
+            return False
+        resorts = explorer.fitted([(plant, best) for plant in explorer.last_resorts(best)])
+        return not resorts or resorts[0].total >= other.total
+
+    def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return `path` as it leads to the likeliest of all that was fitted."""
+        explorer = self.explorer
+        best = min([path[-1], *explorer.judged], key=by_total)
+        if best is path[-1] or explorer.is_chance(path[-1], best):
+            return [*path]
+        best = explorer.reduced(best)
+        return self._steps(path, best) if best.causes else [best]
+
+    def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
+        """Return `path` as it leads to `best`, with what was found on the way where that adds several causes."""
+        before, explorer = [h for h in path if len(h.causes) < len(best.causes)], self.explorer
+        known = (*explorer.judged, *explorer.singles)
+        steps = [h for h in known if set(before[-1].causes) < set(h.causes) < set(best.causes)]
+        return [*before, *sorted(steps, key=by_total)[:1], best]
