@@ -72,7 +72,7 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
         tell(what, FIRST * share)
 
     before = case.likelihood.work
-    found = search(case.trials, case.base, effort, first, is_enough=case.is_enough)
+    found = search(case.trials, case.base, effort, first, is_enough=case.is_enough, is_answer=case.explains)
     if found.chosen.causes and case.learn_ripple(found.chosen):  # that the causes had hidden
         left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
         again = replace(effort, work=left)

@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 __all__ = ["Search", "improved_path", "search"]
 
-OBSERVED, UNSHAKEN, LIKELIER = 0.6, 0.4, 0.7
-"""Of the effort, what a search beside an observer may take, and one that takes the axis for one that nothing shakes;
-and that if it has found something likelier than the other. Chosen on axes of the laboratory."""
-PARTS = 0.15, 0.3, 0.7
-"""Of the progress, where the first causes have been looked for, and where the search beside an observer ends."""
+UNSHAKEN, LIKELIER = 0.4, 0.7
+"""Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
+something likelier than that the axis is shaken. Chosen on axes of the laboratory."""
+PARTS = 0.15, 0.3, 0.6
+"""Of the progress, where a first cause has been looked for without an observer and beside one, and where the search
+without one ends."""
 
 
 def search(
@@ -42,14 +43,15 @@ def search(
     known: Sequence[Hypothesis] = (),
     is_enough: Enough = lambda _: False,
     begun: Sequence[Hypothesis] = (),
+    is_answer: Enough | None = None,
 ) -> Search:
     """Return the least set of effects that explains the training records, and what else was tried.
 
     An axis that seems to be shaken is looked at in two ways: as if nothing shook it, where a single cause is not
     blurred, but one that lacks another is far off; and beside an observer, which follows what causes do before all are
     found, and so shows each of them by itself, but may hide that together they leave nothing. Each looks for a first
-    cause, then the latter goes on and then the former, until what is found leaves nothing that depends on the inputs.
-    Of what leaves something the likelier is returned.
+    cause, then the former goes on and then the latter, which begins with what the former has found, until what is found
+    leaves nothing that depends on the inputs. Of what leaves something the likelier is returned.
 
     Parameters
     ----------
@@ -68,50 +70,72 @@ def search(
         tried as well.
     begun : sequence of Hypothesis
         What an earlier search has found, if any: this one begins there, and none without shaking is made before it.
+    is_answer : callable, optional
+        Tells whether a hypothesis leaves nothing but the noise that it claims: of an axis that seems shaken, what is
+        taken for one that nothing shakes must not leave bursts. By default `is_enough`.
     """
     is_one = base.noise.rate == 0.0 or trials.likelihood.simulates
     if begun or is_one or effort.work <= 0.0:  # gain and damping alone would have to be fitted again
         return Walk(trials, base, effort, tell, is_enough, known).whole(begun, goes_on=bool(begun))
-    observing = _observing(trials, base, effort, tell, known, is_enough)
+    is_answer = is_enough if is_answer is None else is_answer
+    observing = _observing(trials, base, effort, tell, known, is_enough, is_answer)
     alone = _alone(trials, base, effort, tell, is_enough)
+    observed: Search | None = None
+    unshaken: Search | None = None
     try:
         unshaken = alone and alone.first()
-        if unshaken and _is_unshaken(trials, base, unshaken.chosen, is_enough):
+        if unshaken and _is_unshaken(trials, base, unshaken.chosen, is_answer, SPENT * effort.work):
             return unshaken
         observed = observing.first()
-        if observed:
-            return _without_observer(trials, observed, effort, is_enough)
-        begun = unshaken.path[1:] if unshaken else ()
-        observed = observing.whole([h for h in begun if not is_last_resort(h)])
-        observed = _without_observer(trials, observed, effort, is_enough)
-        if alone and not unshaken and not is_enough(observed.chosen):
-            unshaken = alone.whole(longer=LIKELIER, promising=observed.chosen.total)
+        if observed is None and alone:
+            unshaken = unshaken or alone.whole(longer=LIKELIER, promising=base.total)
+            if _is_unshaken(trials, base, unshaken.chosen, is_answer, SPENT * effort.work):
+                return unshaken
+        if observed is None:
+            left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
+            begun = _telling(unshaken, effort) if unshaken else ()
+            observed = observing.whole(begun, share=max(left, 0.0))
     finally:
         trials.likelihood.count(observing.work + (alone.work if alone else 0))
+    observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
         return observed
     likelier = min(observed, unshaken, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*observed.judged, *unshaken.judged)))
 
 
-def _is_unshaken(trials: Trials, base: Hypothesis, found: Hypothesis, is_enough: Enough) -> bool:
+def _telling(found: Search, effort: Effort) -> list[Hypothesis]:
+    """Return what was found as if nothing shook the axis, where a search beside an observer begins."""
+    judged = [h for h in found.judged if h.causes and not is_last_resort(h)]
+    further = (*found.path[1:], *judged[: effort.judged], *found.singles[: effort.judged])
+    return [h for h in further if not is_last_resort(h)]
+
+
+def _is_unshaken(trials: Trials, base: Hypothesis, found: Hypothesis, is_answer: Enough, work: float) -> bool:
     """Tell whether what was found as if nothing shook the axis is the answer: likelier than that something does.
 
-    Whether it shakes gain and damping alone, or the axis with the same causes. White noise leaves nothing that an
-    observer could follow; what is left of coarse steps is their rounding.
+    Whether it shakes gain and damping alone, or the axis with the same causes, which may simulate so much `work`. White
+    noise leaves nothing that an observer could follow; what is left of coarse steps is their rounding.
     """
-    if not (found.total < base.total and is_enough(found)):
+    if not (found.total < base.total and is_answer(found)):
         return False
     if found.noise.order == 0 or dominates(trials.likelihood.white):
         return True
     shaken = trials.shaken().likelihood
-    likewise = [shaken.judged(h.plant, h) for h in beside_shaking([found], base.noise) if h.noise.rate > 0.0]
+    beside = [h for h in beside_shaking([found], base.noise) if h.noise.rate > 0.0]
+    likewise = [shaken.judged(h.plant, h, allowance=work) for h in beside]
     trials.likelihood.count(shaken.work)
     return all(h is None or h.total >= found.total for h in likewise)
 
 
 def _observing(
-    trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, known: Sequence[Hypothesis], is_enough: Enough
+    trials: Trials,
+    base: Hypothesis,
+    effort: Effort,
+    tell: Tell,
+    known: Sequence[Hypothesis],
+    is_enough: Enough,
+    is_answer: Enough,
 ) -> Walk:
     """Return the search beside an observer; it ends with what leaves nothing without one, and is likelier so."""
     shaken = trials.shaken()
@@ -119,7 +143,7 @@ def _observing(
     def unobserved(found: Hypothesis, work: float) -> Hypothesis | None:
         alone = trials.unshaken().likelihood
         again = alone.judged(found.plant, replace(found, noise=alone.white), allowance=work)
-        if again is None or again.total >= found.total or not is_enough(again):
+        if again is None or again.total >= found.total or not is_answer(again):
             shaken.likelihood.count(alone.work)
             return None
         # the records may begin elsewhere than where an observer, which soon forgets that, has them begin
@@ -127,8 +151,8 @@ def _observing(
         shaken.likelihood.count(alone.work)
         return other if other and other.total < again.total else again
 
-    parts = (PARTS[0], PARTS[1]), (PARTS[1], PARTS[2])
-    return Walk(shaken, base, effort, tell, is_enough, known, OBSERVED, unobserved=unobserved, parts=parts)
+    parts = (PARTS[0], PARTS[1]), (PARTS[2], 1.0)
+    return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, parts=parts)
 
 
 def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enough: Enough) -> Walk | None:
@@ -151,8 +175,10 @@ def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enou
         begun = unshaken.base()
     except NumericalError:
         return None
-    parts = (0.0, PARTS[0]), (PARTS[2], 1.0)
-    return Walk(unshaken, begun, effort, tell, is_enough, (), UNSHAKEN, ends=shaken_likewise, parts=parts)
+    parts = (0.0, PARTS[0]), (PARTS[1], PARTS[2])
+    # what an encoder's coarse steps do not show moving is rather a cause that is missing
+    share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
+    return Walk(unshaken, begun, effort, tell, is_enough, (), share, ends=shaken_likewise, parts=parts)
 
 
 def improved_path(

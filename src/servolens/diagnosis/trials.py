@@ -162,10 +162,11 @@ class Trials:
             plant = plant.without_effect(special)
         try:
             tried, free = self._proposed(plant, cls), self._free(plant, cls)
-            if self._observed is not None and not plant.effects and test.hypothesis.noise.rate == 0.0:
-                tried += self._proposed(self._observed, cls)
         except (InputError, NumericalError):
             return []
+        if self._observed is not None and not plant.effects and test.hypothesis.noise.rate == 0.0:
+            with suppress(InputError, NumericalError):
+                tried += self._proposed(self._observed, cls)
         whole = (p for p in tried if p.effects[-1].is_whole(self.seen) and not self.likelihood.is_too_stiff(p))
         far = [*free, *_swapped(plant, cls, self.likelihood.rate)]
         found = [Start(p, test.gain(p), place == 0) for place, p in enumerate(whole)]

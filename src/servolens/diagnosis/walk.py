@@ -106,7 +106,7 @@ class Walk:
     parts: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 1.0))
     explorer: Explorer = field(init=False)
     _looked: tuple[list[Hypothesis], list[Hypothesis]] | None = field(init=False, default=None)
-    _asked: set[tuple[str, ...]] = field(init=False, default_factory=set)
+    _asked: set[frozenset[str]] = field(init=False, default_factory=set)
     _has_ended: bool = field(init=False, default=False)
     _part: tuple[float, float] = field(init=False, default=(0.0, 1.0))
 
@@ -134,13 +134,14 @@ class Walk:
         if alone:
             return self._found([self.base, alone])
         best = min([self.base, *found[:1]], key=by_total)
-        return self.whole() if best.noise.rate == 0.0 and self.is_enough(best) else None
+        return self._whole() if best.noise.rate == 0.0 and self.is_enough(best) else None
 
     def whole(
         self,
         begun: Sequence[Hypothesis] = (),
         *,
         goes_on: bool = False,
+        share: float | None = None,
         longer: float = 0.0,
         promising: float = -math.inf,
     ) -> Search:
@@ -152,10 +153,25 @@ class Walk:
             What was found beside other noise.
         goes_on : bool
             Whether to begin there even if that leaves something which depends on the inputs.
+        share : float, optional
+            Of the effort, what it may take from here on, if not as much as before.
         longer, promising : float
             Share of the effort to take if a total less than this has been found.
         """
         self._part = self.parts[1]
+        if share is not None:
+            self.share = share + self.work / max(self.effort.work, 1.0)
+            self.explorer.grant(self.share)
+        return self._whole(begun, goes_on=goes_on, longer=longer, promising=promising)
+
+    def _whole(
+        self,
+        begun: Sequence[Hypothesis] = (),
+        *,
+        goes_on: bool = False,
+        longer: float = 0.0,
+        promising: float = -math.inf,
+    ) -> Search:
         explorer, is_enough, work = self.explorer, self.is_enough, self.effort.work
         reached = self._path_to_the_best(begun)
         begins_there = goes_on or is_enough(reached[-1])
@@ -174,6 +190,8 @@ class Walk:
             if early and is_promising and explorer.has_more(longer * work):
                 explorer.grant(longer)
                 path, early = self._walked(path, longer * work)
+                if self._has_ended:
+                    return self._found(path)
         chosen = explorer.settled(path[-1])
         return self._found([*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], early=early)
 
@@ -247,8 +265,9 @@ class Walk:
         one need not be the first.
         """
         likeliest = best_of_each([h for h in self.explorer.judged if h.causes])[: self.effort.judged]
-        observed = [h for h in (*likeliest, *pairs[:1]) if h.noise.rate > 0.0 and h.causes not in self._asked]
-        self._asked |= {h.causes for h in observed}
+        asked = distinct([*likeliest, *pairs[:1]])
+        observed = [h for h in asked if h.noise.rate > 0.0 and frozenset(h.causes) not in self._asked]
+        self._asked |= {frozenset(h.causes) for h in observed}
         alone = (self.unobserved(h, self.explorer.allowance(1 + len(observed))) for h in observed)
         found = next((h for h in alone if h), None)
         self._has_ended = found is not None
