@@ -30,9 +30,6 @@ __all__ = ["Search", "improved_path", "search"]
 UNSHAKEN, LIKELIER = 0.4, 0.7
 """Of the effort, what a search that takes the axis for one that nothing shakes may take, and what if it has found
 something likelier than that the axis is shaken. Chosen on axes of the laboratory."""
-PARTS = 0.15, 0.3, 0.6
-"""Of the progress, where a first cause has been looked for without an observer and beside one, and where the search
-without one ends."""
 
 
 def search(
@@ -97,7 +94,8 @@ def search(
             observed = observing.whole(begun, share=max(left, 0.0))
     finally:
         trials.likelihood.count(observing.work + (alone.work if alone else 0))
-    observed = _without_observer(trials, observed, effort, is_enough)
+    if not (observing.has_asked(observed.chosen) and is_enough(observed.chosen)):
+        observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
         return observed
     likelier = min(observed, unshaken, key=lambda found: found.chosen.total)
@@ -151,7 +149,7 @@ def _observing(
         shaken.likelihood.count(alone.work)
         return other if other and other.total < again.total else again
 
-    parts = (PARTS[0], PARTS[1]), (PARTS[2], 1.0)
+    parts = (0.25, 0.5), (0.75, 1.0)  # each way in turn a quarter
     return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, parts=parts)
 
 
@@ -175,7 +173,7 @@ def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enou
         begun = unshaken.base()
     except NumericalError:
         return None
-    parts = (0.0, PARTS[0]), (PARTS[1], PARTS[2])
+    parts = (0.0, 0.25), (0.5, 0.75)
     # what an encoder's coarse steps do not show moving is rather a cause that is missing
     share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
     return Walk(unshaken, begun, effort, tell, is_enough, (), share, ends=shaken_likewise, parts=parts)

@@ -118,6 +118,10 @@ class Walk:
         """Samples times substeps that were simulated."""
         return self.trials.likelihood.work
 
+    def has_asked(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether what seems shaken with these causes was fitted as if nothing shook it: that was no answer."""
+        return hypothesis.noise.rate > 0.0 and frozenset(hypothesis.causes) in self._asked
+
     def _told(self, what: str, share: float) -> None:
         low, high = self._part
         self.tell(what, low + (high - low) * share)
