@@ -125,14 +125,14 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
     if beyond.ratio > BEYOND:
         return Light(light="red" if beyond.is_far else "amber", sentence=beyond.sentence)
-    doubt = _doubt(models, design)
-    if doubt:
-        return Light(light="amber", sentence=doubt)
+    warning = _warning(models, design)
+    if warning:
+        return Light(light="amber", sentence=warning)
     why = f"{design.spec.free} = {kd:.4g} meets the spec on the model" if chosen is None else chosen.why
     return Light(light="green", sentence=_sentence(why))
 
 
-def _doubt(models: Sequence[Model], design: Design) -> str:
+def _warning(models: Sequence[Model], design: Design) -> str:
     """Return what speaks against a gain that the records bear out and most of the scenarios stand; empty if nothing."""
     known = ((model.evidence, model.plant.length_unit) for model in models)
     missed = (_beyond_band(evidence, unit, design.spec) for evidence, unit in known if evidence is not None)

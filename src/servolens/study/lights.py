@@ -79,8 +79,10 @@ def study_lights(
     elif data.light == "red":
         of_gain = Light(light="red", sentence="A gain would rest on wrong data; correct the records first.")
     elif of_gain.light != "red" and (wrong := of_the_loop(findings)):
-        doubt = _of_another_loop(wrong, design.spec, model)
-        of_gain = Light(light="amber", sentence=doubt if of_gain.light == "green" else f"{doubt} {of_gain.sentence}")
+        warning = _of_another_loop(wrong, design.spec, model)
+        of_gain = Light(
+            light="amber", sentence=warning if of_gain.light == "green" else f"{warning} {of_gain.sentence}"
+        )
     return {"data": data, "model": of_model, "gain": of_gain}
 
 

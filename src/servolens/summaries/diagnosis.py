@@ -205,7 +205,7 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
 
 
 def doubt_sentences(diagnosis: Diagnosis) -> list[str]:
-    """Say of each cause that is in doubt how sure it is, and what else it may be."""
+    """Say of each cause that is uncertain how sure it is, and what else it may be."""
     told, alone = [], []
     for cause in diagnosis.causes:
         rivals, name = [spoken(rival) for rival in _rivals(cause)], spoken(cause.effect)
