@@ -10,6 +10,7 @@ import pytest
 from servolens import Plant, diagnose, lab
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT
+from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import beside_shaking, with_twins
 from servolens.diagnosis.search import search
 from servolens.effects import (
@@ -47,9 +48,21 @@ def test_rounding_of_a_coarse_encoder_is_no_friction():
     assert causes_of(campaign) == ("healthy", set())
 
 
-def test_second_search_of_a_shaken_axis_begins_with_the_pairs_of_the_first():
+def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     campaign = lab.hidden_campaign(711280, effects=["coulomb_friction", "return_spring"], world="shaken")
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "return_spring"})
+
+
+def test_friction_and_a_delay_that_a_loop_lets_hide_each_other_are_looked_for_together():
+    axis = lab.Truth(gain=45.0, damping=23.0, effects={"dead_zone": {"width": 0.5}, "delay": {"time": 0.05}})
+    runs = tuple(lab.step_record(axis, kp=kp, reference=0.3, noise=3e-4, seed=int(kp)) for kp in (7.0, 8.0, 9.0))
+    case = Case(runs, (), {}, len(catalogue())).simulating()
+    explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, (), lambda _: False, 1.0)
+    alone = explorer.extended([case.base], 0)
+    pairs = explorer.paired(case.base, alone[0])
+    assert set(pairs[0].causes) == {"dead_zone", "delay"}
+    assert pairs[0].total < alone[0].total
+    assert pairs[0].plant.values == pytest.approx((45.0, 23.0, 0.5, 0.05), rel=0.05)
 
 
 @pytest.mark.slow

@@ -11,7 +11,9 @@ import numpy as np
 from servolens.diagnosis.ordering import (
     by_total,
     by_worst,
+    delays,
     distinct,
+    families,
     is_last_resort,
     parted,
     simplified,
@@ -52,6 +54,9 @@ SHARE, SPENT = 0.4, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
 by one that is made after a search."""
+FEW_PARAMETERS, LATE = 2, 0.25
+"""Of an effect that may hide a delay, and how late the latter begins, in radians of the loop: it costs as much of the
+phase margin."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -135,17 +140,32 @@ class Explorer:
     def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
         """Return the likeliest pairs of effects, fitted, that are likelier than `best` after a few iterations.
 
-        Only once in a search.
+        Of a model that is known not to be the axis, those that hide each other. Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
-        if test is None or self.likelihood.simulates:
+        if test is None:
             return []
+        if self.likelihood.simulates:
+            return self._delayed()
         plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
         share = self.allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
         )
         return self.fitted([(h.plant, h) for h in begun if h and h.total < best.total])
+
+    def _delayed(self) -> list[Hypothesis]:
+        """Return the best single effects, each beside a delay and beside a lag, fitted, where that is likelier.
+
+        In a loop one hides the other: friction damps and a delay does the contrary, so that neither is large by itself,
+        and the score of one says nothing of how large it is beside the other. An effect with many parameters takes up
+        what a delay does.
+        """
+        singles = [h for h in sorted(self.singles, key=by_total) if h.plant.unusual - 2 <= FEW_PARAMETERS]
+        singles = families([h for h in singles if not h.plant.remembers_voltage])[: self.effort.judged]
+        late = [*delays(LATE / self.likelihood.rate)]
+        found = self.fitted([(h.plant.with_effect(effect), h) for h in singles for effect in late])
+        return [h for h in found if h.total < min(s.total for s in singles if s.causes[0] in h.causes)]
 
     def beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import DryFriction, catalogue, effect_class
+from servolens.effects import Actuator, DryFriction, TimeShift, catalogue, effect_class
 from servolens.effects.base import Axis
 from servolens.errors import InputError
 from servolens.identification.phases import own_phases
@@ -18,7 +18,7 @@ from servolens.plant import Plant
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from servolens.effects.base import Seen
+    from servolens.effects.base import Effect, Seen
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.noise import NoiseModel
     from servolens.identification.starting import Screen
@@ -29,6 +29,7 @@ __all__ = [
     "by_total",
     "by_worst",
     "chosen_for_extension",
+    "delays",
     "distinct",
     "families",
     "is_last_resort",
@@ -123,6 +124,14 @@ def with_twins(plant: Plant) -> Iterator[Plant]:
             values = {spec.name: getattr(effect, spec.name) for spec in effect.parameters()}
             with suppress(InputError):
                 yield plant.without_effect(effect.name).with_effect(Plant.effect_from(effect.twin, values))
+
+
+def delays(time: float) -> Iterator[Effect]:
+    """Yield the effects because of which a command acts later, by a `time` [s] that is their only parameter."""
+    for cls in catalogue().values():
+        units = {spec.name: spec.unit for spec in cls.parameters()}
+        if issubclass(cls, (Actuator, TimeShift)) and list(units.values()) == ["s"]:
+            yield cls(**dict.fromkeys(units, time))
 
 
 def beside_shaking(found: Iterable[Hypothesis], noise: NoiseModel) -> Iterator[Hypothesis]:

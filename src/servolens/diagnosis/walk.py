@@ -258,7 +258,8 @@ class Walk:
         if not path[-1].causes and found and not self.is_enough(found[0]):
             pairs = self.explorer.paired(path[-1], found[0])
             # what leaves something is compared with what single effects come to with a second one
-            if found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
+            hidden = self.trials.likelihood.simulates
+            if hidden or found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
                 found = sorted([*found, *pairs], key=by_total)
         return found, pairs
 
