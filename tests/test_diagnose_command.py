@@ -174,8 +174,8 @@ def test_what_was_logged_is_in_the_result(rubbing):
 def test_the_first_sentence_says_cause_size_and_gain(rubbing):
     _, done = rubbing
     text = " ".join(done.stdout.split())
-    assert "the cause is Coulomb friction, 0.3" in text
-    assert "m/s²; with it the held-out error falls from" in text
+    assert "the cause is Coulomb friction (0.3" in text
+    assert "m/s²); with it the held-out error falls from" in text
     assert "What to do: Reduce preload" in text
     assert "For the PD gain: Friction brakes for free" in text
     assert "held out" in text

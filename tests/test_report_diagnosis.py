@@ -448,7 +448,7 @@ def test_model_without_the_cause_that_diverges_is_not_told_as_an_error(rubbing):
     """Of an axis that moves 0.1 m it was said that the error falls from 38 m, and at which speeds it arises."""
     away = replace(rubbing, baseline=replace(rubbing.baseline, heldout_rms_error=38.0))
     told = verdict_sentence(away)
-    assert told.startswith("The cause is Coulomb friction, ")
+    assert told.startswith("The cause is Coulomb friction (")
     assert told.endswith("; without, the simulation diverges.")
     assert "38" not in told
     assert " m (r.m.s." not in told
@@ -513,7 +513,7 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
     )
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
-    assert phrase("delay", time=low).startswith("a delay, ")
+    assert phrase("delay", time=low).startswith("a delay (")
     force = {"value": 1.0024, "stderr": 5e-4, "unit": "m/s^2"}
     excess = {"value": -0.0076, "stderr": 0.0029, "unit": "m/s^2"}
     speed = {"value": 0.0068, "stderr": 0.0046, "unit": "m/s"}

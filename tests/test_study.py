@@ -572,3 +572,13 @@ def test_models_and_diagnosis_of_a_coarse_encoder_do_not_wait_for_each_other():
         check=True,
     )
     assert child.stdout.split() == ["healthy"], child.stderr
+
+
+def test_prior_that_only_gain_and_damping_alone_contradict_is_no_warning_beside_the_causes():
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"dead_zone": {"width": 0.5}})
+    runs = [lab.step_record(axis, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
+    alone = identify(runs, priors={"gain": (1.9, 0.001)})
+    assert "prior_contradicts_data" in {finding.code for finding in alone.findings}
+    found = study_records(runs, SPEC, priors={"gain": (1.9, 0.001)})
+    assert [cause.effect for cause in found.diagnosis.causes] == ["dead_zone"]
+    assert "prior_contradicts_data" not in {finding.code for finding in found.findings}

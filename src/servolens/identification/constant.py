@@ -129,8 +129,9 @@ def _contradicted(free: Model, known: Mapping[str, Prior]) -> tuple[Finding, ...
         value, spread = free.quantities[name].value, free.quantities[name].stderr or 0.0
         if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
             message = (
-                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, which give "
-                f"{value:.4g} ± {spread:.2g}; check its value, unit and width."
+                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, of which gain "
+                f"and damping alone make {value:.4g} ± {spread:.2g}; check its value, unit and width, or diagnose the "
+                "records: a cause may be missing."
             )
             found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
     return tuple(found)

@@ -230,6 +230,8 @@ def _judged(found: Study, *, force: bool) -> Study:
     """Add the lights, and withhold the gain where they say so; of wrong data, tell nothing that only comes of them."""
     design, comparison = found.design, found.comparison
     answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
+    if found.diagnosis is not None and found.diagnosis.causes:  # a prior was weighed beside these
+        answered |= {"prior_contradicts_data"}
     of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
     of_models += [] if found.diagnosis is None else found.diagnosis.findings
     of_all = together(found.findings, of_models)

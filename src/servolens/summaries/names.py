@@ -64,7 +64,7 @@ def cause_phrase(cause: Cause) -> str:
     shown = {name: q for name, q in known.items() if is_told[name] or not any(is_told.values())}
     told = {name: value_and_error(q, beside=shown.values()) for name, q in shown.items()}
     if len(all_known) == 1 and told:
-        return f"{spoken(cause.effect)}, {next(iter(told.values()))}"
+        return f"{spoken(cause.effect)} ({next(iter(told.values()))})"
     named = ", ".join(f"{spoken_parameter(name)} {value}" for name, value in told.items())
     for reason, words in ((UNDETERMINED, "not determined"), (NOT_REACHED, "not seen by these records")):
         unknown = [spoken_parameter(name) for name, q in known.items() if name not in told and q.reason == reason]
