@@ -165,3 +165,19 @@ def test_a_single_cause_that_leaves_noise_alone_ends_the_search(effect, world, s
     found = search(case.trials, case.base, effort, is_enough=case.is_enough)
     assert found.chosen.causes == (effect,)
     assert case.likelihood.work < share * effort.work
+
+
+@pytest.mark.slow
+def test_cause_beside_slow_noise_is_compared_with_fewer_causes_beside_shaking():
+    """A wave took up what shakes the axis, as long as it was asked only whether both causes are likelier shaken."""
+    campaign = lab.hidden_campaign(902377, effects=["sensor_lag"], world="shaken")
+    verdict, causes = causes_of(campaign)
+    assert verdict == "explained"
+    assert causes in ({"sensor_lag"}, {"actuator_lag"})  # on a linear axis they are the same
+
+
+@pytest.mark.slow
+def test_cause_whose_size_may_as_well_be_nothing_is_left_out():
+    """Beside it the likelihood was higher for another optimum of the gap."""
+    campaign = lab.hidden_campaign(900377, effects=["backlash"], world="shaken")
+    assert causes_of(campaign) == ("explained", {"backlash"})

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.model import Quantity
 
-__all__ = ["MOST_CONFIDENT", "causes_of", "distinctness", "rival_plants", "twins_of"]
+__all__ = ["MOST_CONFIDENT", "causes_of", "distinctness", "own_quantities", "rival_plants", "twins_of"]
 
 MOST_CONFIDENT = 0.999
 OF_A_PART = 0.5
@@ -36,7 +36,7 @@ def causes_of(
     """Return the causes in the order of the path, each with what it gained."""
     chosen, causes = path[-1], []
     for name in _in_order(path):
-        quantities, twins = _own(fit, name), twins_of(chosen.plant, name)
+        quantities, twins = own_quantities(fit, name), twins_of(chosen.plant, name)
         sure = _posterior(found, chosen, name) * distinctness(chosen.plant, name, quantities)
         sure /= 1.0 + sum(twin not in (n for h in found.rivals_of(name) for n in h.causes) for twin in twins)
         sure *= 1.0 if verdict == "explained" else OF_A_PART
@@ -123,6 +123,7 @@ def _in_order(path: Sequence[Hypothesis]) -> list[str]:
     return list(dict.fromkeys(seen))
 
 
-def _own(fit: Fitted, name: str) -> dict[str, Quantity]:
+def own_quantities(fit: Fitted, name: str) -> dict[str, Quantity]:
+    """Return the fitted parameters of one cause, by name."""
     prefix = f"{name}."
     return {key.removeprefix(prefix): q for key, q in fit.model.quantities.items() if key.startswith(prefix)}

@@ -81,12 +81,12 @@ def search(
     unshaken: Search | None = None
     try:
         unshaken = alone and alone.first()
-        if unshaken and _is_unshaken(trials, base, unshaken.chosen, is_answer, SPENT * effort.work):
+        if unshaken and _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
             return unshaken
         observed = observing.first()
         if observed is None and alone:
             unshaken = unshaken or alone.whole(longer=LIKELIER, promising=base.total)
-            if _is_unshaken(trials, base, unshaken.chosen, is_answer, SPENT * effort.work):
+            if _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
                 return unshaken
         if observed is None:
             left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
@@ -109,21 +109,24 @@ def _telling(found: Search, effort: Effort) -> list[Hypothesis]:
     return [h for h in further if not is_last_resort(h)]
 
 
-def _is_unshaken(trials: Trials, base: Hypothesis, found: Hypothesis, is_answer: Enough, work: float) -> bool:
+def _is_unshaken(trials: Trials, base: Hypothesis, found: Search, is_answer: Enough, work: float) -> bool:
     """Tell whether what was found as if nothing shook the axis is the answer: likelier than that something does.
 
-    Whether it shakes gain and damping alone, or the axis with the same causes, which may simulate so much `work`. White
-    noise leaves nothing that an observer could follow; what is left of coarse steps is their rounding.
+    Whether it shakes gain and damping alone, or the axis with the same causes or fewer, which may simulate so much
+    `work`: slow noise may be likelier beside a cause of which shaking has no need. White noise leaves nothing that an
+    observer could follow; what is left of coarse steps is their rounding.
     """
-    if not (found.total < base.total and is_answer(found)):
+    chosen = found.chosen
+    if not (chosen.total < base.total and is_answer(chosen)):
         return False
-    if found.noise.order == 0 or dominates(trials.likelihood.white):
+    if chosen.noise.order == 0 or dominates(trials.likelihood.white):
         return True
     shaken = trials.shaken().likelihood
-    beside = [h for h in beside_shaking([found], base.noise) if h.noise.rate > 0.0]
-    likewise = [shaken.judged(h.plant, h, allowance=work) for h in beside]
+    beside = [like for h in reversed(found.path[1:]) for like in beside_shaking([h], base.noise)]
+    fits = (shaken.judged(like.plant, like, allowance=work / len(beside)) for like in beside)
+    is_likelier = any(h and h.noise.rate > 0.0 and h.total < chosen.total for h in fits)
     trials.likelihood.count(shaken.work)
-    return all(h is None or h.total >= found.total for h in likewise)
+    return not is_likelier
 
 
 def _observing(

@@ -17,7 +17,7 @@ from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
-from servolens.diagnosis.reasons import causes_of, rival_plants
+from servolens.diagnosis.reasons import causes_of, distinctness, own_quantities, rival_plants
 from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.effects import catalogue
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
+    from servolens.identification.fitted import Fitted
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.options import Priors
     from servolens.inputs import Records, RecordSettings
@@ -44,6 +45,9 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
+
+SHOWN = 0.95
+"""Confidence with which the size of a cause differs from nothing, or it is left out where nothing asks for it."""
 
 
 @single_threaded_blas
@@ -121,8 +125,7 @@ def _diagnosed(
     decision = decided(case, EFFORT[effort], tell)
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("Comparing errors with and without the causes", 90, 100)
-    whole = [counting_followed(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
-    fits = [fitted(case.likelihood, h, SPENT * EFFORT[effort].work) for h in whole]
+    path, fits = _as_far_as_shown(case, path, SPENT * EFFORT[effort].work)
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
@@ -158,6 +161,25 @@ def _diagnosed(
     )
     progress("Diagnosis done", 100, 100)
     return diagnosis
+
+
+def _as_far_as_shown(case: Case, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], list[Fitted]]:
+    """Return `path`, and the first and the last of it fitted, without last causes that may as well be nothing.
+
+    Their sizes then differ from nothing by less than their 95 % intervals, and what is left without them does not
+    depend on the inputs either. The likelihood of contacts is ragged: that it is higher beside a further cause may be
+    for another optimum of those before.
+    """
+    while True:
+        whole = [counting_followed(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
+        fits = [fitted(case.likelihood, h, work) for h in whole]
+        if len(path) == 1:
+            return path, fits
+        added = [name for name in path[-1].causes if name not in path[-2].causes]
+        sure = [distinctness(path[-1].plant, name, own_quantities(fits[-1], name)) for name in added]
+        if not sure or max(sure) >= SHOWN or not case.explains(path[-2]):
+            return path, fits
+        path = path[:-1]
 
 
 def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: Iterable[str], effort: str) -> None:
