@@ -163,8 +163,12 @@ class Explorer:
         """
         singles = [h for h in sorted(self.singles, key=by_total) if h.plant.unusual - 2 <= FEW_PARAMETERS]
         singles = families([h for h in singles if not h.plant.remembers_voltage])[: self.effort.judged]
-        late = [*delays(LATE / self.likelihood.rate)]
-        found = self.fitted([(h.plant.with_effect(effect), h) for h in singles for effect in late])
+        jobs = []
+        for like in singles:
+            for effect in delays(LATE / self.likelihood.rate):
+                with suppress(InputError):  # two that do not go together
+                    jobs.append((like.plant.with_effect(effect), like))
+        found = self.fitted(jobs)
         return [h for h in found if h.total < min(s.total for s in singles if s.causes[0] in h.causes)]
 
     def beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
