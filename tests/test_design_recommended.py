@@ -248,6 +248,12 @@ def test_material_remainder_is_carried_by_the_scenarios(least):
     )
 
 
+def test_material_shaking_is_the_random_force_that_the_scenarios_try(least):
+    shaken = replace(leaving(0.01, material=True), depends_on_inputs=False)
+    known = Evidence(range=SHOWN, verdict="explained", remainder=shaken, heldout_of_step=0.001)
+    assert lights(least, known)[1].light == "green"
+
+
 def test_remainder_that_breaks_the_spec_turns_the_gain_red(least):
     """A slow force of A moves the axis by A/(gain kp): three times the band, for r.m.s."""
     force = 3.0 * SPEC.band * SPEC.reference * NLM3.gain * SPEC.kp

@@ -154,9 +154,13 @@ def _warning(models: Sequence[Model], design: Design) -> str:
 
 
 def _left(models: Sequence[Model]) -> str:
-    """Say what no scenario tries, where the models miss a material part of the travel; empty if they do not."""
-    remainders = (model.evidence.remainder for model in models if model.evidence is not None)
-    largest = max((left.of_travel for left in remainders if left is not None and left.material), default=0.0)
+    """Say what no scenario tries, where the models miss a material part of the travel; empty if they do not.
+
+    What does not depend on the inputs is a random force, which the scenarios try.
+    """
+    known = (model.evidence.remainder for model in models if model.evidence is not None)
+    remainders = (left for left in known if left is not None and left.depends_on_inputs)
+    largest = max((left.of_travel for left in remainders if left.material), default=0.0)
     if not largest:
         return ""
     return (
