@@ -252,6 +252,8 @@ def test_material_shaking_is_the_random_force_that_the_scenarios_try(least):
     shaken = replace(leaving(0.01, material=True), depends_on_inputs=False)
     known = Evidence(range=SHOWN, verdict="explained", remainder=shaken, heldout_of_step=0.001)
     assert lights(least, known)[1].light == "green"
+    for other in (replace(known, verdict="partly_explained"), replace(known, remainder=replace(shaken, heldout=True))):
+        assert lights(least, other)[1].light == "amber"
 
 
 def test_remainder_that_breaks_the_spec_turns_the_gain_red(least):

@@ -18,7 +18,7 @@ from servolens.diagnosis.errors import Gains, pooled, residual
 from servolens.diagnosis.evidence import since_step
 from servolens.diagnosis.messages import said
 from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.diagnosis.reasons import distinctness, twins_of
+from servolens.diagnosis.reasons import distinctness, may_be_nothing, twins_of
 from servolens.diagnosis.remainder import remainder_of
 from servolens.diagnosis.search import Search, search
 from servolens.diagnosis.trials import Trials
@@ -762,12 +762,22 @@ def test_lags_are_twins_as_long_as_all_between_them_is_linear(beside, twins):
 
 
 @pytest.mark.parametrize(
-    ("value", "stderr", "sure"), [(0.6, 0.4, 0.866), (0.6, 0.06, 1.0), (0.6, None, 0.5), (0.0, None, 0.0)]
+    ("value", "stderr", "sure", "is_nothing"),
+    [(0.6, 0.4, 0.866, True), (0.6, 0.06, 1.0, False), (0.6, None, 0.5, False), (0.0, None, 0.0, False)],
 )
-def test_cause_within_its_error_bar_is_not_trusted(value, stderr, sure):
+def test_cause_within_its_error_bar_is_not_trusted(value, stderr, sure, is_nothing):
     plant = Plant(gain=20.0, damping=10.0, effects=(CoulombFriction(level=value),))
-    level = Quantity(value=value, unit="m/s^2", stderr=stderr)
-    assert distinctness(plant, "coulomb_friction", {"level": level}) == pytest.approx(sure, abs=1e-3)
+    level = {"level": Quantity(value=value, unit="m/s^2", stderr=stderr)}
+    assert distinctness(plant, "coulomb_friction", level) == pytest.approx(sure, abs=1e-3)
+    assert may_be_nothing(plant, "coulomb_friction", level) == is_nothing
+
+
+def test_prior_that_the_records_contradict_is_named_beside_the_causes():
+    cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    runs = [lab.step_record(cart, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
+    wrong, right = ({f.code for f in diagnose(runs, priors={"damping": (d, 0.1)}).findings} for d in (6.6, 6.0))
+    assert "prior_contradicts_data" in wrong
+    assert "prior_contradicts_data" not in right
 
 
 def test_time_counts_from_where_the_reference_sets_out():

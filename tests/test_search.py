@@ -11,7 +11,7 @@ from servolens import Plant, diagnose, lab
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, with_twins
+from servolens.diagnosis.ordering import beside_shaking, delays, with_twins
 from servolens.diagnosis.search import search
 from servolens.effects import (
     ActuatorLag,
@@ -53,7 +53,7 @@ def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "return_spring"})
 
 
-def test_friction_and_a_delay_that_a_loop_lets_hide_each_other_are_looked_for_together():
+def test_dead_zone_and_delay_that_hide_each_other_in_a_loop_are_looked_for_together():
     axis = lab.Truth(gain=45.0, damping=23.0, effects={"dead_zone": {"width": 0.5}, "delay": {"time": 0.05}})
     runs = tuple(lab.step_record(axis, kp=kp, reference=0.3, noise=3e-4, seed=int(kp)) for kp in (7.0, 8.0, 9.0))
     case = Case(runs, (), {}, len(catalogue())).simulating()
@@ -63,6 +63,10 @@ def test_friction_and_a_delay_that_a_loop_lets_hide_each_other_are_looked_for_to
     assert set(pairs[0].causes) == {"dead_zone", "delay"}
     assert pairs[0].total < alone[0].total
     assert pairs[0].plant.values == pytest.approx((45.0, 23.0, 0.5, 0.05), rel=0.05)
+
+
+def test_a_delay_that_is_tried_stays_within_its_range():
+    assert [effect.name for effect in delays(101.0)] == ["actuator_lag", "delay"]  # of a loop that is slower than any
 
 
 @pytest.mark.slow

@@ -156,11 +156,15 @@ def _warning(models: Sequence[Model], design: Design) -> str:
 def _left(models: Sequence[Model]) -> str:
     """Say what no scenario tries, where the models miss a material part of the travel; empty if they do not.
 
-    What does not depend on the inputs is a random force, which the scenarios try.
+    Beside a model that explains the records it is steady and does not depend on the inputs: a random force, as which
+    the scenarios try it; but not where records are missed that were held out.
     """
-    known = (model.evidence.remainder for model in models if model.evidence is not None)
-    remainders = (left for left in known if left is not None and left.depends_on_inputs)
-    largest = max((left.of_travel for left in remainders if left.material), default=0.0)
+    known = [(model.evidence, model.evidence.remainder) for model in models if model.evidence is not None]
+    largest = 0.0
+    for evidence, left in known:
+        if left is not None and left.material:
+            is_tried = evidence.verdict in ("explained", "healthy") and not (left.depends_on_inputs or left.heldout)
+            largest = largest if is_tried else max(largest, left.of_travel)
     if not largest:
         return ""
     return (

@@ -30,10 +30,11 @@ AS_WELL = 6.0
 axes of the laboratory."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
-SECOND, SIMULATED, FIRST = 0.3, 0.6, 2.0 / 3.0
-"""Of the effort, what a search after a ripple of the mains was learnt may take in any case, and one by simulations,
-which has no noise to find: a sample takes it a third of the time. The share of the progress that is the searches' by
-prediction errors."""
+SECOND, FIRST = 0.3, 2.0 / 3.0
+"""Of the effort, what a search after a ripple of the mains was learnt may take in any case, and fits of what one by
+simulations has found. The share of the progress that is the searches' by prediction errors."""
+SIMULATED = 0.6
+"""Of the effort, what a search by simulations may take: it has no noise to find and so takes less time for the same."""
 
 
 @final
@@ -191,6 +192,7 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)
+    work = SECOND * effort.work
     again = _refitted(case, other.path, SPENT * work)
     explains = bool(again) and again[-1].total < chosen.total and case.is_enough(again[-1])
     if explains and not _is_stand_in(case, again[-1]):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.diagnosis.ordering import (
+    best_of_each,
     by_total,
     by_worst,
     delays,
@@ -55,8 +56,8 @@ SHARE, SPENT = 0.4, 0.25
 whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
 by one that is made after a search."""
 FEW_PARAMETERS, LATE = 2, 0.25
-"""Of an effect that may hide a delay, and how late the latter begins, in radians of the loop: it costs as much of the
-phase margin."""
+"""Most parameters of an effect that is tried beside a delay; delay with which the fit starts, in radians at the loop's
+rate."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -158,11 +159,12 @@ class Explorer:
         """Return the best single effects, each beside a delay and beside a lag, fitted, where that is likelier.
 
         In a loop one hides the other: friction damps and a delay does the contrary, so that neither is large by itself,
-        and the score of one says nothing of how large it is beside the other. An effect with many parameters takes up
-        what a delay does.
+        and the score of one says nothing of how large it is beside the other. Not so effects with many parameters,
+        which take up what a delay does, and transmissions and sensors, which delay by themselves.
         """
-        singles = [h for h in sorted(self.singles, key=by_total) if h.plant.unusual - 2 <= FEW_PARAMETERS]
-        singles = families([h for h in singles if not h.plant.remembers_voltage])[: self.effort.judged]
+        alone = best_of_each([h for h in (*self.singles, *self.judged) if len(h.causes) == 1])
+        few = [h for h in alone if h.plant.unusual - 2 <= FEW_PARAMETERS and not h.plant.remembers_voltage]
+        singles = families(few)[: self.effort.judged]
         jobs = []
         for like in singles:
             for effect in delays(LATE / self.likelihood.rate):

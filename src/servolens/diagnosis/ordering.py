@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.effects import Actuator, DryFriction, TimeShift, catalogue, effect_class
+from servolens.effects._grids import within
 from servolens.effects.base import Axis
 from servolens.errors import InputError
 from servolens.identification.phases import own_phases
@@ -131,7 +132,7 @@ def delays(time: float) -> Iterator[Effect]:
     for cls in catalogue().values():
         units = {spec.name: spec.unit for spec in cls.parameters()}
         if issubclass(cls, (Actuator, TimeShift)) and list(units.values()) == ["s"]:
-            yield cls(**dict.fromkeys(units, time))
+            yield within(cls, **dict.fromkeys(units, time))
 
 
 def beside_shaking(found: Iterable[Hypothesis], noise: NoiseModel) -> Iterator[Hypothesis]:

@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.model import Quantity
 
-__all__ = ["MOST_CONFIDENT", "causes_of", "distinctness", "own_quantities", "rival_plants", "twins_of"]
+__all__ = [
+    "MOST_CONFIDENT",
+    "causes_of",
+    "distinctness",
+    "may_be_nothing",
+    "own_quantities",
+    "rival_plants",
+    "twins_of",
+]
 
 MOST_CONFIDENT = 0.999
 OF_A_PART = 0.5
@@ -115,6 +123,14 @@ def distinctness(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -
         return 0.0
     far = [abs(q.value - nothing) / q.stderr for q, nothing in sizes if q.stderr is not None and q.stderr > 0.0]
     return erf(max(far) / sqrt(2.0)) if far else 0.5
+
+
+def may_be_nothing(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> bool:
+    """Tell whether the 95 % intervals of all sizes of a cause include nothing; not where one is unknown."""
+    effect = plant.effect(cause)
+    sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
+    ends = [(q.interval, nothing) for q, nothing in sizes]
+    return bool(ends) and all(end is not None and end[0] <= nothing <= end[1] for end, nothing in ends)
 
 
 def _in_order(path: Sequence[Hypothesis]) -> list[str]:

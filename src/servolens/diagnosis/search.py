@@ -112,9 +112,9 @@ def _telling(found: Search, effort: Effort) -> list[Hypothesis]:
 def _is_unshaken(trials: Trials, base: Hypothesis, found: Search, is_answer: Enough, work: float) -> bool:
     """Tell whether what was found as if nothing shook the axis is the answer: likelier than that something does.
 
-    Whether it shakes gain and damping alone, or the axis with the same causes or fewer, which may simulate so much
-    `work`: slow noise may be likelier beside a cause of which shaking has no need. White noise leaves nothing that an
-    observer could follow; what is left of coarse steps is their rounding.
+    Whether it shakes gain and damping alone, or the axis with the same causes or some of them, which may simulate so
+    much `work`: a cause may take up what shaking does. White noise leaves nothing that an observer could follow; what
+    is left of coarse steps is their rounding.
     """
     chosen = found.chosen
     if not (chosen.total < base.total and is_answer(chosen)):
@@ -122,7 +122,8 @@ def _is_unshaken(trials: Trials, base: Hypothesis, found: Search, is_answer: Eno
     if chosen.noise.order == 0 or dominates(trials.likelihood.white):
         return True
     shaken = trials.shaken().likelihood
-    beside = [like for h in reversed(found.path[1:]) for like in beside_shaking([h], base.noise)]
+    steps = [h for h in reversed(found.path) if h.causes and set(h.causes) <= set(chosen.causes)]
+    beside = [like for like in beside_shaking(steps, base.noise) if like.noise.rate > 0.0]
     fits = (shaken.judged(like.plant, like, allowance=work / len(beside)) for like in beside)
     is_likelier = any(h and h.noise.rate > 0.0 and h.total < chosen.total for h in fits)
     trials.likelihood.count(shaken.work)

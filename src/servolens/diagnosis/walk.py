@@ -255,10 +255,10 @@ class Walk:
     ) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return what one more cause makes of the `beam`, the best first, and, of the first cause, pairs."""
         found, pairs = self.explorer.extended(beam, len(path[-1].causes)), []
-        if not path[-1].causes and found and not self.is_enough(found[0]):
-            pairs = self.explorer.paired(path[-1], found[0])
+        hidden = self.trials.likelihood.simulates  # where no model is the axis, two effects may hide each other
+        if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):
+            pairs = self.explorer.paired(path[-1], found[0] if found else path[-1])
             # what leaves something is compared with what single effects come to with a second one
-            hidden = self.trials.likelihood.simulates
             if hidden or found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
                 found = sorted([*found, *pairs], key=by_total)
         return found, pairs

@@ -17,12 +17,13 @@ from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
-from servolens.diagnosis.reasons import causes_of, distinctness, own_quantities, rival_plants
+from servolens.diagnosis.reasons import causes_of, may_be_nothing, own_quantities, rival_plants
 from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.effects import catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
+from servolens.identification.constant import contradicted
 from servolens.identification.fitted import fitted
 from servolens.identification.options import as_priors
 from servolens.identification.restricted import counting_followed
@@ -45,9 +46,6 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["check_request", "diagnose"]
-
-SHOWN = 0.95
-"""Confidence with which the size of a cause differs from nothing, or it is left out where nothing asks for it."""
 
 
 @single_threaded_blas
@@ -125,7 +123,8 @@ def _diagnosed(
     decision = decided(case, EFFORT[effort], tell)
     case, found, path = decision.case, decision.found, list(decision.path)
     progress("Comparing errors with and without the causes", 90, 100)
-    path, fits = _as_far_as_shown(case, path, SPENT * EFFORT[effort].work)
+    path, fits, sizeless = _as_far_as_shown(case, path, SPENT * EFFORT[effort].work)
+    found = replace(found, path=tuple(path)) if sizeless else found
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
@@ -133,7 +132,8 @@ def _diagnosed(
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
-    told = (*findings, *powerless, *decision.findings, *fits[-1].findings)
+    told = (*findings, *powerless, *decision.findings, *sizeless, *fits[-1].findings)
+    told = (*told, *_contradicted_priors(case, path[-1], SPENT * EFFORT[effort].work))
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     told = (*told, *said(case, decision, path[-1], gains, verdict, remainder), *lower_limit(case.records, causes))
     model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
@@ -163,23 +163,37 @@ def _diagnosed(
     return diagnosis
 
 
-def _as_far_as_shown(case: Case, path: list[Hypothesis], work: float) -> tuple[list[Hypothesis], list[Fitted]]:
-    """Return `path`, and the first and the last of it fitted, without last causes that may as well be nothing.
+def _as_far_as_shown(
+    case: Case, path: Sequence[Hypothesis], work: float
+) -> tuple[list[Hypothesis], list[Fitted], list[Finding]]:
+    """Return `path`, its first and its last fitted, without last causes that may be nothing, and a note on these.
 
-    Their sizes then differ from nothing by less than their 95 % intervals, and what is left without them does not
-    depend on the inputs either. The likelihood of contacts is ragged: that it is higher beside a further cause may be
-    for another optimum of those before.
+    The 95 % intervals of their sizes include nothing, and what is left without them does not depend on the inputs
+    either. The likelihood of contacts is ragged: that it is higher beside a further cause may be for another optimum of
+    those before.
     """
-    while True:
-        whole = [counting_followed(case.likelihood, h) for h in (path[0], path[-1])][: len(path)]
-        fits = [fitted(case.likelihood, h, work) for h in whole]
-        if len(path) == 1:
-            return path, fits
+    path, told = list(path), list[Finding]()
+    base = fitted(case.likelihood, counting_followed(case.likelihood, path[0]), work)
+    while len(path) > 1:
+        fit = fitted(case.likelihood, counting_followed(case.likelihood, path[-1]), work)
         added = [name for name in path[-1].causes if name not in path[-2].causes]
-        sure = [distinctness(path[-1].plant, name, own_quantities(fits[-1], name)) for name in added]
-        if not sure or max(sure) >= SHOWN or not case.explains(path[-2]):
-            return path, fits
-        path = path[:-1]
+        is_shown = any(not may_be_nothing(path[-1].plant, name, own_quantities(fit, name)) for name in added)
+        if not added or is_shown or not case.explains(path[-2]):
+            return path, [base, fit], told
+        message = f"{', '.join(added)} may be of no size at all; the rest explains the records, so it is left out."
+        told.append(Finding(code="not_confirmed", severity="note", message=message))
+        path.pop()
+    return path, [base], told
+
+
+def _contradicted_priors(case: Case, chosen: Hypothesis, work: float) -> tuple[Finding, ...]:
+    """Name the priors that the records contradict: a fit without them, beside the same causes, is far from these."""
+    if not case.trials.priors:
+        return ()
+    free = case.likelihood.without_priors()
+    found = free.judged(chosen.plant, chosen, allowance=work)
+    case.likelihood.count(free.work)
+    return () if found is None else contradicted(fitted(free, found, work).model, case.trials.priors)
 
 
 def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: Iterable[str], effort: str) -> None:

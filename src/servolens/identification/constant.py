@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.identification.options import Prior
     from servolens.identification.segments import Segment
 
-__all__ = ["ConstantFit", "fit_constant"]
+__all__ = ["ConstantFit", "contradicted", "fit_constant"]
 
 CONTRADICTS = 3.0
 """Standard deviations from a prior from which on the records contradict it."""
@@ -99,7 +99,7 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
         reasons=dict.fromkeys(held, AT_BOUND) | dict.fromkeys(options.held, GIVEN),
     )
-    return ConstantFit(model, left, _contradicted(alone, known))
+    return ConstantFit(model, left, contradicted(alone, known))
 
 
 def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:
@@ -122,16 +122,18 @@ def _agree(difference: NDArray[np.float64], covariance: NDArray[np.float64]) -> 
     return statistic <= float(chi2.isf(FALSE_ALARM, difference.size))
 
 
-def _contradicted(free: Model, known: Mapping[str, Prior]) -> tuple[Finding, ...]:
+def contradicted(free: Model, known: Mapping[str, Prior]) -> tuple[Finding, ...]:
     """Name the priors that a fit without them is far from."""
     found = []
     for name, prior in known.items():
-        value, spread = free.quantities[name].value, free.quantities[name].stderr or 0.0
+        quantity = free.quantities.get(name)
+        if quantity is None or quantity.stderr is None:
+            continue
+        value, spread = quantity.value, quantity.stderr
         if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
             message = (
-                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records, of which gain "
-                f"and damping alone make {value:.4g} ± {spread:.2g}; check its value, unit and width, or diagnose the "
-                "records: a cause may be missing."
+                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records: without it the "
+                f"fit gives {value:.4g} ± {spread:.2g}. Check its value, unit and width."
             )
             found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
     return tuple(found)

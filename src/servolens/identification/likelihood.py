@@ -132,6 +132,16 @@ class Likelihood:
         other._asks_white, other.work = False, 0
         return other
 
+    def without_priors(self) -> Likelihood:
+        """Return the likelihood of the records alone, whatever else is known of the axis."""
+        other = copy(self)
+        other._options, other.work, other.is_admissible = (
+            replace(self._options, priors={}, bounds={}),
+            0,
+            lambda _: True,
+        )
+        return other
+
     def count(self, simulated: int) -> None:
         """Add to the samples times substeps that were simulated, from any thread."""
         with self._counting:

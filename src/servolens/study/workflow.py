@@ -47,7 +47,14 @@ Made = TypeVar("Made")
 OF_THE_LAW = ("gain", "damping", SIZE, SHAPE)
 """Parameters of the models of constant and of speed-dependent damping."""
 OF_SIMPLER_MODELS = frozenset(
-    {"beyond_the_law", "no_velocity_dependence", "not_simulated", "pieces_not_determined", "varying_not_determined"}
+    {
+        "beyond_the_law",
+        "no_velocity_dependence",
+        "not_simulated",
+        "pieces_not_determined",
+        "prior_contradicts_data",
+        "varying_not_determined",
+    }
 )
 """Findings of the identification on models in whose place a diagnosis puts its own."""
 UNANSWERED = "the plant does not answer to the voltage in these records, so no gain follows from them"
@@ -230,8 +237,6 @@ def _judged(found: Study, *, force: bool) -> Study:
     """Add the lights, and withhold the gain where they say so; of wrong data, tell nothing that only comes of them."""
     design, comparison = found.design, found.comparison
     answered = frozenset() if found.diagnosis is None else OF_SIMPLER_MODELS
-    if found.diagnosis is not None and found.diagnosis.causes:  # a prior was weighed beside these
-        answered |= {"prior_contradicts_data"}
     of_models = [] if found.fit is None else [known for known in found.fit.findings if known.code not in answered]
     of_models += [] if found.diagnosis is None else found.diagnosis.findings
     of_all = together(found.findings, of_models)
