@@ -113,17 +113,10 @@ def diagnose(
 def _diagnosed(
     case: Case, effort: str, findings: Sequence[Finding], progress: Callable[[str, int, int], None]
 ) -> Diagnosis:
-    furthest = 0
-
-    def tell(what: str, share: float) -> None:
-        nonlocal furthest  # fits that run side by side report out of turn
-        furthest = max(furthest, min(round(90 * share), 90))
-        progress(what, furthest, 100)
-
-    decision = decided(case, EFFORT[effort], tell)
-    case, found, path = decision.case, decision.found, list(decision.path)
+    decision = decided(case, EFFORT[effort], _never_back(progress))
+    case, found = decision.case, decision.found
     progress("Comparing errors with and without the causes", 90, 100)
-    path, fits, sizeless = _as_far_as_shown(case, path, SPENT * EFFORT[effort].work)
+    path, fits, sizeless = _as_far_as_shown(case, decision.path, work := SPENT * EFFORT[effort].work)
     found = replace(found, path=tuple(path)) if sizeless else found
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
@@ -132,13 +125,12 @@ def _diagnosed(
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
-    told = (*findings, *powerless, *decision.findings, *sizeless, *fits[-1].findings)
-    told = (*told, *_contradicted_priors(case, path[-1], SPENT * EFFORT[effort].work))
+    priors = _contradicted_priors(case, path[-1], work)
+    told = (*findings, *powerless, *decision.findings, *sizeless, *fits[-1].findings, *priors)
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     told = (*told, *said(case, decision, path[-1], gains, verdict, remainder), *lower_limit(case.records, causes))
     model = replace(fits[-1].model, evidence=evidence_of(case, path[-1], gains, verdict, remainder, told))
     rivals = {cause.effect: rival_plants(found, path[-1], cause) for cause in causes if cause.rivals}
-    sure = {cause.effect: cause.confidence for cause in causes}
     diagnosis = Diagnosis(
         verdict=verdict,
         causes=causes,
@@ -154,13 +146,27 @@ def _diagnosed(
         linear=fits[0].model,
         model=model,
         rival_plants=rivals,
-        next_experiment=proposed(model.plant, rivals, sure, case.records, noise=gains.noise),
+        next_experiment=proposed(
+            model.plant, rivals, {c.effect: c.confidence for c in causes}, case.records, noise=gains.noise
+        ),
         findings=told,
         records=case.records,
         heldout=case.heldout,
     )
     progress("Diagnosis done", 100, 100)
     return diagnosis
+
+
+def _never_back(progress: Callable[[str, int, int], None]) -> Callable[[str, float], None]:
+    """Return what tells `progress` the share of the searches that is done: nine tenths of the whole."""
+    furthest = 0
+
+    def tell(what: str, share: float) -> None:
+        nonlocal furthest  # fits that run side by side report out of turn
+        furthest = max(furthest, min(round(90 * share), 90))
+        progress(what, furthest, 100)
+
+    return tell
 
 
 def _as_far_as_shown(

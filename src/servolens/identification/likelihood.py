@@ -96,9 +96,8 @@ class Likelihood:
         longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(signals.may_be_unpowered for signals in self.signals)
-        self.knows_beginning = True
+        self.knows_beginning, self.simulates = True, False
         self.work, self._counting = 0, Lock()
-        self.simulates = False
 
     def _signals(self, records: Sequence[Record]) -> tuple[Signals, ...]:
         return tuple(Signals.of(record, self.floor, self._like, self.rate, self.every) for record in records)
@@ -135,11 +134,8 @@ class Likelihood:
     def without_priors(self) -> Likelihood:
         """Return the likelihood of the records alone, whatever else is known of the axis."""
         other = copy(self)
-        other._options, other.work, other.is_admissible = (
-            replace(self._options, priors={}, bounds={}),
-            0,
-            lambda _: True,
-        )
+        other._options = replace(self._options, priors={}, bounds={})
+        other.work, other.is_admissible = 0, lambda _: True
         return other
 
     def count(self, simulated: int) -> None:
