@@ -115,8 +115,7 @@ def twins_of(plant: Plant, cause: str) -> list[str]:
 
 def distinctness(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> float:
     """Return with what confidence the cause's size differs from nothing by its error bar; a half where it has none."""
-    effect = plant.effect(cause)
-    sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
+    sizes = _sizes(plant, cause, quantities)
     if not sizes:
         return 1.0
     if all(q.value == nothing for q, nothing in sizes):
@@ -127,10 +126,14 @@ def distinctness(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -
 
 def may_be_nothing(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> bool:
     """Tell whether the 95 % intervals of all sizes of a cause include nothing; not where one is unknown."""
-    effect = plant.effect(cause)
-    sizes = [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
-    ends = [(q.interval, nothing) for q, nothing in sizes]
+    ends = [(q.interval, nothing) for q, nothing in _sizes(plant, cause, quantities)]
     return bool(ends) and all(end is not None and end[0] <= nothing <= end[1] for end, nothing in ends)
+
+
+def _sizes(plant: Plant, cause: str, quantities: Mapping[str, Quantity]) -> list[tuple[Quantity, float]]:
+    """Return the sizes of a cause, each with the value at which it is absent."""
+    effect = plant.effect(cause)
+    return [(quantities[name], nothing) for name, nothing in (effect.absent_at if effect else {}).items()]
 
 
 def _in_order(path: Sequence[Hypothesis]) -> list[str]:
