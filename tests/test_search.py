@@ -11,7 +11,7 @@ from servolens import Plant, diagnose, lab
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, delays, with_twins
+from servolens.diagnosis.ordering import beside_shaking, delays, with_lag_for_damping, with_twins
 from servolens.diagnosis.search import search
 from servolens.effects import (
     ActuatorLag,
@@ -63,6 +63,34 @@ def test_dead_zone_and_delay_that_hide_each_other_in_a_loop_are_looked_for_toget
     assert set(pairs[0].causes) == {"dead_zone", "delay"}
     assert pairs[0].total < alone[0].total
     assert pairs[0].plant.values == pytest.approx((45.0, 23.0, 0.5, 0.05), rel=0.05)
+
+
+def test_a_slow_lag_that_seems_to_be_damping_is_found_beside_a_limit_of_force():
+    effects = {"force_limit": {"acceleration": 8.7}, "actuator_lag": {"time_constant": 0.156}}
+    axis = lab.Truth(gain=138.0, damping=200.0, effects=effects)
+    setup = lab.Setup(rest=0.05)
+    runs = tuple(
+        lab.step_record(axis, kp=kp, reference=0.2, noise=1e-4, seed=int(kp), setup=setup) for kp in (5.0, 10.0, 20.0)
+    )
+    case = Case(runs, (), {}, len(catalogue())).simulating()
+    explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, (), lambda _: False, 1.0)
+    alone = explorer.extended([case.base], 0)
+    best = explorer.paired(case.base, alone[0])[0]
+    assert set(best.causes) == {"force_limit", "actuator_lag"}
+    assert best.plant.effect("actuator_lag").time_constant == pytest.approx(0.156, rel=0.05)
+    assert best.plant.effect("force_limit").acceleration == pytest.approx(8.7, rel=0.05)
+
+
+def test_damping_and_a_lag_exchanged_are_the_same_where_nothing_nonlinear_stands_between():
+    plant = Plant(gain=4.5, damping=6.0, effects=(ActuatorLag(time_constant=0.02), CoulombFriction(level=0.1)))
+    (other,) = with_lag_for_damping(plant)
+    s = 1j * np.logspace(-1, 3, 50)
+    responses = [p.gain / (s * (s + p.damping) * (p.effects[0].time_constant * s + 1.0)) for p in
+                 (plant, replace(other, effects=[e for e in other.effects if isinstance(e, ActuatorLag)]))]  # fmt: skip
+    assert responses[1] == pytest.approx(responses[0], rel=1e-12)
+    assert (other.damping, other.effect("coulomb_friction").level) == (50.0, 0.1)
+    assert not list(with_lag_for_damping(plant.without_effect("coulomb_friction")))
+    assert not list(with_lag_for_damping(plant.without_effect("actuator_lag")))
 
 
 def test_a_delay_that_is_tried_stays_within_its_range():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -20,6 +21,7 @@ from servolens.diagnosis.ordering import (
     simplified,
     specialised,
     united,
+    with_lag_for_damping,
     with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
@@ -55,9 +57,9 @@ SHARE, SPENT = 0.4, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
 by one that is made after a search."""
-FEW_PARAMETERS, LATE = 2, 0.25
-"""Most parameters of an effect that is tried beside a delay; delay with which the fit starts, in radians at the loop's
-rate."""
+FEW_PARAMETERS, LATE = 2, (0.25, 1.0)
+"""Most parameters of an effect that is tried beside a delay; delays from which the fit starts, in radians at the loop's
+rate: up to what a well-damped loop has in hand."""
 INDISTINCT = 10.0
 """Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
@@ -166,12 +168,18 @@ class Explorer:
         few = [h for h in alone if h.plant.unusual - 2 <= FEW_PARAMETERS and not h.plant.remembers_voltage]
         singles = families(few)[: self.effort.judged]
         jobs = []
-        for like in singles:
-            for effect in delays(LATE / self.likelihood.rate):
+        for like, late in product(singles, LATE):
+            for effect in delays(late / self.likelihood.rate):
                 with suppress(InputError):  # two that do not go together
                     jobs.append((like.plant.with_effect(effect), like))
-        found = self.fitted(jobs)
-        return [h for h in found if h.total < min(s.total for s in singles if s.causes[0] in h.causes)]
+        share = self.allowance(len(jobs))
+        begun = in_parallel(
+            lambda job: self.likelihood.tried(job[0], job[1].noise, FEW, like=job[1], allowance=share), jobs
+        )
+        found = self.fitted([(h.plant, h) for h in best_of_each([h for h in begun if h])])
+        found += self.fitted([(plant, h) for h in found for plant in with_lag_for_damping(h.plant)])
+        likelier = (h for h in found if h.total < min(s.total for s in singles if s.causes[0] in h.causes))
+        return sorted(likelier, key=by_total)
 
     def beside_noise_of(self, others: Sequence[Hypothesis], hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` beside the noise of another, if that is likelier: no effect is found for its noise."""
@@ -309,7 +317,8 @@ class Explorer:
     def exchanged(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin, twin or parts.
 
-        What cannot be told apart while another cause is missing often can beside it.
+        What cannot be told apart while another cause is missing often can beside it. So can a lag and damping, which
+        are the same exchanged for each other where nothing nonlinear stands between them.
         """
         known = {frozenset(h.causes) for h in self.judged}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
@@ -320,7 +329,8 @@ class Explorer:
             for plant in plants
             if (causes := frozenset(effect.name for effect in plant.effects)) not in known
         }
-        return min([hypothesis, *self.fitted([(plant, hypothesis) for plant in others.values()])], key=by_total)
+        jobs = [*others.values(), *with_lag_for_damping(hypothesis.plant)]
+        return min([hypothesis, *self.fitted([(plant, hypothesis) for plant in jobs])], key=by_total)
 
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.

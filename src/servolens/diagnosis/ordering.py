@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import Actuator, DryFriction, TimeShift, catalogue, effect_class
+from servolens.effects import Actuator, ActuatorLag, DryFriction, TimeShift, catalogue, effect_class
 from servolens.effects._grids import within
 from servolens.effects.base import Axis
 from servolens.errors import InputError
@@ -38,6 +38,7 @@ __all__ = [
     "simplified",
     "specialised",
     "united",
+    "with_lag_for_damping",
     "with_twins",
 ]
 
@@ -125,6 +126,20 @@ def with_twins(plant: Plant) -> Iterator[Plant]:
             values = {spec.name: getattr(effect, spec.name) for spec in effect.parameters()}
             with suppress(InputError):
                 yield plant.without_effect(effect.name).with_effect(Plant.effect_from(effect.twin, values))
+
+
+def with_lag_for_damping(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with damping as large as its actuator's lag is quick, and a lag as slow as its damping is small.
+
+    Without other effects the same: g / (s (s + d) (T s + 1)) is g' / (s (s + 1/T) (s/d + 1)) with g' = g / (d T). What
+    acts between the two, a limit of force or dry friction, tells one from the other, but no small step of a fit leads
+    from one to the other.
+    """
+    lag = plant.effect(ActuatorLag.name)
+    if isinstance(lag, ActuatorLag) and plant.damping > 0.0 and len(plant.effects) > 1:
+        quick = 1.0 / lag.time_constant
+        other = plant.without_effect(lag.name).with_effect(within(ActuatorLag, time_constant=1.0 / plant.damping))
+        yield replace(other, gain=plant.gain * quick / plant.damping, damping=quick)
 
 
 def delays(time: float) -> Iterator[Effect]:
