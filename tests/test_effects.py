@@ -259,7 +259,8 @@ def allowed(values: dict[str, float]) -> dict[str, float]:
     if "static_excess" in values:
         values["static_excess"] = max(values["static_excess"], -values["level"])
     if "low" in values and not values["low"] < values["high"]:
-        values["low"], values["high"] = values["high"], np.nextafter(values["low"], np.inf)
+        ends = values["high"], values["low"]
+        values["low"], values["high"] = ends if ends[0] < ends[1] else (-1.0, 1.0)
     return values
 
 
@@ -607,3 +608,6 @@ def test_an_effect_that_the_records_cannot_show_is_not_whole():
     assert not effects.GainDrift(rate=-0.2).is_whole(seen)
     assert effects.PositionFriction(level=1.0, centre=0.9, width=0.1).is_whole(seen)
     assert not effects.PositionFriction(level=1.0, centre=1.1, width=0.1).is_whole(seen)
+    assert effects.Presliding(stiffness=1e4, level=0.2).is_whole(seen)
+    assert not effects.Presliding(stiffness=1e5, level=0.2).is_whole(seen)  # gives way by 2 µm
+    assert all(effect.is_whole(seen) for effect in effects.Presliding.starts(seen))

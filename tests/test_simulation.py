@@ -353,3 +353,22 @@ def test_axis_with_play_that_rests_on_a_flank_needs_no_more_steps_than_one_in_mo
     monkeypatch.setattr(simulation_loop, "ANY_NUMBER", 1.2 * substeps_for(loose, 1e-3) * time.size)
     run = simulate_loop(loose, Controller(kp=100.0, kd=11.2), time, np.full(time.size, 0.1))
     assert abs(run.position[-1] - 0.1) < 1e-12
+
+
+def test_motion_that_has_nearly_faded_is_reversed_in_few_steps(monkeypatch):
+    """What a lag remembers is a ramp in a step, which tells a reversal at its very beginning too early."""
+    gain, damping, lag = 45.0, 23.0, 0.005
+    plant = Plant(gain=gain, damping=damping, effects=(ActuatorLag(time_constant=lag),))
+    time = 1e-3 * np.arange(3001)
+    edges = ((0.01, 1.0), (0.5, -1.0), (2.5, -1.0))  # up, down to 0, and long after that down again
+    voltage = sum(step * (time >= at) for at, step in edges)
+    monkeypatch.setattr(simulation_loop, "ANY_NUMBER", 2.0 * substeps_for(plant, 1e-3) * time.size)
+    run = simulate_voltage(plant, time, voltage, before=0.0)
+
+    def answer(since):
+        t = np.maximum(since, 0.0)
+        slow, quick = np.exp(-damping * t) / damping, lag * np.exp(-t / lag)
+        return gain * (1.0 / damping - (slow - quick) / (1.0 - damping * lag)) * (since >= 0.0)
+
+    wanted = sum(step * answer(time - time[round(at / 1e-3)]) for at, step in edges)
+    np.testing.assert_allclose(run.velocity, wanted, atol=1e-7)

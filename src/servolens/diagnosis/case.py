@@ -46,7 +46,7 @@ __all__ = ["Case"]
 T = TypeVar("T")
 
 REFITTED = 5e6
-"""Samples times substeps that a refit without one record may simulate: it begins at the optimum of all."""
+"""What a refit without one record may simulate, samples times substeps: it begins at the optimum of all."""
 
 
 @final

@@ -39,5 +39,4 @@ EFFORT = {
     "normal": Effort(causes=4, fitted=10, judged=3, beam=1, work=2e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
-"""To simulate a hundred million samples and substeps takes about eight seconds of one processor; a search that may so
-many, about twice as long."""
+"""A hundred million take seven to eleven seconds of one processor, all that goes with simulating them included."""

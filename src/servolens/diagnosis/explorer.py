@@ -89,7 +89,7 @@ class Explorer:
 
     @property
     def left(self) -> float:
-        """Samples times substeps that may still be simulated, of the share of the effort that is granted."""
+        """What may still be simulated, of the share of the effort that is granted."""
         return max(self._share * self.effort.work - self._spent, 0.0)
 
     @property

@@ -115,7 +115,7 @@ class Walk:
 
     @property
     def work(self) -> int:
-        """Samples times substeps that were simulated."""
+        """What was simulated, see :class:`Effort`."""
         return self.trials.likelihood.work
 
     def has_asked(self, hypothesis: Hypothesis) -> bool:

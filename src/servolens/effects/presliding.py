@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import within
@@ -60,10 +61,14 @@ class Presliding(Force):
 
         return (p.stiffness * (axis.velocity - axis.speed * axis.state.force / fmax(p.level, 1e-12)),)
 
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`: by less than the noise, dry friction gives way unseen."""
+        return self.level >= seen.noise * self.stiffness
+
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Presliding]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        for share in (0.2, 0.05, 0.01, 0.002, 5e-4, 1e-4):
-            for slip in (1e-4, 1e-3, 1e-2, 5e-2):
-                level = share * seen.push
-                yield within(cls, stiffness=level / (slip * seen.travel), level=level)
+        slips = dict.fromkeys(max(share * seen.travel, seen.noise) for share in (1e-4, 1e-3, 1e-2, 5e-2))
+        for share, slip in product((0.2, 0.05, 0.01, 0.002, 5e-4, 1e-4), slips):
+            level = share * seen.push
+            yield within(cls, stiffness=level / slip, level=level)

@@ -124,7 +124,7 @@ class Problem:
 
     @property
     def is_spent(self) -> bool:
-        """Whether as many samples and substeps were simulated as are allowed."""
+        """Whether as much was simulated as is allowed."""
         return self.simulated >= self.allowance
 
     def at(self, starts: Sequence[NDArray[np.float64]], local: Mapping[str, NDArray[np.float64]]) -> Point:
@@ -350,7 +350,7 @@ class Problem:
             for k, row in zip(those, rows, strict=True):
                 found[k] = row if np.isfinite(row).all() else None
 
-        work = sum(self.runs[i].samples * self.substeps[i] for i, _ in trials)
+        work = sum(self.runs[i].simulated * self.substeps[i] for i, _ in trials)
         self.simulated += work
         in_parallel(several, jobs, 1 if work < WORTH_THREADS else None)
         return found

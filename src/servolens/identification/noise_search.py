@@ -153,16 +153,13 @@ class NoiseTrials:
         runs = likelihood.runs(first, unpowered=self.unpowered)
         is_own = first.rate == 0.0 or self.like.rate > 0.0
         begun = self.starts if is_own else [run.start for run in runs]
+        substeps = [substeps_for(plant, run.sample_time) for run, plant in zip(runs, self.plants, strict=True)]
+        of_each = list(zip(runs, self.plants, begun, substeps, strict=True))
         try:
-            missed = [
-                run.missed(plant, start, substeps_for(plant, run.sample_time))
-                for run, plant, start in zip(runs, self.plants, begun, strict=True)
-            ]
+            missed = [run.missed(plant, start, steps) for run, plant, start, steps in of_each]
         except (InputError, NumericalError):
             return np.inf
-        likelihood.count(
-            sum(run.samples * substeps_for(p, run.sample_time) for run, p in zip(runs, self.plants, strict=True))
-        )
+        likelihood.count(sum(run.simulated * steps for run, _, _, steps in of_each))
         whiteners = [run.whiten for run in runs]
         steady = [whiten.steady(error) for whiten, error in zip(whiteners, missed, strict=True)]
         if not first.is_observed:

@@ -203,7 +203,7 @@ class ObservedRun:
         if weight is not None and signals.index is not None:
             weight = weight[signals.index]
         self.whiten = Whitener(signals.measured, signals.speed, noise, weight, time=signals.instants)
-        self.samples, self.instants = signals.measured.size, signals.instants
+        self.samples, self.simulated, self.instants = signals.measured.size, signals.time.size, signals.instants
         self.sample_time = float(np.max(np.diff(signals.time)))
         self.start = signals.initial.mean
         self._usual: NDArray[np.float64] | float = 0.0
@@ -293,7 +293,8 @@ class SimulatedRun:
         self.group, self.signals, self.noise = group, signals, noise
         record = signals.record
         self.whiten = Whitener(record.position, np.zeros(len(record)), noise, time=record.time)
-        self.samples, self.instants = len(record), record.time
+        self.samples = self.simulated = len(record)
+        self.instants = record.time
         self._loop = ClosedLoop(record, 0.0 if unpowered and applied_before(record) is None else None)
         self.sample_time = self._loop.sample_time
         self.start: NDArray[np.float64] = np.empty(0)

@@ -46,6 +46,8 @@ class Run(Protocol):
         Number of the record it stems from.
     samples : int
         How many samples are compared.
+    simulated : int
+        How many are simulated for that.
     sample_time : float
         Longest interval between samples [s].
     start : ndarray, shape (s,)
@@ -58,6 +60,8 @@ class Run(Protocol):
     def group(self) -> int: ...  # noqa: D102 - told above
     @property
     def samples(self) -> int: ...  # noqa: D102 - told above
+    @property
+    def simulated(self) -> int: ...  # noqa: D102 - told above
     @property
     def sample_time(self) -> float: ...  # noqa: D102 - told above
     @property
@@ -81,6 +85,12 @@ class OneByOne:
     """Residuals of several plants, one after the other."""
 
     residual: Callable[[Plant, NDArray[np.float64], int], NDArray[np.float64]]
+    samples: int
+
+    @property
+    def simulated(self) -> int:
+        """See :class:`Run`."""
+        return self.samples
 
     def residuals(
         self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
