@@ -53,6 +53,27 @@ def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "return_spring"})
 
 
+def test_pitch_that_only_shows_beside_friction_is_proposed_beside_it():
+    campaign = lab.hidden_campaign(610108, effects=["coulomb_friction", "cogging"], world="coloured")
+    case = Case(campaign.records, (), {}, len(catalogue()))
+    first, *_ = case.trials.beside_friction(case.trials.bare)
+    truth = campaign.truth.effects
+    assert {effect.name for effect in first.effects} == set(truth)
+    assert first.effect("cogging").pitch == pytest.approx(truth["cogging"]["pitch"], rel=0.01)
+    assert first.effect("cogging").amplitude == pytest.approx(truth["cogging"]["amplitude"], rel=0.05)
+    assert first.effect("coulomb_friction").level == pytest.approx(truth["coulomb_friction"]["level"], rel=0.05)
+
+
+def test_friction_and_cogging_beside_slow_noise_are_found_together():
+    campaign = lab.hidden_campaign(910977, effects=["coulomb_friction", "cogging"], world="coloured")
+    assert causes_of(campaign) == ("explained", {"coulomb_friction", "cogging"})
+
+
+def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
+    campaign = lab.hidden_campaign(610212, effects=["coulomb_friction", "speed_servo"], world="coloured")
+    assert causes_of(campaign) == ("explained", {"coulomb_friction", "speed_servo"})
+
+
 def test_dead_zone_and_delay_that_hide_each_other_in_a_loop_are_looked_for_together():
     axis = lab.Truth(gain=45.0, damping=23.0, effects={"dead_zone": {"width": 0.5}, "delay": {"time": 0.05}})
     runs = tuple(lab.step_record(axis, kp=kp, reference=0.3, noise=3e-4, seed=int(kp)) for kp in (7.0, 8.0, 9.0))
@@ -91,6 +112,17 @@ def test_damping_and_a_lag_exchanged_are_the_same_where_nothing_nonlinear_stands
     assert (other.damping, other.effect("coulomb_friction").level) == (50.0, 0.1)
     assert not list(with_lag_for_damping(plant.without_effect("coulomb_friction")))
     assert not list(with_lag_for_damping(plant.without_effect("actuator_lag")))
+
+
+def test_causes_are_weighed_by_the_records_fitted_too_each_foretold_by_the_others():
+    axis = lab.Truth(gain=2.0, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
+    runs = [lab.step_record(axis, kp=kp, reference=0.1, noise=1e-4, seed=int(kp)) for kp in (50.0, 80.0, 110.0)]
+    case = Case(tuple(runs[:2]), (runs[2],), {}, len(catalogue())).simulating()
+    alone = Case(tuple(runs[:2]), (), {}, len(catalogue())).simulating()
+    right = case.likelihood.judged(case.base.plant.with_effect(CoulombFriction(level=0.3)))
+    assert case.foretold(right) < case.foretold(case.base)
+    assert case.foretold(right) == pytest.approx(case.misfit(right) + alone.misfit(right), rel=1e-6)
+    assert alone.foretold(right) == alone.misfit(right)
 
 
 def test_a_delay_that_is_tried_stays_within_its_range():

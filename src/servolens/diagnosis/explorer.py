@@ -151,11 +151,14 @@ class Explorer:
         if self.likelihood.simulates:
             return self._delayed()
         plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
+        plants += self.trials.beside_friction(base.plant)[: self.effort.judged]
+        plants += self.trials.drives_beside_friction(base.plant)
         share = self.allowance(len(plants))
         begun = in_parallel(
             lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
         )
-        return self.fitted([(h.plant, h) for h in begun if h and h.total < best.total])
+        likelier = best_of_each([h for h in begun if h and h.total < best.total])
+        return self.fitted([(h.plant, h) for h in likelier[: self.effort.judged]])
 
     def _delayed(self) -> list[Hypothesis]:
         """Return the best single effects, each beside a delay and beside a lag, fitted, where that is likelier.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.effects import Drive, DryFriction, effect_class
+from servolens.effects import CoulombFriction, Drive, DryFriction, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
@@ -178,10 +178,9 @@ class Trials:
 
     def _proposed(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
         """Return the plants with the effect that the integral equation, or the effect itself, proposes."""
-        proposals = self.screen.proposals_of(plant, cls)
         if regressor(cls).sizes:
-            return self._solved(plant, cls, proposals)
-        tried = [plant.with_effect(effect) for effect in proposals]
+            return self._solved(plant, cls)
+        tried = [plant.with_effect(effect) for effect in self.screen.proposals_of(plant, cls)]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
         return tried
@@ -208,12 +207,43 @@ class Trials:
         except (InputError, NumericalError):
             return None
 
-    def _solved(self, plant: Plant, cls: type[Effect], proposals: list[Effect]) -> list[Plant]:
-        """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""
+    def drives_beside_friction(self, plant: Plant) -> list[Plant]:
+        """Return `plant` with Coulomb friction and each start of a drive that sets gain and damping by its own loop."""
+        friction = self.screen.proposals_of(plant, CoulombFriction)[:1]
+        with suppress(InputError, NumericalError):
+            solved, _ = self.screen.solve(friction)
+            rubbing = replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
+            drives = [cls for cls in catalogue().values() if issubclass(cls, Drive)]
+            found = [start for cls in drives for start in self._proposed(rubbing, cls)]
+            return [start for start in found if not self.likelihood.is_too_stiff(start)]
+        return []
+
+    def beside_friction(self, plant: Plant) -> list[Plant]:
+        """Return `plant` with Coulomb friction and one force each that the integral equation proposes beside it.
+
+        Those that leave least come first. Friction, which most axes have, hides at which pitch another force repeats.
+        """
+        found = []
+        for cls in catalogue().values():
+            if not regressor(cls).sizes or CoulombFriction.name in (cls.name, *cls.generalises) or cls.is_last_resort:
+                continue
+            with suppress(InputError, NumericalError):
+                friction = self.screen.proposals_of(plant, CoulombFriction)[:1]
+                for effect in self.screen.best(friction, self._proposals_of(plant, cls), 1):
+                    solved, left = self.screen.solve((*friction, effect))
+                    found.append((left, replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0)), solved))
+        return [replace(one, effects=solved.effects) for _, one, solved in sorted(found, key=lambda each: each[0])]
+
+    def _proposals_of(self, plant: Plant, cls: type[Effect]) -> Proposals:
+        """Return the forces of a class that the integral equation may rank; made once."""
         if cls.name not in self._proposals:
-            self._proposals[cls.name] = self.screen.thinned.proposals(proposals)
+            self._proposals[cls.name] = self.screen.thinned.proposals(self.screen.proposals_of(plant, cls))
+        return self._proposals[cls.name]
+
+    def _solved(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+        """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""
         starts = []
-        for effect in self.screen.best(plant.effects, self._proposals[cls.name], STARTS):
+        for effect in self.screen.best(plant.effects, self._proposals_of(plant, cls), STARTS):
             alone = plant.with_effect(effect)
             starts.append(alone)
             try:

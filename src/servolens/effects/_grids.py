@@ -12,7 +12,11 @@ if TYPE_CHECKING:
 __all__ = ["frequencies", "pitches", "within"]
 
 E = TypeVar("E", bound="Effect")
-COUNT, DENSE = 60, 200
+PER_PEAK = 10
+"""Trials per peak of a periodogram, which is as wide as one period more or less over all data: 5 to 10 are needed to
+lock on (VanderPlas 2018, doi:10.3847/1538-4365/aab766)."""
+COUNT, DENSE = 60, 80 * PER_PEAK
+"""Frequencies far from one another, and near."""
 
 
 def within(cls: type[E], **values: float) -> E:
@@ -22,15 +26,15 @@ def within(cls: type[E], **values: float) -> E:
 
 
 def pitches(seen: Seen) -> list[float]:
-    """Return lengths that repeat along the travel, so dense that none lies more than a fifth of a period off."""
+    """Return lengths that repeat along the travel, so dense that a fit locks on to any in between."""
     most = min(seen.travel / max(6 * seen.noise, 1e-12), 150.0)
-    periods = np.arange(0.5, max(most, 0.6), 0.4)
+    periods = np.arange(0.5, max(most, 0.6), 1.0 / PER_PEAK)
     return [float(seen.travel / count) for count in periods]
 
 
 def frequencies(seen: Seen) -> list[float]:
     """Return frequencies [Hz] up to ten samples a period, the lower ones as dense as the longest record resolves."""
-    resolved, highest = 0.4 / max(seen.duration, 1e-9), 0.1 / max(seen.sample_time, 1e-9)
+    resolved, highest = 1.0 / PER_PEAK / max(seen.duration, 1e-9), 0.1 / max(seen.sample_time, 1e-9)
     dense = resolved * np.arange(1, DENSE + 1)
     sparse = np.geomspace(dense[-1], max(highest, dense[-1]), COUNT)[1:]
     return [float(value) for value in np.unique([*dense[dense <= highest], *sparse[sparse <= highest]])] or [highest]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Screen", "seen_in"]
 
-MOST_STARTS, MOST_ACTED = 400, 200
+MOST_STARTS, MOST_ACTED = 1600, 200
 """Proposals of an effect that are ranked; sets of actuators behind which the stretches are kept."""
 
 
