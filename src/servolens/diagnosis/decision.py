@@ -33,8 +33,6 @@ CONTENDERS = 6
 SECOND, FIRST = 0.3, 2.0 / 3.0
 """Of the effort, what a search after a ripple of the mains was learnt may take in any case, and fits of what one by
 simulations has found. The share of the progress that is the searches' by prediction errors."""
-SIMULATED = 0.6
-"""Of the effort, what a search by simulations may take: it has no noise to find and so takes less time for the same."""
 
 
 @final
@@ -186,9 +184,8 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
             alone = Search((base,), (base,), singles, ended_early=found.ended_early)
             return Decision(simulating, alone, (base,), ())
         begun = {h.causes: h.plant for h in (*found.path, *found.judged[:CONTENDERS]) if h.causes}
-        work = SIMULATED * effort.work
-        known = simulating.fitted_to_simulations(list(begun.values()), SPENT * work)
-        other = search(simulating.trials, base, replace(effort, work=(1.0 - SPENT) * work), tell, known)
+        known = simulating.fitted_to_simulations(list(begun.values()), SPENT * effort.work)
+        other = search(simulating.trials, base, replace(effort, work=(1.0 - SPENT) * effort.work), tell, known)
     except NumericalError:
         return _confirmed(case, found)
     other = _cross_validated(simulating, other)

@@ -143,22 +143,31 @@ class Explorer:
     def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
         """Return the likeliest pairs of effects, fitted, that are likelier than `best` after a few iterations.
 
-        Of a model that is known not to be the axis, those that hide each other. Only once in a search.
+        Those whose scores are highest together, and of those that the integral equation proposes what may be the axis
+        by then: noise explains what is left. Of a model that is known not to be the axis, those that hide each other.
+        Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        if self.likelihood.simulates:
-            return self._delayed()
-        plants = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
-        plants += self.trials.beside_friction(base.plant)[: self.effort.judged]
-        plants += self.trials.drives_beside_friction(base.plant)
+        plants = [*self.trials.pairs_of_forces(self.effort.judged)]
+        scores: list[Plant] = []
+        if not self.likelihood.simulates:
+            starts = self._followed(self.trials.drives_beside_friction(base.plant), base, 0)
+            plants += [h.plant for h in starts[: self.effort.judged + 2]]
+            scores = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
+        proposed = [h for h in self._followed(plants, base, FEW) if not h.noise.is_model_error]
+        likelier = best_of_each([h for h in (*proposed, *self._followed(scores, base, FEW)) if h.total < best.total])
+        found = self.fitted([(h.plant, h) for h in likelier[: self.effort.judged]])
+        return sorted([*found, *self._delayed()], key=by_total) if self.likelihood.simulates else found
+
+    def _followed(self, plants: Sequence[Plant], base: Hypothesis, iterations: int) -> list[Hypothesis]:
+        """Return where a few iterations beside the noise of `base` lead, the best first."""
         share = self.allowance(len(plants))
-        begun = in_parallel(
-            lambda plant: self.likelihood.tried(plant, test.hypothesis.noise, FEW, like=base, allowance=share), plants
+        found = in_parallel(
+            lambda plant: self.likelihood.tried(plant, base.noise, iterations, like=base, allowance=share), plants
         )
-        likelier = best_of_each([h for h in begun if h and h.total < best.total])
-        return self.fitted([(h.plant, h) for h in likelier[: self.effort.judged]])
+        return sorted((h for h in found if h), key=by_total)
 
     def _delayed(self) -> list[Hypothesis]:
         """Return the best single effects, each beside a delay and beside a lag, fitted, where that is likelier.

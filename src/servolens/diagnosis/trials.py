@@ -6,6 +6,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import product
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -104,6 +105,7 @@ class Trials:
         )
         self.standing = _standing_command(records)
         self._proposals: dict[str, Proposals] = {}
+        self._pairs: dict[int, list[Plant]] = {}
         self._observed: Plant | None = None
 
     def simulating(self) -> Trials:
@@ -218,21 +220,39 @@ class Trials:
             return [start for start in found if not self.likelihood.is_too_stiff(start)]
         return []
 
-    def beside_friction(self, plant: Plant) -> list[Plant]:
-        """Return `plant` with Coulomb friction and one force each that the integral equation proposes beside it.
+    def pairs_of_forces(self, most: int) -> list[Plant]:
+        """Return plants with two forces each that leave least of the integral equation, the best first; made once."""
+        if most not in self._pairs:
+            self._pairs[most] = self._pairs_of_forces(self.bare, most)
+        return self._pairs[most]
 
-        Those that leave least come first. Friction, which most axes have, hides at which pitch another force repeats.
+    def _pairs_of_forces(self, plant: Plant, most: int) -> list[Plant]:
+        """Return `plant` with two forces each, one pair of each kind, see :meth:`pairs_of_forces`.
+
+        One of the two has no shape that is searched for, as dry friction or a spring: it hides which the other has, as
+        a pitch. In order of the Bayesian information criterion.
         """
-        found = []
-        for cls in catalogue().values():
-            if not regressor(cls).sizes or CoulombFriction.name in (cls.name, *cls.generalises) or cls.is_last_resort:
+        forces = [cls for cls in catalogue().values() if regressor(cls).sizes and not cls.is_last_resort]
+        forces = [cls for cls in forces if plant.length_unit == "rad" or not cls.is_rotary]
+        plain = [cls for cls in forces if not _shapes(cls)]
+        thinned, found = self.screen.thinned, []
+        for first, second in product(plain, forces):
+            if _kind(first) & _kind(second) or (second in plain and first.name > second.name):
                 continue
-            with suppress(InputError, NumericalError):
-                friction = self.screen.proposals_of(plant, CoulombFriction)[:1]
-                for effect in self.screen.best(friction, self._proposals_of(plant, cls), 1):
-                    solved, left = self.screen.solve((*friction, effect))
-                    found.append((left, replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0)), solved))
-        return [replace(one, effects=solved.effects) for _, one, solved in sorted(found, key=lambda each: each[0])]
+            one = self.screen.proposals_of(plant, first)[0]
+            with suppress(InputError, NumericalError):  # two that do not go together
+                left, other = thinned.ranked([one], self._proposals_of(plant, second))[0]
+                paid = np.log(thinned.time.size) * (_needed(first) + _needed(second))
+                both = plant.with_effect(one).with_effect(other)
+                found.append((thinned.time.size * np.log(max(left, 1e-300)) + paid, _kind(first) | _kind(second), both))
+        best: dict[frozenset[str], Plant] = {}
+        for _, kind, both in sorted(found, key=lambda each: each[0]):
+            if len(best) < most and kind not in best:
+                with suppress(InputError, NumericalError):
+                    solved, _ = self.screen.solve(both.effects)
+                    damping = max(solved.damping, 0.0)
+                    best[kind] = replace(both, gain=solved.gain, damping=damping, effects=solved.effects)
+        return list(best.values())
 
     def _proposals_of(self, plant: Plant, cls: type[Effect]) -> Proposals:
         """Return the forces of a class that the integral equation may rank; made once."""
@@ -268,6 +288,15 @@ class Trials:
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
+
+
+def _shapes(cls: type[Effect]) -> set[str]:
+    """Return the parameters of a force that bend it and are searched for: all but sizes and the phase of a wave."""
+    return set(regressor(cls).shapes) - set(cls.wave or ())
+
+
+def _kind(cls: type[Effect]) -> frozenset[str]:
+    return frozenset(cls.generalises or (cls.name,))
 
 
 def _needed(cls: type[Effect]) -> int:
@@ -322,8 +351,8 @@ def _of_each_shape(starts: Sequence[Start]) -> list[Start]:
     first: dict[tuple[float, ...], Start] = {}
     for start in starts:
         effect = start.plant.effects[-1]
-        shapes = set(regressor(type(effect)).shapes) - set(effect.wave or ())
-        first.setdefault(tuple(getattr(effect, name) for name in sorted(shapes)), start)
+        shapes = sorted(_shapes(type(effect)))
+        first.setdefault(tuple(getattr(effect, name) for name in shapes), start)
     return [*first.values(), *(start for start in starts if start not in first.values())]
 
 

@@ -118,13 +118,12 @@ class Thinned:
         target = target - basis @ (basis.T @ target)
         total, left = float(target @ target), []
         for first, block in zip(range(0, len(proposals.effects), TOGETHER), proposals.blocks, strict=True):
-            columns = block - (block @ basis) @ basis.T
-            along, effects = columns @ target, proposals.effects[first : first + TOGETHER]
-            width = columns.shape[0] // len(effects)
-            for i, effect in enumerate(effects):
-                own = slice(i * width, (i + 1) * width)
-                sizes = np.linalg.lstsq(columns[own] @ columns[own].T, along[own], rcond=1e-9)[0]
-                left.append((total - float(sizes @ along[own]), effect))
+            effects = proposals.effects[first : first + TOGETHER]
+            columns = (block - (block @ basis) @ basis.T).reshape(len(effects), -1, target.size)
+            along = columns @ target
+            inverse = np.linalg.pinv(columns @ columns.transpose(0, 2, 1), rcond=1e-9, hermitian=True)
+            explained = np.einsum("ki,kij,kj->k", along, inverse, along).tolist()
+            left += [(total - each, effect) for each, effect in zip(explained, effects, strict=True)]
         return sorted(left, key=lambda pair: pair[0])
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
