@@ -444,11 +444,11 @@ def test_starts_span_what_the_record_can_show(name, parameter, low, high, count)
 
 def test_pitches_and_frequencies_are_close_enough_to_lock_on():
     counts = [TYPICAL.travel / effect.pitch for effect in CATALOGUE["cogging"].starts(TYPICAL)]
-    assert np.diff(counts).max() < 0.2  # five in a peak
+    assert np.diff(counts).max() < 0.11  # ten in a peak
     assert min(counts) <= 0.5
     assert max(counts) > 50
     rates = [effect.frequency for effect in CATALOGUE["periodic_disturbance"].starts(TYPICAL)]
-    assert np.diff(rates[:400]).max() * TYPICAL.duration < 0.2
+    assert np.diff(rates[:800]).max() * TYPICAL.duration < 0.11
     assert rates[-1] == pytest.approx(0.1 / TYPICAL.sample_time)
 
 
@@ -610,4 +610,6 @@ def test_an_effect_that_the_records_cannot_show_is_not_whole():
     assert not effects.PositionFriction(level=1.0, centre=1.1, width=0.1).is_whole(seen)
     assert effects.Presliding(stiffness=1e4, level=0.2).is_whole(seen)
     assert not effects.Presliding(stiffness=1e5, level=0.2).is_whole(seen)  # gives way by 2 µm
-    assert all(effect.is_whole(seen) for effect in effects.Presliding.starts(seen))
+    for noise in np.geomspace(1e-6, 3e-3, 40):
+        noisy = replace(seen, noise=float(noise))
+        assert all(effect.is_whole(noisy) for effect in effects.Presliding.starts(noisy))

@@ -20,6 +20,7 @@ from servolens.effects import (
     ReturnSpring,
     Seen,
     SensorLag,
+    SpeedServo,
     catalogue,
 )
 from servolens.identification.hypothesis import Hypothesis
@@ -61,6 +62,7 @@ def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
     friction, cogging = sorted(first.effects, key=lambda effect: effect.name == "cogging")
     assert friction.values == pytest.approx([truth["coulomb_friction"]["level"]] * len(friction.values), rel=0.05)
     assert cogging.pitch == pytest.approx(truth["cogging"]["pitch"], rel=0.01)
+    assert not any(effect.absent for plant in case.trials.pairs_of_forces(3) for effect in plant.effects)
     assert cogging.amplitude == pytest.approx(truth["cogging"]["amplitude"], rel=0.05)
 
 
@@ -112,17 +114,22 @@ def test_damping_and_a_lag_exchanged_are_the_same_where_nothing_nonlinear_stands
     assert (other.damping, other.effect("coulomb_friction").level) == (50.0, 0.1)
     assert not list(with_lag_for_damping(plant.without_effect("coulomb_friction")))
     assert not list(with_lag_for_damping(plant.without_effect("actuator_lag")))
+    assert not list(with_lag_for_damping(replace(plant, damping=1e-9)))  # slower than any lag
+    assert not list(
+        with_lag_for_damping(plant.with_effect(SpeedServo(speed_per_volt=0.5, proportional=10.0, integral=1.0)))
+    )
 
 
-def test_causes_are_weighed_by_the_records_fitted_too_each_foretold_by_the_others():
-    axis = lab.Truth(gain=2.0, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
-    runs = [lab.step_record(axis, kp=kp, reference=0.1, noise=1e-4, seed=int(kp)) for kp in (50.0, 80.0, 110.0)]
-    case = Case(tuple(runs[:2]), (runs[2],), {}, len(catalogue())).simulating()
-    alone = Case(tuple(runs[:2]), (), {}, len(catalogue())).simulating()
-    right = case.likelihood.judged(case.base.plant.with_effect(CoulombFriction(level=0.3)))
-    assert case.foretold(right) < case.foretold(case.base)
-    assert case.foretold(right) == pytest.approx(case.misfit(right) + alone.misfit(right), rel=1e-6)
-    assert alone.foretold(right) == alone.misfit(right)
+def test_what_is_thinned_for_the_search_is_simulated_all_the_same_and_counted():
+    axis = lab.Truth(gain=2.0, damping=6.0, effects={})
+    record = lab.step_record(axis, kp=60.0, reference=[0.1, 0.0] * 6, noise=1e-5, seed=1)
+    likelihood = Case((record,), (), {}, len(catalogue())).likelihood
+    (run,) = likelihood.runs(likelihood.white)
+    assert likelihood.every == 2
+    assert (run.samples, run.simulated) == (-(-len(record) // 2), len(record))
+    before = likelihood.work
+    likelihood.tried(Plant(gain=2.0, damping=6.0), likelihood.white, 0)
+    assert likelihood.work - before >= len(record)
 
 
 def test_a_delay_that_is_tried_stays_within_its_range():

@@ -304,14 +304,10 @@ class Case:
         """
         if self.heldout:
             return self._on_heldout().misfit(hypothesis, [hypothesis.plant] * len(self.heldout))
-        return self._left_out_misfit(hypothesis)
+        return self.left_out_misfit(hypothesis)
 
-    def foretold(self, hypothesis: Hypothesis) -> float:
-        """Return −2 log-likelihood of all records, of each by a fit to others or to what comes before."""
-        own = self._left_out_misfit(hypothesis) if self.heldout else 0.0
-        return self.misfit(hypothesis) + own
-
-    def _left_out_misfit(self, hypothesis: Hypothesis) -> float:
+    def left_out_misfit(self, hypothesis: Hypothesis) -> float:
+        """Return −2 log-likelihood of the training records, each predicted from the others or from its beginning."""
         return self.likelihood.misfit(hypothesis, self.left_out(hypothesis), self.cuts)
 
     def _on_heldout(self) -> Likelihood:

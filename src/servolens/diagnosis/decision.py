@@ -248,16 +248,21 @@ def _takes_most(case: Case, hypothesis: Hypothesis) -> bool:
 def _cross_validated(case: Case, found: Search) -> Search:
     """Return `found` with those that were likeliest weighed by records to which they were not fitted.
 
-    Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What each foretells of a
-    record by the others does not (Yao et al. 2018, doi:10.1214/17-BA1091): of all records, training ones too, for a few
-    held out may favour a model by chance. Of those that these cannot tell apart, the one with the fewest causes; none
-    that misses the records held out more than gain and damping alone.
+    Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What a fit to the other
+    records predicts of each does not (Yao et al. 2018, doi:10.1214/17-BA1091): of all records, training ones too, for a
+    few held out may favour a model by chance. Of those that these cannot tell apart, the one with the fewest causes;
+    none that misses the records held out more than gain and damping alone.
     """
     others = [h for h in found.judged if h.causes][:CONTENDERS]
     contenders = list({h.causes: h for h in (*found.path, *others)}.values())
-    most = next(case.misfit(h) for h in contenders if not h.causes)
-    confirmed = (h for h in contenders if not h.causes or case.misfit(h) < most)
-    weighed = sorted((replace(h, total=case.foretold(h)) for h in confirmed), key=lambda h: h.total)
+    held = [replace(h, total=case.misfit(h)) for h in contenders]
+    most = next(h.total for h in held if not h.causes)
+    confirmed = [(h, kept) for h, kept in zip(contenders, held, strict=True) if not h.causes or kept.total < most]
+    if case.heldout:
+        both = [replace(kept, total=kept.total + case.left_out_misfit(h)) for h, kept in confirmed]
+    else:
+        both = [kept for _, kept in confirmed]
+    weighed = sorted(both, key=lambda h: h.total)
     base = next(h for h in weighed if not h.causes)
     best = min((h for h in weighed if h.total <= weighed[0].total + INDISTINCT), key=lambda h: len(h.causes))
     between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]

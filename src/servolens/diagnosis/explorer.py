@@ -89,7 +89,7 @@ class Explorer:
 
     @property
     def left(self) -> float:
-        """What may still be simulated, of the share of the effort that is granted."""
+        """Samples times substeps that may still be simulated, of the granted share of the effort."""
         return max(self._share * self.effort.work - self._spent, 0.0)
 
     @property
@@ -143,9 +143,9 @@ class Explorer:
     def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
         """Return the likeliest pairs of effects, fitted, that are likelier than `best` after a few iterations.
 
-        Those whose scores are highest together, and of those that the integral equation proposes what may be the axis
-        by then: noise explains what is left. Of a model that is known not to be the axis, those that hide each other.
-        Only once in a search.
+        Pairs that the integral equation proposes are kept only if noise explains what they then leave, those whose
+        scores are highest together always. Where no model is the axis, a search by simulations, all of the former are
+        kept, and effects are paired with a delay. Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
@@ -183,10 +183,14 @@ class Explorer:
         for like, late in product(singles, LATE):
             for effect in delays(late / self.likelihood.rate):
                 with suppress(InputError):  # two that do not go together
-                    jobs.append((like.plant.with_effect(effect), like))
+                    plant = like.plant.with_effect(effect)
+                    jobs += [(plant, like)] if len(plant.effects) > len(like.plant.effects) else []
         share = self.allowance(len(jobs))
         begun = in_parallel(
-            lambda job: self.likelihood.tried(job[0], job[1].noise, FEW, like=job[1], allowance=share), jobs
+            lambda job: self.likelihood.tried(
+                job[0], job[1].noise, FEW, like=job[1], unpowered=job[1].unpowered, allowance=share
+            ),
+            jobs,
         )
         found = self.fitted([(h.plant, h) for h in best_of_each([h for h in begun if h])])
         found += self.fitted([(plant, h) for h in found for plant in with_lag_for_damping(h.plant)])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import Actuator, ActuatorLag, DryFriction, TimeShift, catalogue, effect_class
+from servolens.effects import Actuator, ActuatorLag, Drive, DryFriction, TimeShift, catalogue, effect_class
 from servolens.effects._grids import within
 from servolens.effects.base import Axis
 from servolens.errors import InputError
@@ -136,10 +136,12 @@ def with_lag_for_damping(plant: Plant) -> Iterator[Plant]:
     from one to the other.
     """
     lag = plant.effect(ActuatorLag.name)
-    if isinstance(lag, ActuatorLag) and plant.damping > 0.0 and len(plant.effects) > 1:
+    is_free = len(plant.effects) > 1 and not any(isinstance(effect, Drive) for effect in plant.effects)
+    if isinstance(lag, ActuatorLag) and is_free and min(plant.damping, lag.time_constant) > 0.0:
         quick = 1.0 / lag.time_constant
-        other = plant.without_effect(lag.name).with_effect(within(ActuatorLag, time_constant=1.0 / plant.damping))
-        yield replace(other, gain=plant.gain * quick / plant.damping, damping=quick)
+        with suppress(InputError):  # slower than any lag, or too quick
+            other = plant.without_effect(lag.name).with_effect(ActuatorLag(time_constant=1.0 / plant.damping))
+            yield replace(other, gain=plant.gain * quick / plant.damping, damping=quick)
 
 
 def delays(time: float) -> Iterator[Effect]:

@@ -211,14 +211,15 @@ class Trials:
 
     def drives_beside_friction(self, plant: Plant) -> list[Plant]:
         """Return `plant` with Coulomb friction and each start of a drive that sets gain and damping by its own loop."""
-        friction = self.screen.proposals_of(plant, CoulombFriction)[:1]
-        with suppress(InputError, NumericalError):
-            solved, _ = self.screen.solve(friction)
-            rubbing = replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
-            drives = [cls for cls in catalogue().values() if issubclass(cls, Drive)]
-            found = [start for cls in drives for start in self._proposed(rubbing, cls)]
-            return [start for start in found if not self.likelihood.is_too_stiff(start)]
-        return []
+        found: list[Plant] = []
+        for cls in catalogue().values():
+            if not issubclass(cls, Drive):
+                continue
+            with suppress(InputError, NumericalError):
+                solved, _ = self.screen.solve(self.screen.proposals_of(plant, CoulombFriction)[:1])
+                rubbing = replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
+                found += self._proposed(rubbing, cls)
+        return [start for start in found if not self.likelihood.is_too_stiff(start)]
 
     def pairs_of_forces(self, most: int) -> list[Plant]:
         """Return plants with two forces each that leave least of the integral equation, the best first; made once."""
@@ -230,7 +231,7 @@ class Trials:
         """Return `plant` with two forces each, one pair of each kind, see :meth:`pairs_of_forces`.
 
         One of the two has no shape that is searched for, as dry friction or a spring: it hides which the other has, as
-        a pitch. In order of the Bayesian information criterion.
+        a pitch. In order of the Bayesian information criterion, what is left taken for white.
         """
         forces = [cls for cls in catalogue().values() if regressor(cls).sizes and not cls.is_last_resort]
         forces = [cls for cls in forces if plant.length_unit == "rad" or not cls.is_rotary]
@@ -239,20 +240,27 @@ class Trials:
         for first, second in product(plain, forces):
             if _kind(first) & _kind(second) or (second in plain and first.name > second.name):
                 continue
-            one = self.screen.proposals_of(plant, first)[0]
             with suppress(InputError, NumericalError):  # two that do not go together
-                left, other = thinned.ranked([one], self._proposals_of(plant, second))[0]
-                paid = np.log(thinned.time.size) * (_needed(first) + _needed(second))
-                both = plant.with_effect(one).with_effect(other)
-                found.append((thinned.time.size * np.log(max(left, 1e-300)) + paid, _kind(first) | _kind(second), both))
+                one = self.screen.proposals_of(plant, first)[:1]
+                ranked = thinned.ranked(one, self._proposals_of(plant, second))
+                for left, other in [each for each in ranked if each[1].is_whole(self.seen)][: len(one)]:
+                    paid = np.log(thinned.time.size) * (self._sizes(first) + self._sizes(second))
+                    both = plant.with_effect(one[0]).with_effect(other)
+                    score = thinned.time.size * np.log(max(left, 1e-300)) + paid
+                    found.append((score, _kind(first) | _kind(second), both))
         best: dict[frozenset[str], Plant] = {}
         for _, kind, both in sorted(found, key=lambda each: each[0]):
             if len(best) < most and kind not in best:
                 with suppress(InputError, NumericalError):
                     solved, _ = self.screen.solve(both.effects)
-                    damping = max(solved.damping, 0.0)
-                    best[kind] = replace(both, gain=solved.gain, damping=damping, effects=solved.effects)
+                    if all(effect.is_whole(self.seen) and not effect.absent for effect in solved.effects):
+                        damping = max(solved.damping, 0.0)
+                        best[kind] = replace(both, gain=solved.gain, damping=damping, effects=solved.effects)
         return list(best.values())
+
+    def _sizes(self, cls: type[Effect]) -> int:
+        """Return the parameters of a force that have no usual value, a wave of each record's own counted for each."""
+        return _needed(cls) + (2 * (self.screen.records - 1) if cls.phase_per_record else 0)
 
     def _proposals_of(self, plant: Plant, cls: type[Effect]) -> Proposals:
         """Return the forces of a class that the integral equation may rank; made once."""
@@ -296,6 +304,7 @@ def _shapes(cls: type[Effect]) -> set[str]:
 
 
 def _kind(cls: type[Effect]) -> frozenset[str]:
+    """Return the names of what a force generalises, or its own: two that share one are of a kind."""
     return frozenset(cls.generalises or (cls.name,))
 
 

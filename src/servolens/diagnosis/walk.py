@@ -115,7 +115,7 @@ class Walk:
 
     @property
     def work(self) -> int:
-        """What was simulated, see :class:`Effort`."""
+        """Samples times substeps that were simulated."""
         return self.trials.likelihood.work
 
     def has_asked(self, hypothesis: Hypothesis) -> bool:

@@ -68,7 +68,7 @@ class Presliding(Force):
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Presliding]:
         """See :meth:`servolens.effects.base.Effect.starts`."""
-        slips = dict.fromkeys(max(share * seen.travel, seen.noise) for share in (1e-4, 1e-3, 1e-2, 5e-2))
+        slips = dict.fromkeys(max(share * seen.travel, 2.0 * seen.noise) for share in (1e-4, 1e-3, 1e-2, 5e-2))
         for share, slip in product((0.2, 0.05, 0.01, 0.002, 5e-4, 1e-4), slips):
             level = share * seen.push
             yield within(cls, stiffness=level / slip, level=level)

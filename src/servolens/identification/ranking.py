@@ -36,7 +36,7 @@ class Proposals:
     effects : tuple of Effect
         One force each.
     blocks : tuple of ndarray, shape (all sizes, n)
-        Of so many effects as are integrated together.
+        Of so many effects as are integrated together, with one phase for all records.
     """
 
     effects: tuple[Effect, ...]
@@ -105,7 +105,7 @@ class Thinned:
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
         parts = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
-        return Proposals(tuple(effects), tuple(self._freed(self._forces(part)) for part in parts))
+        return Proposals(tuple(effects), tuple(self._freed(self._integrals(part)[0]) for part in parts))
 
     def ranked(self, others: Sequence[Effect], proposals: Proposals) -> list[tuple[float, Effect]]:
         """Return the proposals with the square error that each one leaves beside `others`, the best first.
@@ -119,7 +119,8 @@ class Thinned:
         total, left = float(target @ target), []
         for first, block in zip(range(0, len(proposals.effects), TOGETHER), proposals.blocks, strict=True):
             effects = proposals.effects[first : first + TOGETHER]
-            columns = (block - (block @ basis) @ basis.T).reshape(len(effects), -1, target.size)
+            rows = self._apart(effects, np.split(block, len(effects)))
+            columns = (rows - (rows @ basis) @ basis.T).reshape(len(effects), -1, target.size)
             along = columns @ target
             inverse = np.linalg.pinv(columns @ columns.transpose(0, 2, 1), rcond=1e-9, hermitian=True)
             explained = np.einsum("ki,kij,kj->k", along, inverse, along).tolist()
@@ -128,12 +129,20 @@ class Thinned:
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
         """Return the double integrals of the forces per unit of each size, a row each."""
+        integrals, ends = self._integrals(effects)
+        return self._apart(effects, np.split(integrals, ends)[: len(effects)])
+
+    def _integrals(self, effects: Sequence[Effect]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+        """Return the double integrals with one phase for all records, a row each, and where those of an effect end."""
         rows = [_rows(effect, self.time, self.position, self.velocity) for effect in effects]
-        ends, none = np.cumsum([row.shape[0] for row in rows], dtype=int), np.empty((0, self.time.size))
-        integrals = np.split(self._once(self._once(np.concatenate([none, *rows]))), ends)
-        records = int(self.record[-1]) + 1  # told apart last: integrals run over stretches, each of one record
-        apart = (_by_record(*each, self.record, records) for each in zip(effects, integrals, strict=False))
-        return np.concatenate([none, *apart])
+        whole = np.concatenate([np.empty((0, self.time.size)), *rows])
+        return self._once(self._once(whole)), np.cumsum([row.shape[0] for row in rows], dtype=np.intp)
+
+    def _apart(self, effects: Sequence[Effect], rows: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Return the rows, those of a phase that is each record's own once for each: every stretch is of one record."""
+        records = int(self.record[-1]) + 1
+        apart = (_by_record(*each, self.record, records) for each in zip(effects, rows, strict=True))
+        return np.concatenate([np.empty((0, self.time.size)), *apart])
 
     def _once(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Integrate each row over each stretch."""

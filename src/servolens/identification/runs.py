@@ -47,7 +47,7 @@ class Run(Protocol):
     samples : int
         How many samples are compared.
     simulated : int
-        How many are simulated for that.
+        How many are simulated, those included that are not compared.
     sample_time : float
         Longest interval between samples [s].
     start : ndarray, shape (s,)
