@@ -34,6 +34,7 @@ __all__ = [
     "distinct",
     "families",
     "is_last_resort",
+    "kind",
     "parted",
     "simplified",
     "specialised",
@@ -57,12 +58,15 @@ def families(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Return the best of each family: hypotheses whose last effects generalise each other are one."""
     kept: dict[frozenset[str], Hypothesis] = {}
     for hypothesis in found:
-        family = frozenset(
-            name for effect in hypothesis.plant.effects for name in (effect.generalises or (effect.name,))
-        )
+        family = kind(hypothesis.plant.effects)
         if not any(family & known and len(known) == len(family) for known in kept):
             kept[family] = hypothesis
     return list(kept.values())
+
+
+def kind(effects: Iterable[Effect | type[Effect]]) -> frozenset[str]:
+    """Return the names of what effects generalise, or their own: two that share one are of a kind."""
+    return frozenset(name for effect in effects for name in (effect.generalises or (effect.name,)))
 
 
 def is_last_resort(hypothesis: Hypothesis) -> bool:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.diagnosis.ordering import kind
 from servolens.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
@@ -48,18 +49,14 @@ def likeliest_pairs(
     products, along = columns.T @ columns, columns.T @ test.left
     pairs = []
     for i, j in combinations(range(len(plants)), 2):
-        if _kind(plants[i]) & _kind(plants[j]):  # one generalises the other
+        if kind(plants[i].effects) & kind(plants[j].effects):  # one generalises the other
             continue
         with suppress(InputError, NumericalError):  # two that do not go together
             plant = plants[i].with_effect(plants[j].effects[-1])
             own = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
             sizes = np.linalg.lstsq(products[np.ix_(own, own)], along[own], rcond=rounded)[0]
-            pairs.append((float(along[own] @ sizes) - price(plant), _kind(plant), plant))
+            pairs.append((float(along[own] @ sizes) - price(plant), kind(plant.effects), plant))
     found: dict[frozenset[str], Plant] = {}
-    for _, kind, plant in sorted(pairs, key=lambda pair: -pair[0]):
-        found.setdefault(kind, plant)
+    for _, own_kind, plant in sorted(pairs, key=lambda pair: -pair[0]):
+        found.setdefault(own_kind, plant)
     return list(found.values())[:most]
-
-
-def _kind(plant: Plant) -> frozenset[str]:
-    return frozenset(name for effect in plant.effects for name in (effect.generalises or (effect.name,)))

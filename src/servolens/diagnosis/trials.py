@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.diagnosis.ordering import kind
 from servolens.effects import CoulombFriction, Drive, DryFriction, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
@@ -216,9 +217,8 @@ class Trials:
             if not issubclass(cls, Drive):
                 continue
             with suppress(InputError, NumericalError):
-                solved, _ = self.screen.solve(self.screen.proposals_of(plant, CoulombFriction)[:1])
-                rubbing = replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
-                found += self._proposed(rubbing, cls)
+                friction = tuple(self.screen.proposals_of(plant, CoulombFriction)[:1])
+                found += self._proposed(self._sized(replace(plant, effects=friction)), cls)
         return [start for start in found if not self.likelihood.is_too_stiff(start)]
 
     def pairs_of_forces(self, most: int) -> list[Plant]:
@@ -238,7 +238,7 @@ class Trials:
         plain = [cls for cls in forces if not _shapes(cls)]
         thinned, found = self.screen.thinned, []
         for first, second in product(plain, forces):
-            if _kind(first) & _kind(second) or (second in plain and first.name > second.name):
+            if kind([first]) & kind([second]) or (second in plain and first.name > second.name):
                 continue
             with suppress(InputError, NumericalError):  # two that do not go together
                 one = self.screen.proposals_of(plant, first)[:1]
@@ -247,16 +247,20 @@ class Trials:
                     paid = np.log(thinned.time.size) * (self._sizes(first) + self._sizes(second))
                     both = plant.with_effect(one[0]).with_effect(other)
                     score = thinned.time.size * np.log(max(left, 1e-300)) + paid
-                    found.append((score, _kind(first) | _kind(second), both))
+                    found.append((score, both))
         best: dict[frozenset[str], Plant] = {}
-        for _, kind, both in sorted(found, key=lambda each: each[0]):
-            if len(best) < most and kind not in best:
+        for _, both in sorted(found, key=lambda each: each[0]):
+            if len(best) < most and kind(both.effects) not in best:
                 with suppress(InputError, NumericalError):
-                    solved, _ = self.screen.solve(both.effects)
+                    solved = self._sized(both)
                     if all(effect.is_whole(self.seen) and not effect.absent for effect in solved.effects):
-                        damping = max(solved.damping, 0.0)
-                        best[kind] = replace(both, gain=solved.gain, damping=damping, effects=solved.effects)
+                        best[kind(both.effects)] = solved
         return list(best.values())
+
+    def _sized(self, plant: Plant) -> Plant:
+        """Return `plant` with gain, damping and sizes that solve the integral equation."""
+        solved, _ = self.screen.solve(plant.effects)
+        return replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
 
     def _sizes(self, cls: type[Effect]) -> int:
         """Return the parameters of a force that have no usual value, a wave of each record's own counted for each."""
@@ -274,11 +278,8 @@ class Trials:
         for effect in self.screen.best(plant.effects, self._proposals_of(plant, cls), STARTS):
             alone = plant.with_effect(effect)
             starts.append(alone)
-            try:
-                solved, _ = self.screen.solve(alone.effects)
-            except (InputError, NumericalError):
-                continue
-            starts.append(replace(alone, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects))
+            with suppress(InputError, NumericalError):
+                starts.append(self._sized(alone))
         return [*starts, *self._standing(plant, cls, starts)]
 
     def _standing(self, plant: Plant, cls: type[Effect], starts: Sequence[Plant]) -> list[Plant]:
@@ -301,11 +302,6 @@ class Trials:
 def _shapes(cls: type[Effect]) -> set[str]:
     """Return the parameters of a force that bend it and are searched for: all but sizes and the phase of a wave."""
     return set(regressor(cls).shapes) - set(cls.wave or ())
-
-
-def _kind(cls: type[Effect]) -> frozenset[str]:
-    """Return the names of what a force generalises, or its own: two that share one are of a kind."""
-    return frozenset(cls.generalises or (cls.name,))
 
 
 def _needed(cls: type[Effect]) -> int:

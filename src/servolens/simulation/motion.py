@@ -251,7 +251,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
                 continue
             tau = move(x, series, ns, part, e)
             if nz > 0 and tau < part:
-                tau = max(tau, SHORTEST * h) if again and part > SHORTEST * h else tau  # at first it seems too early
+                tau = max(tau, SHORTEST * h) if again and part > SHORTEST * h else tau  # it comes later than that
                 shorten(begin, end, nz, tau / part)
                 relax(x, e, kept, begin, end, z, nz, tau)
             if again and (drifts() != 0 or tau < part):
@@ -274,7 +274,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
             shorten(begin, end, nz, part / tau)
         for i in range(z + nz):
             x[i] = e[i]
-        left -= tau
-        if left == 0.0:
+        if tau == left:
             return piece
+        left -= tau
     return MOST_PIECES
