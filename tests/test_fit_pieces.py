@@ -19,6 +19,7 @@ from servolens import (
 )
 from servolens.identification.factors import triangular_solution
 from servolens.identification.integral import Pieces
+from servolens.identification.ranking import by_peaks
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.identification.uncertainty import apparent_noise
@@ -137,9 +138,10 @@ def test_faint_ripple_beside_strong_steps_ranks_its_pitch_first():
     screen = Screen.of(motion_segments(records))
     pitches = [Cogging(amplitude=0.1, pitch=0.02 * ratio, phase=0.0) for ratio in (0.5, 0.7, 0.9, 1.0, 1.1, 1.5, 2.0)]
     others = (CoulombFriction(level=0.1),)
-    left, best = screen.thinned.ranked(others, screen.thinned.proposals(pitches))[0]
+    left = screen.thinned.left(others, screen.thinned.proposals(pitches))
+    best = pitches[np.argmin(left)]
     assert best.pitch == 0.02
-    assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((*others, best))[1], rel=0.1)
+    assert np.sqrt(np.min(left) / screen.thinned.time.size) == pytest.approx(screen.solve((*others, best))[1], rel=0.1)
 
 
 def test_disturbance_of_each_records_own_phase_ranks_its_frequency_first():
@@ -155,9 +157,15 @@ def test_disturbance_of_each_records_own_phase_ranks_its_frequency_first():
     ]
     screen = Screen.of(motion_segments(records))
     swings = [PeriodicDisturbance(**{**SWING, "frequency": 7.0 * ratio}) for ratio in (0.7, 0.9, 1.0, 1.1, 1.4)]
-    left, best = screen.thinned.ranked((), screen.thinned.proposals(swings))[0]
+    left = screen.thinned.left((), screen.thinned.proposals(swings))
+    best = swings[np.argmin(left)]
     assert best.frequency == 7.0
-    assert np.sqrt(left / screen.thinned.time.size) == pytest.approx(screen.solve((best,))[1], rel=0.1)
+    assert np.sqrt(np.min(left) / screen.thinned.time.size) == pytest.approx(screen.solve((best,))[1], rel=0.1)
+
+
+def test_neighbours_on_one_peak_come_after_the_best_of_each_other_peak():
+    assert by_peaks(np.array([9.0, 2.0, 1.0, 3.0, 8.0, 6.0, 7.0, 5.0])) == [2, 7, 5, 1, 3, 6, 4, 0]
+    assert by_peaks(np.empty(0)) == []
 
 
 def test_forces_are_ranked_behind_the_actuators_however_long_the_record():

@@ -242,8 +242,10 @@ class Trials:
                 continue
             with suppress(InputError, NumericalError):  # two that do not go together
                 one = self.screen.proposals_of(plant, first)[:1]
-                ranked = thinned.ranked(one, self._proposals_of(plant, second))
-                for left, other in [each for each in ranked if each[1].is_whole(self.seen)][: len(one)]:
+                proposals = self._proposals_of(plant, second)
+                lefts = thinned.left(one, proposals).tolist()
+                whole = [e for e in zip(lefts, proposals.effects, strict=True) if e[1].is_whole(self.seen)]
+                for left, other in sorted(whole, key=lambda each: each[0])[: len(one)]:
                     paid = np.log(thinned.time.size) * (self._sizes(first) + self._sizes(second))
                     both = plant.with_effect(one[0]).with_effect(other)
                     score = thinned.time.size * np.log(max(left, 1e-300)) + paid

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.identification.segments import Segment
 
-__all__ = ["Proposals", "Thinned", "force_rows", "record_numbers"]
+__all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
 """Samples that are kept, more or less."""
@@ -107,8 +107,8 @@ class Thinned:
         parts = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
         return Proposals(tuple(effects), tuple(self._freed(self._integrals(part)[0]) for part in parts))
 
-    def ranked(self, others: Sequence[Effect], proposals: Proposals) -> list[tuple[float, Effect]]:
-        """Return the proposals with the square error that each one leaves beside `others`, the best first.
+    def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
+        """Return the square error that each of the proposals leaves beside `others`, in their order.
 
         All sizes are solved for, of `others` too.
         """
@@ -116,16 +116,15 @@ class Thinned:
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
-        total, left = float(target @ target), []
+        explained = [np.empty(0)]
         for first, block in zip(range(0, len(proposals.effects), TOGETHER), proposals.blocks, strict=True):
             effects = proposals.effects[first : first + TOGETHER]
             rows = self._apart(effects, np.split(block, len(effects)))
             columns = (rows - (rows @ basis) @ basis.T).reshape(len(effects), -1, target.size)
             along = columns @ target
             inverse = np.linalg.pinv(columns @ columns.transpose(0, 2, 1), rcond=1e-9, hermitian=True)
-            explained = np.einsum("ki,kij,kj->k", along, inverse, along).tolist()
-            left += [(total - each, effect) for each, effect in zip(explained, effects, strict=True)]
-        return sorted(left, key=lambda pair: pair[0])
+            explained.append(np.einsum("ki,kij,kj->k", along, inverse, along))
+        return float(target @ target) - np.concatenate(explained)
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
         """Return the double integrals of the forces per unit of each size, a row each."""
@@ -161,6 +160,16 @@ class Thinned:
     def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Repeat one value a stretch over its samples."""
         return np.repeat(values, np.diff(self.first, append=self.time.size), axis=1)
+
+
+def by_peaks(left: NDArray[np.float64]) -> list[int]:
+    """Return the places of proposals in their order, by what each has `left`: the best of each peak, then the others.
+
+    Ten or so of one peak of a periodogram differ little, and are better than all of the next peak.
+    """
+    around = np.concatenate([[np.inf], left, [np.inf]])
+    is_slope = left > np.minimum(around[:-2], around[2:])
+    return [int(place) for place in np.lexsort((left, is_slope))]
 
 
 def _voltage_integral(segments: Sequence[Segment], stride: int) -> NDArray[np.float64]:

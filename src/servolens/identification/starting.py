@@ -11,7 +11,7 @@ import numpy as np
 from servolens.effects import Actuator, Seen, TimeShift
 from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
-from servolens.identification.ranking import Thinned, force_rows, record_numbers
+from servolens.identification.ranking import Thinned, by_peaks, force_rows, record_numbers
 from servolens.identification.regressors import regressor
 from servolens.identification.segments import applied_before, applied_voltage
 from servolens.identification.smoothing import smooth, smoothing_window
@@ -129,10 +129,13 @@ class Screen:
     def best(
         self, others: Sequence[Effect], proposals: Proposals, count: int, *, also: Effect | None = None
     ) -> list[Effect]:
-        """Return the best of the `proposals` for one force beside `others`, and `also`, with sizes solved for."""
+        """Return the best of the `proposals` for one force beside `others`, and `also`, with sizes solved for.
+
+        Of proposals that are in order, as pitches are, the best of each peak at first.
+        """
         found: list[tuple[float, Effect]] = []
-        ranked = [proposal for _, proposal in self._behind(others)[1].ranked(others, proposals)]
-        for proposal in (*ranked, *([] if also is None else [also])):
+        places = by_peaks(self._behind(others)[1].left(others, proposals))
+        for proposal in (*(proposals.effects[i] for i in places), *([] if also is None else [also])):
             if len(found) >= count and proposal is not also:
                 continue
             try:
