@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -22,6 +23,8 @@ __all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
 """Samples that are kept, more or less."""
+ALIKE = 1e-9
+"""Share of its square that a force must have beside others to count: rounding leaves a millionth of that."""
 TOGETHER = 32
 """Effects whose forces are integrated at once: enough to be quick, and few for what memory that takes in between."""
 
@@ -35,12 +38,33 @@ class Proposals:
     ----------
     effects : tuple of Effect
         One force each.
-    blocks : tuple of ndarray, shape (all sizes, n)
-        Of so many effects as are integrated together, with one phase for all records.
+    rows : ndarray, shape (forces * sizes, n)
+        With one phase for all records.
+    parts : list of slice
+        Samples over which the sizes are the same: all, or each record's if the phase is each record's own.
+    squares : ndarray, shape (forces, parts * sizes, parts * sizes)
+        Inner products of the rows of each force.
     """
 
     effects: tuple[Effect, ...]
-    blocks: tuple[NDArray[np.float64], ...]
+    rows: NDArray[np.float64]
+    parts: list[slice]
+    squares: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, effects: Sequence[Effect], rows: NDArray[np.float64], parts: list[slice]) -> Proposals:
+        """Return forces of one class, each of as many of the `rows`."""
+        sizes = rows.shape[0] // max(len(effects), 1)
+        squares = np.zeros((len(effects), len(parts) * sizes, len(parts) * sizes))
+        for i, part in enumerate(parts):
+            own, place = rows[:, part].reshape(len(effects), sizes, -1), slice(i * sizes, (i + 1) * sizes)
+            squares[:, place, place] = own @ own.transpose(0, 2, 1)
+        return cls(tuple(effects), rows, parts, squares)
+
+    def along(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the inner products of each force's rows with the `columns`, shape (forces, parts * sizes, columns)."""
+        found = [self.rows[:, part] @ columns[part] for part in self.parts]
+        return np.concatenate([one.reshape(len(self.effects), -1, one.shape[1]) for one in found], axis=1)
 
 
 @final
@@ -104,35 +128,42 @@ class Thinned:
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
-        parts = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
-        return Proposals(tuple(effects), tuple(self._freed(self._integrals(part)[0]) for part in parts))
+        some = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
+        rows = [np.empty((0, self.time.size)), *(self._freed(self._integrals(each)[0]) for each in some)]
+        ends = [0, self.time.size]
+        if effects and effects[0].phase_per_record:
+            ends = [*np.flatnonzero(np.diff(self.record, prepend=-1)).tolist(), self.time.size]
+        return Proposals.of(effects, np.concatenate(rows), [slice(*pair) for pair in pairwise(ends)])
 
     def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
         """Return the square error that each of the proposals leaves beside `others`, in their order.
 
-        All sizes are solved for, of `others` too.
+        All sizes are solved for, of `others` too. What of a force is like the others but for rounding explains nothing.
         """
         known = np.concatenate((self.position_integral[None], self.voltage_integral[None], self._forces(others)))
         basis = np.linalg.qr(self._freed(known).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
-        explained = [np.empty(0)]
-        for first, block in zip(range(0, len(proposals.effects), TOGETHER), proposals.blocks, strict=True):
-            effects = proposals.effects[first : first + TOGETHER]
-            rows = self._apart(effects, np.split(block, len(effects)))
-            columns = (rows - (rows @ basis) @ basis.T).reshape(len(effects), -1, target.size)
-            along = columns @ target
-            inverse = np.linalg.pinv(columns @ columns.transpose(0, 2, 1), rcond=1e-9, hermitian=True)
-            explained.append(np.einsum("ki,kij,kj->k", along, inverse, along))
-        return float(target @ target) - np.concatenate(explained)
+        total = float(target @ target)
+        if not proposals.rows.size:
+            return np.full(len(proposals.effects), total)
+        along = proposals.along(np.column_stack([basis, target]))
+        beside = proposals.squares - along[..., :-1] @ along[..., :-1].transpose(0, 2, 1)
+        sizes, ways = np.linalg.eigh(beside)
+        seen = sizes > ALIKE * np.trace(proposals.squares, axis1=1, axis2=2)[:, None]
+        explained = np.einsum("kij,ki->kj", ways, along[..., -1]) ** 2 / np.where(seen, sizes, np.inf)
+        return np.asarray(total - np.sum(explained, axis=1))
 
     def _forces(self, effects: Sequence[Effect]) -> NDArray[np.float64]:
-        """Return the double integrals of the forces per unit of each size, a row each."""
+        """Return the double integrals of the forces per unit of each size, a row each, up to a line in each stretch."""
         integrals, ends = self._integrals(effects)
         return self._apart(effects, np.split(integrals, ends)[: len(effects)])
 
     def _integrals(self, effects: Sequence[Effect]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-        """Return the double integrals with one phase for all records, a row each, and where those of an effect end."""
+        """Return double integrals with one phase for all records, a row each, and where those of an effect end.
+
+        Up to a straight line in each stretch, which is taken off.
+        """
         rows = [_rows(effect, self.time, self.position, self.velocity) for effect in effects]
         whole = np.concatenate([np.empty((0, self.time.size)), *rows])
         return self._once(self._once(whole)), np.cumsum([row.shape[0] for row in rows], dtype=np.intp)
@@ -144,11 +175,11 @@ class Thinned:
         return np.concatenate([np.empty((0, self.time.size)), *apart])
 
     def _once(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Integrate each row over each stretch."""
-        parts = np.zeros(rows.shape)
-        parts[:, 1:] = 0.5 * self.steps[1:] * (rows[:, 1:] + rows[:, :-1])
-        summed = np.cumsum(parts, axis=1)
-        return np.asarray(summed - self._spread(summed[:, self.first]))
+        """Integrate each row over each stretch, from where the one before has ended."""
+        summed = np.zeros(rows.shape)
+        np.add(rows[:, 1:], rows[:, :-1], out=summed[:, 1:])
+        summed *= 0.5 * self.steps
+        return np.cumsum(summed, axis=1, out=summed)
 
     def _freed(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Take a straight line off each row in each stretch: its initial position and velocity."""
