@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import servolens
 from servolens.effects import ActuatorLag, CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.lab import LM1, NLM1, Setup, Truth, step_record, table_one
 from servolens.plant import Plant
-from servolens.prediction import predict, prediction_error, prediction_residual
+from servolens.prediction import beginning, predict, prediction_error, prediction_residual
+from servolens.quality.beginning import initial_motion
 from servolens.record import Controller, Record
-from servolens.simulation import simulate_loop
+from servolens.simulation import simulate, simulate_loop
 
 LINEAR = Plant(gain=LM1.gain, damping=LM1.damping)
 
@@ -46,6 +48,42 @@ def test_a_record_that_begins_at_its_step_may_be_of_an_axis_without_a_voltage_be
     run = simulate_loop(plant, controller, time, reference, before=before)
     record = Record(time=time, position=run.position, reference=reference, voltage=run.voltage, controller=controller)
     assert prediction_error(plant, record).rms_error < 1e-9
+
+
+def slow_noise(size: float, count: int, seed: int, kept: float) -> np.ndarray:
+    white = np.random.default_rng(seed).standard_normal(count)
+    white[0] /= np.sqrt(1.0 - kept**2)
+    return np.asarray(size * np.sqrt(1.0 - kept**2) * lfilter([1.0], [1.0, -kept], white))
+
+
+def pushed(begin: float, kept: float, seed: int) -> Record:
+    """A log from `begin` on, in closed form, of an axis at rest until time 0 and then under a constant voltage."""
+    time = begin + np.arange(800) * 1e-3
+    moved = 0.3 * (time - (1.0 - np.exp(-6.0 * time)) / 6.0)
+    position = moved + slow_noise(3e-5, time.size, seed, kept)
+    return Record(time=time, position=position, voltage=np.ones(time.size), controller=None)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.9])
+@pytest.mark.parametrize("seed", range(6))
+def test_speed_at_which_a_log_begins_is_told_from_as_many_samples_as_noise_allows(kept, seed) -> None:
+    truth = 0.3 * (1.0 - np.exp(-6.0 * 0.2))
+    assert initial_motion(pushed(0.2, kept, seed)) == pytest.approx(truth, rel=0.15 if kept else 0.03)
+    assert initial_motion(pushed(0.0, kept, seed)) == 0.0  # pushed off at once
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.95])
+@pytest.mark.parametrize("begin", [0.04, 0.11])
+def test_log_that_begins_in_motion_is_missed_by_no_more_than_its_noise(kept, begin) -> None:
+    clean = step_record(LM1, 60.0, encoder=0.0)
+    noise = slow_noise(5e-5, len(clean), 7, kept)
+    record = clean.with_({"position": clean.position + noise}).slice(begin, float(clean.time[-1]))
+    missed, after = prediction_residual(LINEAR, record), noise[-len(record) :]
+    assert np.sqrt(np.mean(missed**2)) < 1.2 * np.sqrt(np.mean(after**2))
+    same, velocity = beginning(LINEAR, record)
+    exact = simulate(LINEAR, clean)
+    assert velocity == pytest.approx(exact.velocity[-len(record)], rel=0.02)
+    assert same is record
 
 
 def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servolens import PDSpec, read_record, units
+from servolens import PDSpec, Plant, read_record, simulate, units
 from servolens.controller import NUMBERS
 from servolens.errors import InputError
 from servolens.lab import NLM1, step_record
@@ -326,3 +326,11 @@ def test_loop_is_known_with_reference_and_gains():
     assert whole.has_loop
     assert not whole.with_({"controller": None}).has_loop
     assert not whole.with_({"reference": None}).has_loop
+
+
+def test_columns_of_a_table_that_nobody_may_change_are_copied_into_arrays_of_their_own():
+    table = np.column_stack([np.arange(50) * 1e-3, np.linspace(0.0, 1.0, 50), np.ones(50)])
+    table.flags.writeable = False
+    record = Record(time=table[::2, 0], position=table[::2, 1], voltage=table[::2, 2])
+    assert all(signal.flags.c_contiguous for signal in (record.time, record.position, record.voltage))
+    assert simulate(Plant(gain=1.0, damping=1.0), record).position.shape == (25,)

@@ -15,7 +15,7 @@ import numpy as np
 from servolens.errors import NumericalError, ServolensError
 from servolens.identification.loop_errors import shifted
 from servolens.identification.segments import applied_voltage
-from servolens.simulation.loop import simulate
+from servolens.prediction import from_beginning
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -146,7 +146,7 @@ def noise_free(test: ScoreTest, i: int) -> Motion:
     run = None
     if record.has_loop:
         with suppress(ServolensError):
-            run = simulate(test.hypothesis.plant_of(i), record)
+            run = from_beginning(test.hypothesis.plant_of(i), record)
     if run is None:
         from servolens.identification.smoothing import smooth
 
@@ -161,7 +161,7 @@ def noise_free_run(run: ObservedRun | SimulatedRun, plant: Plant) -> ObservedRun
     record = run.signals.record
     if record.has_loop:
         with suppress(ServolensError):
-            moved = simulate(plant, record)
+            moved = from_beginning(plant, record)
             return run.measured_as(moved.measured, applied_voltage(replace(record, voltage=moved.voltage)))
     return run
 

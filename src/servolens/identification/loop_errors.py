@@ -19,6 +19,7 @@ from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
+from servolens.prediction import beginning
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
     from servolens.record import Record
+    from servolens.simulation.loop import Simulation
 
     Errors = Sequence[NDArray[np.float64]]
 
@@ -160,7 +162,8 @@ def drawn_loop_errors(
         Of each draw the errors of all records [m or rad].
     """
     stream = np.random.default_rng(2)
-    still = [simulate(plant, record).shown(plant) for plant, record in zip(plants, records, strict=True)]
+    begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
+    still = [_run(plant, *begin).shown(plant) for plant, begin in zip(plants, begun, strict=True)]
     step = noise.rounding if noise.rate == 0.0 else 0.0
     spectrum = spectrum_of(noise) * (1.0 - noise.share) if unrounded is None else unrounded
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
@@ -170,14 +173,14 @@ def drawn_loop_errors(
     places = step * stream.uniform(-0.5, 0.5, DRAWS)
 
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
-        loops = [
-            replace(record, position=record.position + places[k], encoder_resolution=step or None) for record in records
-        ]
+        moved = []
         with suppress(ServolensError):
-            return tuple(
-                simulate(plant, loop, acceleration=shake[:, k], sensor_error=error[:, k]).measured - position
-                for plant, loop, error, shake, position in zip(plants, loops, drawn, shakes, still, strict=True)
-            )
+            for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
+                loop = replace(record, position=record.position + places[k], encoder_resolution=step or None)
+                shake, error = shakes[i][:, k], drawn[i][:, k]
+                run = simulate(plant, loop, initial_velocity=velocity, acceleration=shake, sensor_error=error)
+                moved.append(run.measured - still[i])
+            return tuple(moved)
         return None
 
     return [draw for draw in in_parallel(one, range(DRAWS)) if draw is not None]
@@ -189,9 +192,10 @@ class _Shares:
     def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float) -> None:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
-        runs = [simulate(plant, record) for plant, record in zip(plants, records, strict=True)]
+        begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
+        runs = [_run(plant, *begin) for plant, begin in zip(plants, begun, strict=True)]
         shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
-        self._own = _spanned(_sensitivities(plants, records, shown))
+        self._own = _spanned(_sensitivities(plants, begun, shown))
         columns, activity = [], []
         for run, record in zip(runs, records, strict=True):
             reference = np.asarray(record.reference)
@@ -222,8 +226,18 @@ class _Shares:
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
-def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], shown: Errors) -> NDArray[np.float64]:
-    """Return how the loops answer to a change of each parameter, shape (n, k)."""
+def _run(plant: Plant, record: Record, velocity: float) -> Simulation:
+    """Simulate a record from its beginning."""
+    return simulate(plant, record, initial_velocity=velocity)
+
+
+def _sensitivities(
+    plants: Sequence[Plant], begun: Sequence[tuple[Record, float]], shown: Errors
+) -> NDArray[np.float64]:
+    """Return how the loops answer to a change of each parameter and of the velocity at which they begin, shape (n, k).
+
+    Of the latter where they begin in motion.
+    """
     values = plants[0].named
     columns = []
     for name, value in values.items():
@@ -233,9 +247,14 @@ def _sensitivities(plants: Sequence[Plant], records: Sequence[Record], shown: Er
         with suppress(ServolensError):
             others = [plant.with_named({name: plant.named[name] + step}) for plant in plants]
             moved = [
-                simulate(other, record).shown(other) - position
-                for other, record, position in zip(others, records, shown, strict=True)
+                _run(other, *begin).shown(other) - position
+                for other, begin, position in zip(others, begun, shown, strict=True)
             ]
+            columns.append(np.concatenate(moved))
+    for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
+        if velocity:
+            moved = [np.zeros(position.size) for position in shown]
+            moved[i] = _run(plant, record, (1.0 + PARAMETER_STEP) * velocity).shown(plant) - shown[i]
             columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from servolens.effects import Sensor
 from servolens.errors import NumericalError
+from servolens.prediction import beginning
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
@@ -194,7 +195,9 @@ def _drawn(
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
-    closed = run.signals.record.has_loop
+    closed, velocity = record.has_loop, 0.0
+    with suppress(NumericalError):
+        record, velocity = beginning(plant, record) if closed else (record, 0.0)
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
@@ -203,11 +206,11 @@ def _drawn(
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
                 axis = replace(plant, effects=tuple(effect.shifted(stops[k]) for effect in plant.effects))
-                moved = simulate(axis, loop, sensor_error=own[:, k])
+                moved = simulate(axis, loop, initial_velocity=velocity, sensor_error=own[:, k])
                 there = moved.position
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
                     driven = replace(loop, voltage=moved.voltage, encoder_resolution=None)
-                    there = simulate(axis, driven, voltage_driven=True).measured
+                    there = simulate(axis, driven, initial_velocity=velocity, voltage_driven=True).measured
                 return there[at], moved.measured[at]
             return position, step * np.round((position + own[at, k]) / step)
         return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 from servolens.errors import ServolensError
 from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
+from servolens.prediction import beginning
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
@@ -57,10 +59,13 @@ def _of_run(
     shakes = shaking(noise, record, stream)
     substeps = substeps_for(plant, run.sample_time)
     white = stream.standard_normal((run.samples, DRAWS))
+    velocity = 0.0
+    with suppress(ServolensError):
+        record, velocity = beginning(plant, record) if record.has_loop else (record, 0.0)
 
     def one(k: int) -> NDArray[np.float64]:
         try:
-            position, voltage = _measured(plant, record, errors[:, k], shakes[:, k])
+            position, voltage = _measured(plant, record, velocity, errors[:, k], shakes[:, k])
             missed = run.whiten(run.measured_as(position, voltage).missed(plant, start, substeps))
         except ServolensError:
             return white[:, k]
@@ -70,12 +75,12 @@ def _of_run(
 
 
 def _measured(
-    plant: Plant, record: Record, error: NDArray[np.float64], shake: NDArray[np.float64]
+    plant: Plant, record: Record, velocity: float, error: NDArray[np.float64], shake: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and applied voltage of a shaken axis as its log would hold them."""
     if record.has_loop:
         loop = replace(record, encoder_resolution=None)  # whose rounding is part of the error
-        moved = simulate(plant, loop, acceleration=shake, sensor_error=error)
+        moved = simulate(plant, loop, initial_velocity=velocity, acceleration=shake, sensor_error=error)
         return moved.measured, applied_voltage(replace(record, voltage=moved.voltage))
     voltage = applied_voltage(record)
     driven = replace(record, voltage=voltage)

@@ -13,7 +13,7 @@ from servolens.identification.loop_errors import loop_error
 from servolens.identification.rounding import is_coarse, limit_of
 from servolens.identification.score import FALSE_ALARM, ScoreTest, free_of
 from servolens.model_evidence import MATERIAL
-from servolens.simulation.loop import simulate
+from servolens.prediction import from_beginning
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -73,7 +73,7 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
         if depends_on_inputs(ScoreTest(likelihood, likelihood.whitened_well(hypothesis))):
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(likelihood.records))]
-        simulated = [simulate(plant, record) for plant, record in zip(plants, likelihood.records, strict=True)]
+        simulated = [from_beginning(*pair) for pair in zip(plants, likelihood.records, strict=True)]
     except (InputError, NumericalError):
         return False
     shown = [run.shown(plant) for run, plant in zip(simulated, plants, strict=True)]

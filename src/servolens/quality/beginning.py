@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 __all__ = ["beginning_findings", "initial_motion"]
 
-BEGINNING = (24, 12)
-"""Samples that tell whether a record begins in motion."""
-AGREES, ROUGH = 0.3, 2.0
-"""Relative difference up to which two initial velocities are the same; times the noise that a cubic may miss."""
+FEW = 12
+"""Fewest samples that tell of motion, together with twice as many."""
+AGREES, ROUGH, EXACT = 0.3, 2.0, 1.2
+"""Relative difference up to which two initial velocities are the same; times the noise that a cubic may miss of few
+samples, and of more."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 FAST = 0.05
@@ -30,30 +31,47 @@ FAST = 0.05
 def initial_motion(record: Record) -> float:
     """Return the velocity at the first sample [m/s or rad/s]; 0 where it is within its errors, or none can be told.
 
-    Of cubics through the first samples, many and few: of an axis that is pushed off at once they do not agree, or miss
-    the samples by more than the noise.
+    Of a cubic through as many of the first samples as it misses by no more than the noise; of an axis that is pushed
+    off at once those through fewer do not agree.
     """
-    many, few = (_initial_velocity(record, min(count, len(record))) for count in BEGINNING)
-    return few if abs(many - few) <= AGREES * abs(many) else 0.0
-
-
-def _initial_velocity(record: Record, count: int) -> float:
-    duration = float(record.time[count - 1] - record.time[0])
-    span = (record.time[:count] - record.time[0]) / duration
-    cubic = np.vander(span, min(4, count - 1), increasing=True)
-    y = record.position[:count]
-    found, *_ = np.linalg.lstsq(cubic, y, rcond=None)
-    missed, step = float(np.sqrt(np.mean((y - cubic @ found) ** 2))), record.encoder_resolution or 0.0
-    if missed > ROUGH * (white_noise(record.position) + step) + 1e-6 * float(np.ptp(record.position)):
+    noise, least, step = _noise(record), 1e-6 * float(np.ptp(record.position)), record.encoder_resolution or 0.0
+    found, count = [], FEW
+    while count <= len(record):
+        velocity, uncertain, missed = _velocity(record, count)
+        if missed > (ROUGH if count <= 2 * FEW else EXACT) * (noise + step) + least:
+            break
+        found.append((velocity, uncertain * (missed + step)))
+        count *= 2
+    if len(found) < 2:
         return 0.0
-    scatter = missed + step
-    error = scatter * float(np.sqrt(np.linalg.inv(cubic.T @ cubic)[1, 1]))
-    return float(found[1]) / duration if abs(found[1]) > MOVES * error + 1e-12 else 0.0
+    speed, error = found[-1]
+    is_seen = abs(speed) > MOVES * error + 1e-12
+    agree = all(abs(speed - other) <= AGREES * abs(speed) + uncertain for other, uncertain in found)
+    return speed if is_seen and agree else 0.0
+
+
+def _velocity(record: Record, count: int) -> tuple[float, float, float]:
+    """Return the slope of a cubic through the first samples, its error for noise of size one, and what it misses."""
+    duration = float(record.time[count - 1] - record.time[0])
+    powers = np.vander((record.time[:count] - record.time[0]) / duration, 4, increasing=True)
+    basis, upper = np.linalg.qr(powers)
+    along, slope = basis.T @ record.position[:count], np.linalg.inv(upper)[1] / duration
+    missed = float(np.sqrt(np.mean((record.position[:count] - basis @ along) ** 2)))
+    return float(slope @ along), float(np.linalg.norm(slope)), missed
+
+
+def _noise(record: Record) -> float:
+    """Return white noise, or what cubics miss of half of the short stretches if more: noise may change slowly."""
+    count = min(2 * FEW, len(record))
+    basis = np.linalg.qr(np.vander(np.linspace(0.0, 1.0, count), min(4, count)))[0]
+    stretches = record.position[: record.position.size // count * count].reshape(-1, count)
+    missed = np.sqrt(np.mean((stretches - (stretches @ basis) @ basis.T) ** 2, axis=1))
+    return max(white_noise(record.position), float(np.median(missed)))
 
 
 def beginning_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield an onset that the record has missed, and motion before the step that is to cause it."""
-    if len(record) <= max(BEGINNING) or seen.travel == 0.0:
+    if len(record) <= 2 * FEW or seen.travel == 0.0:
         return
     edges, unit = record.edges(), record.length_unit
     if edges.size > 1 and np.min(np.diff(edges)) < 3:
@@ -72,7 +90,7 @@ def beginning_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 def _early(record: Record, seen: Sampling, edge: int) -> Iterator[Finding]:
     """Yield motion towards the first target before the reference goes there, after a rest."""
     reference, y = record.reference, record.position
-    if reference is None or edge < max(BEGINNING):
+    if reference is None or edge < 2 * FEW:
         return
     resting = y[: edge // 2]
     towards = float(np.sign(reference[edge] - reference[edge - 1]))
