@@ -579,6 +579,16 @@ def test_records_whose_onset_is_missed_are_followed_from_where_they_begin():
     assert diagnosis.findings[0].code == "onset_missed"
 
 
+@pytest.mark.parametrize("seed", [2, 3])
+def test_tight_spot_of_one_step_is_found_although_a_coarse_encoder_shows_no_noise_where_the_axis_rests(seed):
+    """The end of the record, to which nothing was fitted, is rounding alone: that confirms and contradicts nothing."""
+    spot = {"level": 1.0, "centre": 0.04 + 0.004 * seed, "width": 0.007}
+    cart = lab.Truth(gain=1.9, damping=12.0, effects={"position_friction": spot})
+    diagnosis = diagnose(lab.step_record(cart, 110.0, encoder=1.5e-4, noise=1.2e-5, seed=seed))
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["position_friction"])
+    assert diagnosis.causes[0].quantities["level"].value == pytest.approx(1.0, rel=0.1)
+
+
 LITTLE_DRIER = pytest.mark.xfail(
     strict=True, reason="friction an eighth larger moves the rest by less than is material"
 )
