@@ -144,8 +144,8 @@ def objection(case: Case, path: Sequence[Hypothesis]) -> str:
     if case.difference(richer, simpler) > INDISTINCT:
         # at the end of a record, where an axis rests, noise that whitens what a simpler model lacks predicts best
         is_end = not case.heldout and any(case.cuts) and richer.noise.rate == simpler.noise.rate
-        alike = replace(simpler, noise=richer.noise) if is_end else simpler
-        if case.misfit(richer) >= case.misfit(alike):
+        beside = replace(simpler, noise=richer.noise) if is_end else simpler
+        if case.misfit(richer) >= case.misfit(beside):
             return only_training
         if not case.explains(richer) and _misses_more(case, simpler, richer):
             return not_simulated
