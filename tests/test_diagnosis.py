@@ -590,6 +590,15 @@ def test_tight_spot_of_one_step_is_found_although_a_coarse_encoder_shows_no_nois
         assert quantity.value == pytest.approx(spot[name], abs=4.0 * quantity.stderr)
 
 
+@pytest.mark.parametrize("world", ["white", "coloured"])
+def test_healthy_axis_whose_log_begins_in_motion_is_healthy(world):
+    setup = lab.Setup(surroundings=lab.surroundings(world, 3, noise=4e-5))
+    cart = lab.Truth(gain=1.9, damping=6.0)
+    records = [lab.step_record(cart, kp, seed=kp, setup=setup).slice(0.05, 1.4) for kp in (40, 80, 60)]
+    diagnosis = diagnose(records[:2], heldout=records[2])
+    assert (diagnosis.verdict, diagnosis.causes) == ("healthy", ())
+
+
 LITTLE_DRIER = pytest.mark.xfail(
     strict=True, reason="friction an eighth larger moves the rest by less than is material"
 )

@@ -168,6 +168,14 @@ def test_neighbours_on_one_peak_come_after_the_best_of_each_other_peak():
     assert by_peaks(np.empty(0)) == []
 
 
+def test_nothing_is_left_to_rank_of_no_proposal_and_of_effects_without_a_linear_size():
+    screen = Screen.of(motion_segments([KP60]))
+    assert screen.thinned.left((), screen.thinned.proposals([])).shape == (0,)
+    zones = [DeadZone(width=0.1), DeadZone(width=0.2)]
+    left = screen.thinned.left((), screen.thinned.proposals(zones))
+    assert left[0] == left[1] > 0.0
+
+
 def test_forces_are_ranked_behind_the_actuators_however_long_the_record():
     time = np.arange(20_001) * 0.05
     voltage = 8.0 + np.sin(0.3 * time)

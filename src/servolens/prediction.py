@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 import numpy as np
 
 from servolens.decoding import read_fields
-from servolens.errors import InputError
+from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_model, as_records, check_units, listed
-from servolens.quality.beginning import initial_motion
+from servolens.quality.beginning import AGREES, initial_motion
 from servolens.result import Result, late
 from servolens.simulation import simulate
 
@@ -41,8 +42,8 @@ __all__ = [
 
 WINDOW_TIME_CONSTANTS = 5.0
 """Time constants of the axis that a window of a simulation without a reference lasts."""
-SECANT, SECANTS = 0.1, 3
-"""Share by which an initial velocity is moved at first, to see what that changes, and how often."""
+FIRST_CHANGE, MOST_SECANTS = 0.1, 3
+"""Share by which an initial velocity is changed at first to see what that does, and how often it is."""
 
 
 @final
@@ -218,7 +219,7 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 def beginning(plant: Plant, record: Record) -> tuple[Record, float]:
     """Return `record`, with what was applied before it, and the velocity at its first sample, for a simulation.
 
-    The likelier of two: at rest, or, where the first samples show motion, as fast as explains the record best. A
+    The likeliest of few: at rest, or, where the first samples show motion, as fast as explains the record best. A
     lagging axis that is pushed off at once looks as if it had been moving. Where a record does not say what was applied
     before it, that was its first voltage, or nothing.
 
@@ -247,7 +248,7 @@ def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[ND
     alike = [record, replace(record, voltage_before=0.0)] if is_open else [record]
     velocities = dict.fromkeys((0.0, initial_motion(record), *([] if speed is None else [speed])))
     found = [
-        _quicker(plant, same, velocity) if velocity and speed is None else (_from(plant, same, velocity), velocity)
+        _refined(plant, same, velocity) if velocity and speed is None else (_from(plant, same, velocity), velocity)
         for same in alike
         for velocity in velocities
     ]
@@ -255,19 +256,23 @@ def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[ND
     return found[least][0], alike[least // len(velocities)], found[least][1]
 
 
-def _quicker(plant: Plant, record: Record, velocity: float) -> tuple[NDArray[np.float64], float]:
-    """Return what the simulation misses that begins about as fast as `velocity` tells, and how fast.
+def _refined(plant: Plant, record: Record, told: float) -> tuple[NDArray[np.float64], float]:
+    """Return what the simulation misses that begins about as fast as the first samples have `told`, and how fast.
 
-    In least squares over the record, by secants: few noisy samples tell a velocity badly.
+    In least squares over the record, by secants, no further off than two estimates of the velocity may be apart: what
+    the plant gets wrong is no reason to begin otherwise.
     """
-    missed, step = _from(plant, record, velocity), SECANT * velocity
-    for _ in range(SECANTS):
-        slope = (_from(plant, record, velocity + step) - missed) / step
-        change = -float(slope @ missed) / max(float(slope @ slope), 1e-300)
-        again = _from(plant, record, velocity + change)
-        if float(again @ again) >= float(missed @ missed):
-            break
-        missed, velocity, step = again, velocity + change, 0.5 * change or step
+    missed, velocity, change = _from(plant, record, told), told, FIRST_CHANGE * told
+    low, high = sorted(((1.0 - AGREES) * told, (1.0 + AGREES) * told))
+    with suppress(NumericalError):
+        for _ in range(MOST_SECANTS):
+            slope = (_from(plant, record, velocity + change) - missed) / change
+            best = velocity - float(slope @ missed) / max(float(slope @ slope), 1e-300)
+            best = min(max(best, low), high)
+            again = _from(plant, record, best)
+            if not float(again @ again) < float(missed @ missed):
+                break
+            missed, velocity, change = again, best, 0.5 * (best - velocity)
     return missed, velocity
 
 

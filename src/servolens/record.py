@@ -393,7 +393,7 @@ def _signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
     if _is_frozen(array) and array.flags.c_contiguous:
         return array
     own = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and not np.may_share_memory(array, value))
-    return _frozen(np.ascontiguousarray(array) if own else array.copy())
+    return _frozen(array if own else array.copy())
 
 
 def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -236,7 +236,7 @@ def _sensitivities(
 ) -> NDArray[np.float64]:
     """Return how the loops answer to a change of each parameter and of the velocity at which they begin, shape (n, k).
 
-    Of the latter where they begin in motion.
+    The columns of velocities exist for records that begin in motion alone.
     """
     values = plants[0].named
     columns = []
@@ -254,8 +254,9 @@ def _sensitivities(
     for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
         if velocity:
             moved = [np.zeros(position.size) for position in shown]
-            moved[i] = _run(plant, record, (1.0 + PARAMETER_STEP) * velocity).shown(plant) - shown[i]
-            columns.append(np.concatenate(moved))
+            with suppress(ServolensError):
+                moved[i] = _run(plant, record, (1.0 + PARAMETER_STEP) * velocity).shown(plant) - shown[i]
+                columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])
 
 

@@ -24,7 +24,7 @@ __all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 SAMPLES = 2500
 """Samples that are kept, more or less."""
 ALIKE = 1e-9
-"""Share of its square that a force must have beside others to count: rounding leaves a millionth of that."""
+"""Share of its square that a force must have beside others to count; rounding leaves a millionth of that."""
 TOGETHER = 32
 """Effects whose forces are integrated at once: enough to be quick, and few for what memory that takes in between."""
 
@@ -40,7 +40,7 @@ class Proposals:
         One force each.
     rows : ndarray, shape (forces * sizes, n)
         With one phase for all records.
-    parts : list of slice
+    parts : tuple of slice
         Samples over which the sizes are the same: all, or each record's if the phase is each record's own.
     squares : ndarray, shape (forces, parts * sizes, parts * sizes)
         Inner products of the rows of each force.
@@ -48,23 +48,27 @@ class Proposals:
 
     effects: tuple[Effect, ...]
     rows: NDArray[np.float64]
-    parts: list[slice]
+    parts: tuple[slice, ...]
     squares: NDArray[np.float64]
 
     @classmethod
-    def of(cls, effects: Sequence[Effect], rows: NDArray[np.float64], parts: list[slice]) -> Proposals:
+    def of(cls, effects: Sequence[Effect], rows: NDArray[np.float64], parts: tuple[slice, ...]) -> Proposals:
         """Return forces of one class, each of as many of the `rows`."""
         sizes = rows.shape[0] // max(len(effects), 1)
         squares = np.zeros((len(effects), len(parts) * sizes, len(parts) * sizes))
         for i, part in enumerate(parts):
-            own, place = rows[:, part].reshape(len(effects), sizes, -1), slice(i * sizes, (i + 1) * sizes)
+            own, place = (
+                rows[:, part].reshape(len(effects), sizes, part.stop - part.start),
+                slice(i * sizes, (i + 1) * sizes),
+            )
             squares[:, place, place] = own @ own.transpose(0, 2, 1)
         return cls(tuple(effects), rows, parts, squares)
 
     def along(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the inner products of each force's rows with the `columns`, shape (forces, parts * sizes, columns)."""
+        forces, sizes = len(self.effects), self.rows.shape[0] // max(len(self.effects), 1)
         found = [self.rows[:, part] @ columns[part] for part in self.parts]
-        return np.concatenate([one.reshape(len(self.effects), -1, one.shape[1]) for one in found], axis=1)
+        return np.concatenate([one.reshape(forces, sizes, columns.shape[1]) for one in found], axis=1)
 
 
 @final
@@ -133,7 +137,7 @@ class Thinned:
         ends = [0, self.time.size]
         if effects and effects[0].phase_per_record:
             ends = [*np.flatnonzero(np.diff(self.record, prepend=-1)).tolist(), self.time.size]
-        return Proposals.of(effects, np.concatenate(rows), [slice(*pair) for pair in pairwise(ends)])
+        return Proposals.of(effects, np.concatenate(rows), tuple(slice(*pair) for pair in pairwise(ends)))
 
     def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
         """Return the square error that each of the proposals leaves beside `others`, in their order.
@@ -162,7 +166,7 @@ class Thinned:
     def _integrals(self, effects: Sequence[Effect]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
         """Return double integrals with one phase for all records, a row each, and where those of an effect end.
 
-        Up to a straight line in each stretch, which is taken off.
+        Up to a straight line in each stretch, which the caller takes off.
         """
         rows = [_rows(effect, self.time, self.position, self.velocity) for effect in effects]
         whole = np.concatenate([np.empty((0, self.time.size)), *rows])

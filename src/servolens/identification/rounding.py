@@ -14,7 +14,6 @@ import numpy as np
 
 from servolens.effects import Sensor
 from servolens.errors import NumericalError
-from servolens.prediction import beginning
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
@@ -195,9 +194,7 @@ def _drawn(
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
-    closed, velocity = record.has_loop, 0.0
-    with suppress(NumericalError):
-        record, velocity = beginning(plant, record) if closed else (record, 0.0)
+    closed, velocity = record.has_loop, float(run.signals.initial.mean[1])
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 

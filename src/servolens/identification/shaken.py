@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,6 @@ import numpy as np
 from servolens.errors import ServolensError
 from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
-from servolens.prediction import beginning
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
@@ -59,9 +57,7 @@ def _of_run(
     shakes = shaking(noise, record, stream)
     substeps = substeps_for(plant, run.sample_time)
     white = stream.standard_normal((run.samples, DRAWS))
-    velocity = 0.0
-    with suppress(ServolensError):
-        record, velocity = beginning(plant, record) if record.has_loop else (record, 0.0)
+    velocity = float(run.signals.initial.mean[1])
 
     def one(k: int) -> NDArray[np.float64]:
         try:
@@ -84,7 +80,10 @@ def _measured(
         return moved.measured, applied_voltage(replace(record, voltage=moved.voltage))
     voltage = applied_voltage(record)
     driven = replace(record, voltage=voltage)
-    return simulate(plant, driven, voltage_driven=True, acceleration=shake, sensor_error=error).measured, voltage
+    run = simulate(
+        plant, driven, initial_velocity=velocity, voltage_driven=True, acceleration=shake, sensor_error=error
+    )
+    return run.measured, voltage
 
 
 def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:

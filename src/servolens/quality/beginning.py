@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["beginning_findings", "initial_motion"]
+__all__ = ["AGREES", "beginning_findings", "initial_motion"]
 
-FEW = 12
-"""Fewest samples that tell of motion, together with twice as many."""
+FEW, MOST = 12, 20_000
+"""Fewest samples that tell of motion, together with twice as many; most that are looked at."""
 AGREES, ROUGH, EXACT = 0.3, 2.0, 1.2
 """Relative difference up to which two initial velocities are the same; times the noise that a cubic may miss of few
-samples, and of more."""
+samples, and of more: what it misses of 48 is within a tenth of the noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 FAST = 0.05
@@ -31,22 +31,22 @@ FAST = 0.05
 def initial_motion(record: Record) -> float:
     """Return the velocity at the first sample [m/s or rad/s]; 0 where it is within its errors, or none can be told.
 
-    Of a cubic through as many of the first samples as it misses by no more than the noise; of an axis that is pushed
-    off at once those through fewer do not agree.
+    Of a cubic through as many of the first samples, at least 24, as it misses by no more than the noise, which that
+    through half as many bears out; of an axis that is pushed off at once those through fewer do not agree.
     """
     noise, least, step = _noise(record), 1e-6 * float(np.ptp(record.position)), record.encoder_resolution or 0.0
     found, count = [], FEW
-    while count <= len(record):
-        velocity, uncertain, missed = _velocity(record, count)
+    while count <= min(len(record), MOST):
+        velocity, spread, missed = _velocity(record, count)
         if missed > (ROUGH if count <= 2 * FEW else EXACT) * (noise + step) + least:
             break
-        found.append((velocity, uncertain * (missed + step)))
+        found.append((velocity, spread * (missed + step)))
         count *= 2
     if len(found) < 2:
         return 0.0
-    speed, error = found[-1]
-    is_seen = abs(speed) > MOVES * error + 1e-12
-    agree = all(abs(speed - other) <= AGREES * abs(speed) + uncertain for other, uncertain in found)
+    speed = found[-1][0]
+    is_seen = all(abs(one) > MOVES * error + 1e-12 for one, error in found[-2:])
+    agree = all(abs(speed - one) <= AGREES * abs(speed) + error for one, error in found)
     return speed if is_seen and agree else 0.0
 
 
@@ -61,12 +61,12 @@ def _velocity(record: Record, count: int) -> tuple[float, float, float]:
 
 
 def _noise(record: Record) -> float:
-    """Return white noise, or what cubics miss of half of the short stretches if more: noise may change slowly."""
-    count = min(2 * FEW, len(record))
+    """Return white noise, or what cubics miss of a quarter of short stretches if more: noise may change slowly."""
+    position, count = record.position[:MOST], min(2 * FEW, len(record))
     basis = np.linalg.qr(np.vander(np.linspace(0.0, 1.0, count), min(4, count)))[0]
-    stretches = record.position[: record.position.size // count * count].reshape(-1, count)
+    stretches = position[: position.size // count * count].reshape(-1, count)
     missed = np.sqrt(np.mean((stretches - (stretches @ basis) @ basis.T) ** 2, axis=1))
-    return max(white_noise(record.position), float(np.median(missed)))
+    return max(white_noise(position), float(np.quantile(missed, 0.25)))
 
 
 def beginning_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
