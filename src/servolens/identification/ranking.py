@@ -57,10 +57,8 @@ class Proposals:
         sizes = rows.shape[0] // max(len(effects), 1)
         squares = np.zeros((len(effects), len(parts) * sizes, len(parts) * sizes))
         for i, part in enumerate(parts):
-            own, place = (
-                rows[:, part].reshape(len(effects), sizes, part.stop - part.start),
-                slice(i * sizes, (i + 1) * sizes),
-            )
+            own = rows[:, part].reshape(len(effects), sizes, part.stop - part.start)
+            place = slice(i * sizes, (i + 1) * sizes)
             squares[:, place, place] = own @ own.transpose(0, 2, 1)
         return cls(tuple(effects), rows, parts, squares)
 
