@@ -128,13 +128,14 @@ def _confirmed(case: Case, found: Search) -> Decision:
 def objection(case: Case, path: Sequence[Hypothesis]) -> str:
     """Return what records to which they were not fitted say against the last of `path`; empty if nothing.
 
-    They must be likelier beside it than beside the one before; at the end of a record, beside the same noise. Where they would not tell the two apart, as of a limit
-    that they do not reach, those fitted decide. Where something is left that nothing explains, what is likelier from
-    sample to sample has to be closer in simulations as well. An observer that follows a shaken axis may follow what a
-    wrong cause does, and a filter of slow noise whiten it: there the simulation of all records, to which neither was
-    fitted, must not miss more than that of any simpler model, either, of those with the same waves: whose phases no
-    simulation foretells. Where it misses a material part of the travel, it must miss less than the simplest of these,
-    of the records that were fitted and of the others: causes that do not show in what matters explain nothing.
+    They must be likelier beside it than beside the one before; at the end of a record, beside the same noise. Where
+    they would not tell the two apart, as of a limit that they do not reach, those fitted decide. Where something is
+    left that nothing explains, what is likelier from sample to sample has to be closer in simulations as well. An
+    observer that follows a shaken axis may follow what a wrong cause does, and a filter of slow noise whiten it:
+    there the simulation of all records, to which neither was fitted, must not miss more than that of any simpler
+    model, either, of those with the same waves: whose phases no simulation foretells. Where it misses a material
+    part of the travel, it must miss less than the simplest of these, of the records that were fitted and of the
+    others: causes that do not show in what matters explain nothing.
     """
     simpler, richer = path[-2:]
     only_training, not_simulated = (
