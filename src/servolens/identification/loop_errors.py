@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
     from servolens.record import Record
-    from servolens.simulation.loop import Simulation
 
     Errors = Sequence[NDArray[np.float64]]
 
@@ -163,7 +162,7 @@ def drawn_loop_errors(
     """
     stream = np.random.default_rng(2)
     begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
-    still = [_run(plant, *begin).shown(plant) for plant, begin in zip(plants, begun, strict=True)]
+    still = _shown(plants, begun)
     step = noise.rounding if noise.rate == 0.0 else 0.0
     spectrum = spectrum_of(noise) * (1.0 - noise.share) if unrounded is None else unrounded
     drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
@@ -193,7 +192,7 @@ class _Shares:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
         begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
-        runs = [_run(plant, *begin) for plant, begin in zip(plants, begun, strict=True)]
+        runs = [simulate(plant, r, initial_velocity=v) for plant, (r, v) in zip(plants, begun, strict=True)]
         shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
         self._own = _spanned(_sensitivities(plants, begun, shown))
         columns, activity = [], []
@@ -226,9 +225,11 @@ class _Shares:
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
-def _run(plant: Plant, record: Record, velocity: float) -> Simulation:
-    """Simulate a record from its beginning."""
-    return simulate(plant, record, initial_velocity=velocity)
+def _shown(plants: Sequence[Plant], begun: Sequence[tuple[Record, float]]) -> list[NDArray[np.float64]]:
+    """Return what the sensors of `plants` show of records that begin with these velocities."""
+    return [
+        simulate(p, record, initial_velocity=speed).shown(p) for p, (record, speed) in zip(plants, begun, strict=True)
+    ]
 
 
 def _sensitivities(
@@ -246,16 +247,14 @@ def _sensitivities(
             continue
         with suppress(ServolensError):
             others = [plant.with_named({name: plant.named[name] + step}) for plant in plants]
-            moved = [
-                _run(other, *begin).shown(other) - position
-                for other, begin, position in zip(others, begun, shown, strict=True)
-            ]
+            moved = [one - position for one, position in zip(_shown(others, begun), shown, strict=True)]
             columns.append(np.concatenate(moved))
     for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
         if velocity:
             moved = [np.zeros(position.size) for position in shown]
             with suppress(ServolensError):
-                moved[i] = _run(plant, record, (1.0 + PARAMETER_STEP) * velocity).shown(plant) - shown[i]
+                (other,) = _shown([plant], [(record, (1.0 + PARAMETER_STEP) * velocity)])
+                moved[i] = other - shown[i]
                 columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])
 
