@@ -261,7 +261,7 @@ def test_resample_interpolates_position_and_holds_voltage():
 
 def test_copy_with_other_settings():
     assert record().with_({"controller": Controller(kp=58.7)}).controller.kp == 58.7
-    with pytest.raises(InputError, match=r"^record: no field named gain; known are command_unit, controller,"):
+    with pytest.raises(InputError, match=r"^record: no field named gain; known are command_unit, control_period,"):
         record().with_({"gain": 1})
 
 

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
     Signal = NDArray[np.float64]
 
-__all__ = ["Answer", "LoopSignals", "answer", "samples_a_period"]
+__all__ = ["Answer", "LoopSignals", "answer", "samples_a_period", "samples_a_tick", "ticks_a_sample"]
+
+MOST_TICKS = 1000
+"""Of a loop from one sample to the next: a log a thousand times slower than its loop shows nothing of it."""
 
 
 @final
@@ -72,6 +75,10 @@ class Answer:
     integral: Signal
     remembered: Signal
 
+    def command(self, controller: Controller) -> Signal:
+        """Return V, without what is added to it [V]."""
+        return controller.kp * self.error - controller.kd * self.derivative + self.ahead + self.integral
+
 
 def answer(controller: Controller, seen: LoopSignals) -> Answer:
     """Return what `controller` makes of `seen`.
@@ -120,12 +127,48 @@ def samples_a_period(controller: Controller, sample_time: float) -> int:
     if controller.control_period is None:
         return 1
     ratio = controller.control_period / sample_time
-    if round(ratio) < 1 or abs(ratio - round(ratio)) > min(0.01 * ratio, 0.2):
+    if not _is_whole(ratio):
         raise InputError(
             f"control_period is {controller.control_period:g} s and the sample time {sample_time:g} s;"
-            " the period must be a whole multiple of the sample time"
+            " the one must be a whole multiple of the other"
         )
     return round(ratio)
+
+
+def samples_a_tick(controller: Controller, sample_time: float) -> int:
+    """Return the same of a log, 1 where that is slower than its loop.
+
+    Raises
+    ------
+    InputError
+        If neither is a whole multiple of the other.
+    """
+    return (
+        1 if ticks_a_sample(controller.control_period, sample_time) > 1 else samples_a_period(controller, sample_time)
+    )
+
+
+def ticks_a_sample(control_period: float | None, sample_time: float) -> int:
+    """Return how often a loop of that period [s], if it has one of its own, runs in each of its samples, at least 1.
+
+    Raises
+    ------
+    InputError
+        If it is faster than its samples, and these hold no whole number of periods.
+    """
+    if control_period is None or control_period > 0.75 * sample_time:
+        return 1
+    ratio = sample_time / control_period
+    if not (_is_whole(ratio) and ratio < MOST_TICKS + 0.5):
+        raise InputError(
+            f"control_period is {control_period:g} s and the sample time {sample_time:g} s;"
+            f" the one must be a whole multiple of the other, and at most {MOST_TICKS} times as long"
+        )
+    return round(ratio)
+
+
+def _is_whole(ratio: float) -> bool:
+    return round(ratio) >= 1 and abs(ratio - round(ratio)) <= min(0.01 * ratio, 0.2)
 
 
 def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_arithmetic import samples_a_period
+from servolens.control_arithmetic import answer, samples_a_tick
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,11 +17,14 @@ if TYPE_CHECKING:
     from servolens.control_arithmetic import Answer
     from servolens.controller import Controller
     from servolens.record import Record
+    from servolens.ticks import Ticks
 
-__all__ = ["controller_voltage", "with_history"]
+__all__ = ["command_at", "controller_voltage", "with_history"]
 
 FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
+AVERAGED = 9
+"""Samples over which what a log shows beside its law is averaged, so that a third of its noise is left."""
 
 
 def controller_voltage(record: Record) -> NDArray[np.float64]:
@@ -54,8 +57,39 @@ def controller_voltage(record: Record) -> NDArray[np.float64]:
     array([50., 39., 18.])
     """
     controller, found = _controller(record), _answer(record)
-    voltage = controller.kp * found.error - controller.kd * found.derivative
-    return voltage + _rest(record, found)
+    voltage = found.command(controller)
+    return voltage if record.feedforward is None else voltage + record.feedforward
+
+
+def command_at(record: Record, ticks: Ticks) -> NDArray[np.float64]:
+    """Return the command at the ticks of the record's loop [`record.command_unit`], before any limit.
+
+    Held from sample to sample. Of a loop that ran faster than the log it is what its law, where that is known, makes
+    of the motion between the samples, and what the log shows beside the law, on average over a few of these: the noise
+    of a logged sample was in the command for one tick alone. Without a law it is interpolated.
+
+    Raises
+    ------
+    InputError
+        As :func:`controller_voltage`.
+    """
+    if record.voltage is not None and not (ticks.is_faster and record.has_loop):
+        return ticks.command(record.voltage)
+    asked = _asked(record, _controller(record), ticks)
+    if record.voltage is None or ticks.index is None:
+        return asked
+    from scipy.ndimage import uniform_filter1d
+
+    beside = uniform_filter1d(record.voltage - asked[ticks.index], AVERAGED, mode="nearest")
+    asked = asked + ticks.motion(beside)
+    asked[ticks.index] = record.voltage
+    return asked
+
+
+def _asked(record: Record, controller: Controller, ticks: Ticks) -> NDArray[np.float64]:
+    """Return what the law asks for at the ticks."""
+    found = answer(controller, ticks.seen(record.signals_seen())).command(controller)
+    return found if record.feedforward is None else found + ticks.command(record.feedforward)
 
 
 def with_history(record: Record) -> Record:
@@ -82,7 +116,7 @@ def with_history(record: Record) -> Record:
     remembered = controller.derivative_window
     if controller.derivative_filter < 1.0:
         remembered += math.ceil(math.log(FORGOTTEN_SHARE) / math.log(1.0 - controller.derivative_filter))
-    ratio = samples_a_period(controller, record.sample_time)  # it forgets as often as it runs
+    ratio = samples_a_tick(controller, record.sample_time)  # it forgets as often as it runs
     remembered *= ratio
     if controller.ki != 0 or controller.integral_rate != 0:
         lacking = (voltage - controller_voltage(record))[remembered : 2 * remembered + ratio]
@@ -91,11 +125,6 @@ def with_history(record: Record) -> Record:
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
     added[:remembered] += (voltage - controller_voltage(record))[:remembered]
     return record.with_({"feedforward": added})
-
-
-def _rest(record: Record, found: Answer) -> NDArray[np.float64]:
-    rest = found.ahead + found.integral
-    return rest if record.feedforward is None else rest + record.feedforward
 
 
 def _answer(record: Record) -> Answer:

@@ -68,7 +68,7 @@ class Controller:
     derivative : {"position", "velocity"}
         ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
     control_period : float or None
-        Period of the loop [s] where it is slower than the log; None means every sample.
+        Period of the loop [s] where it is slower or faster than the log; None means every sample.
 
     Raises
     ------

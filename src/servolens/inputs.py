@@ -11,6 +11,7 @@ from servolens.campaign import read_records
 from servolens.effects import Effect, check_effect, effect_class
 from servolens.encoder import with_seen_encoder
 from servolens.errors import InputError, described, names_like
+from servolens.jump_times import with_timed_jumps
 from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import KEYS, record_from_dataframe, record_from_timeresponse
@@ -125,7 +126,8 @@ def as_records(
     Returns
     -------
     tuple of Record
-        In the order given, all in the same units, with the encoder's step that they show where none states one.
+        In the order given, all in the same units, with the encoder's step that they show where none states one, and
+        with the times at which the reference jumped where the loop ran faster than the log.
 
     Raises
     ------
@@ -150,7 +152,7 @@ def as_records(
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
     _check_units(found)
-    return with_seen_encoder(found)
+    return with_timed_jumps(with_seen_encoder(found))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -253,7 +253,29 @@ def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[ND
         for velocity in velocities
     ]
     least = min(range(len(found)), key=lambda k: float(found[k][0] @ found[k][0]))
-    return found[least][0], alike[least // len(velocities)], found[least][1]
+    missed, velocity = found[least]
+    return *_timed(plant, alike[least // len(velocities)], velocity, missed), velocity
+
+
+def _timed(
+    plant: Plant, record: Record, velocity: float, missed: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], Record]:
+    """Return what the simulation misses of a log slower than its loop, and it, its jumps timed to the tick.
+
+    They are known to about a tick before there is a plant.
+    """
+    for sample in record.jumps().tolist() if record.ticks > 1 else ():
+        tick = record.sample_time / record.ticks
+        for change in (tick, -tick):
+            leads = np.zeros(len(record)) if record.jump_leads is None else record.jump_leads.copy()
+            leads[sample] += change
+            if not -0.5 * tick < leads[sample] < record.sample_time - 0.5 * tick:
+                continue
+            other = replace(record, jump_leads=leads)
+            again = _from(plant, other, velocity)
+            if again @ again < missed @ missed:
+                missed, record = again, other
+    return missed, record
 
 
 def _refined(plant: Plant, record: Record, told: float) -> tuple[NDArray[np.float64], float]:

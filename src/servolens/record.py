@@ -11,28 +11,31 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
-from servolens.control_arithmetic import LoopSignals, answer
+from servolens.control_arithmetic import Answer, LoopSignals, answer, ticks_a_sample
 from servolens.controller import Controller
-from servolens.errors import InputError, described, needed, unwrapped
+from servolens.errors import needed, unwrapped
+from servolens.record_signals import as_signal, check_enabled, check_time, is_number, require
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
+from servolens.ticks import Ticks
 from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
 
 if TYPE_CHECKING:
     import os
     from collections.abc import Mapping
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
-    from servolens.control_arithmetic import Answer
     from servolens.findings import Finding
 
-__all__ = ["Controller", "Record", "as_numbers"]
+__all__ = ["Controller", "Record"]
 
 LengthUnit = Literal["m", "rad"]
 SIGNALS = ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled")
-POSITIVE = ("encoder_resolution", "voltage_limit", "inertia")
+POSITIVE = ("encoder_resolution", "voltage_limit", "control_period", "inertia")
 """Quantities of a record that are positive where they are known."""
+SETTINGS = (*POSITIVE, "voltage_before")
+"""Numbers of a record that its file states."""
 RESTS, STAIRS = 20, 20
 """Samples without a change after which a reference sets out anew; steps of less than this part of its range, one after
 the other to the same side, are a slow ramp as a log with few digits shows it."""
@@ -65,6 +68,12 @@ class Record:
         The amplifier's limit [`command_unit`], positive.
     voltage_before : float, optional
         What was applied before the first sample [`command_unit`]; None takes the first voltage for it.
+    control_period : float, optional
+        Of a loop that ran faster than it was logged [s], where no `controller` says it: the command then changed
+        between the samples too. None: it was held from each sample to the next.
+    jump_leads : ndarray, shape (n,), optional
+        Of such a loop: how long before the sample that first shows it each jump of the reference came [s], 0 at all
+        other samples. None: at the sample.
     inertia : float, optional
         Moving inertia [kg m²] or mass [kg], positive, where records of one axis differ in it.
     name, source : str
@@ -98,6 +107,8 @@ class Record:
     encoder_resolution: float | None = None
     voltage_limit: float | None = None
     voltage_before: float | None = None
+    control_period: float | None = None
+    jump_leads: NDArray[np.float64] | None = None
     inertia: float | None = None
     name: str = "record"
     source: str = ""
@@ -107,48 +118,48 @@ class Record:
     sample_time: float = field(init=False)
 
     def __post_init__(self) -> None:
-        for quantity in (*POSITIVE, "voltage_before"):
+        for quantity in SETTINGS:
             object.__setattr__(self, quantity, unwrapped(getattr(self, quantity)))
-        for signal in SIGNALS:
+        for signal in (*SIGNALS, "jump_leads"):
             value = getattr(self, signal)
             if value is not None:
-                object.__setattr__(self, signal, _signal(signal, value, self.name))
+                object.__setattr__(self, signal, as_signal(signal, value, self.name))
         n = self.time.size
-        _require(n >= 2, f"{self.name}: a record needs at least 2 samples, got {n}")
-        for signal in SIGNALS[1:]:
+        require(n >= 2, f"{self.name}: a record needs at least 2 samples, got {n}")
+        for signal in (*SIGNALS[1:], "jump_leads"):
             value = getattr(self, signal)
             if value is not None:
-                _require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
+                require(value.size == n, f"{self.name}: {signal} has {value.size} samples, time has {n}")
         for unit, known in (("length_unit", LENGTH_UNITS), ("command_unit", COMMAND_UNITS)):
             object.__setattr__(self, unit, settled(getattr(self, unit), known, f"{self.name}: {unit}"))
         steps = np.diff(self.time)
-        _check_time(self.time, steps, self.name)
+        check_time(self.time, steps, self.name)
         object.__setattr__(self, "sample_time", float(np.median(steps)))
-        _require(
+        require(
             self.reference is not None or self.voltage is not None,
             f"{self.name}: neither reference nor voltage is given; log at least one of the two",
         )
-        _require(
+        require(
             self.voltage is not None or self.controller is not None,
             f"{self.name}: no voltage is logged and the gains are unknown; give kp and kd (on the command"
             " line --record-kp and --record-kd)",
         )
         for quantity in POSITIVE:
             value = getattr(self, quantity)
-            _require(
-                value is None or (_is_number(value) and value > 0),
+            require(
+                value is None or (is_number(value) and value > 0),
                 f"{self.name}: {quantity} must be positive, got {value!r}",
             )
 
-        _check_enabled(self.enabled, self.name)
+        check_enabled(self.enabled, self.name)
         if self.controller is not None:
             needed(self.controller, Controller, "Controller(kp=60, kd=1)")
-        _require(
+        require(
             self.controller is None or not self.controller.is_limited or self.voltage_limit is not None,
             f"{self.name}: anti_windup needs the limit of the command; give voltage_limit",
         )
         before = self.voltage_before
-        _require(before is None or _is_number(before), f"{self.name}: voltage_before must be finite, got {before!r}")
+        require(before is None or is_number(before), f"{self.name}: voltage_before must be finite, got {before!r}")
 
     def __repr__(self) -> str:
         """Return one line: name, length, signals and the controller's gains."""
@@ -172,6 +183,25 @@ class Record:
     def has_loop(self) -> bool:
         """Whether reference and controller are known, so that the loop can be simulated."""
         return self.reference is not None and self.controller is not None
+
+    @property
+    def ticks(self) -> int:
+        """How often the loop ran from one sample to the next: once, unless its period is shorter than the sample time.
+
+        Raises
+        ------
+        InputError
+            If that is no whole number of periods.
+        """
+        period = self.control_period if self.controller is None else self.controller.control_period
+        return ticks_a_sample(period, self.sample_time)
+
+    def with_ticks(self, count: int) -> Record:
+        """Return the record as one whose loop ran `count` times from one sample to the next."""
+        period = None if count == 1 else self.sample_time / count
+        if self.controller is None:
+            return replace(self, control_period=period, jump_leads=None)
+        return replace(self, controller=replace(self.controller, control_period=period), jump_leads=None)
 
     @property
     def step_size(self) -> float:
@@ -204,7 +234,7 @@ class Record:
             If fewer than two samples lie between.
         """
         first, last = np.searchsorted(self.time, [start, end + 1e-9 * max(1.0, abs(end))])
-        _require(
+        require(
             last - first >= 2,
             f"{self.name}: only {max(last - first, 0)} samples lie between {start:g} and {end:g} s"
             f" (the record spans {self.time[0]:g} to {self.time[-1]:g} s)",
@@ -269,13 +299,13 @@ class Record:
 
         Position and velocity are interpolated linearly; reference, voltage, feedforward and enabled are held.
         """
-        _require(
+        require(
             np.isfinite(sample_time) and 0 < sample_time <= self.duration,
             f"{self.name}: sample_time must lie in (0, {self.duration:g}] s, got {sample_time!r}",
         )
         time = self.time[0] + sample_time * np.arange(int(self.duration / sample_time * (1 + 1e-12)) + 1)
         held = np.clip(np.searchsorted(self.time, time + 1e-9 * sample_time, side="right") - 1, 0, None)
-        changes: dict[str, NDArray[np.float64]] = {"time": time}
+        changes: dict[str, NDArray[np.float64] | None] = {"time": time, "jump_leads": None}
         for signal in SIGNALS[1:]:
             value = getattr(self, signal)
             if value is not None:
@@ -287,7 +317,7 @@ class Record:
         """Return a copy with other settings, e.g. ``record.with_({"controller": Controller(kp=58.7)})``."""
         known = {item.name for item in fields(self) if item.init}
         unknown = sorted(set(changes) - known)
-        _require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
+        require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names
 
     def answer(self, controller: Controller) -> Answer:
@@ -298,9 +328,36 @@ class Record:
         InputError
             If there is no reference, or a velocity is needed and not logged, or the period does not fit.
         """
-        _require(self.reference is not None, "the control law needs the reference; log it")
+        ticks = self.with_({"controller": controller}).loop_ticks()
+        if not ticks.is_faster:
+            return answer(controller, self.signals_seen())
+        found = answer(controller, ticks.seen(self.signals_seen()))
+        return Answer(**{name: ticks.logged(getattr(found, name)) for name in Answer.__slots__})
+
+    def loop_ticks(self) -> Ticks:
+        """Return when the loop ran: at each sample, at lost ones too, or several times between them."""
+        if self.ticks == 1:
+            return Ticks.of(self.time)
+        jumps = self.jumps()
+        return Ticks.of(self.time, self.ticks, jumps, None if self.jump_leads is None else self.jump_leads[jumps])
+
+    def jumps(self) -> NDArray[np.intp]:
+        """Return the samples that first show a jump of the reference, which does not just go on moving."""
+        edges = self.edges()
+        goes_on = np.diff(edges, prepend=-2, append=-2) == 1
+        return np.asarray(edges[~(goes_on[1:] | goes_on[:-1])])
+
+    def signals_seen(self) -> LoopSignals:
+        """Return what its loop was given.
+
+        Raises
+        ------
+        InputError
+            If there is no reference.
+        """
+        require(self.reference is not None, "the control law needs the reference; log it")
         assert self.reference is not None  # noqa: S101 - required above
-        seen = LoopSignals(
+        return LoopSignals(
             time=self.time,
             reference=self.reference,
             position=self.position,
@@ -309,7 +366,6 @@ class Record:
             added=self.feedforward,
             limit=self.voltage_limit,
         )
-        return answer(controller, seen)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the record as a file that :func:`servolens.read_record` reads with the same numbers, to the last bit.
@@ -340,8 +396,9 @@ class Record:
         settings: dict[str, object] = {"name": self.name}
         if self.controller is not None:
             settings |= loop_settings(self.controller, length, command)
-        for key in ("encoder_resolution", "voltage_limit", "voltage_before", "inertia"):
-            settings[key] = None if getattr(self, key) is None else float(getattr(self, key))
+        for key in SETTINGS:
+            if getattr(self, key) is not None:
+                settings[key] = float(getattr(self, key))
         units = {"time": "s", "velocity": f"{length}/s", "voltage": command, "feedforward": command}
         columns = {s if s == "enabled" else f"{s} [{units.get(s, length)}]": getattr(self, s) for s in SIGNALS}
         write_atomically(Path(path), csv_text(settings, columns).encode("utf-8"))
@@ -355,7 +412,7 @@ class Record:
         return replace(taken, controller=replace(loop, integral_before=begun))
 
     def _signals(self, first: int, last: int) -> Record:
-        parts = {s: v[first:last] for s in SIGNALS if (v := getattr(self, s)) is not None}
+        parts = {s: v[first:last] for s in (*SIGNALS, "jump_leads") if (v := getattr(self, s)) is not None}
         return replace(self, **parts, voltage_before=self.voltage_before if first == 0 else None)
 
     def _lead(self) -> int:
@@ -367,73 +424,3 @@ class Record:
         """Tell whether the position travels in the samples, more than a fiftieth of the whole range."""
         part = self.position[first:last]
         return bool(np.ptp(part) > 0.02 * np.ptp(self.position))
-
-
-def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
-    """Return an array of `values`.
-
-    Raises
-    ------
-    InputError
-        If they are no numbers, with `what` they are.
-    """
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{what} must hold numbers alone, got {described(values)}") from None
-
-
-def _signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
-    array = as_numbers(value, f"{record}: {name}")
-    _require(array.ndim == 1, f"{record}: {name} must be one-dimensional, got shape {array.shape}")
-    finite = np.isfinite(array)
-    if not finite.all():
-        k = int(np.argmin(finite))
-        raise InputError(f"{record}: {name} must be finite; sample {k} is {array[k]}")
-    if _is_frozen(array) and array.flags.c_contiguous:
-        return array
-    own = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and not np.may_share_memory(array, value))
-    return _frozen(array if own else array.copy())
-
-
-def _frozen(array: NDArray[np.float64]) -> NDArray[np.float64]:
-    array.flags.writeable = False
-    return array
-
-
-def _is_frozen(array: NDArray[np.float64]) -> bool:
-    """Tell whether nobody can write to the array's memory: it and all that it is a view of are read-only."""
-    base: object = array
-    while isinstance(base, np.ndarray):
-        if base.flags.writeable:
-            return False
-        base = base.base
-    return base is None
-
-
-def _check_time(time: NDArray[np.float64], steps: NDArray[np.float64], record: str) -> None:
-    if steps.min() <= 0:
-        k = int(np.argmax(steps <= 0)) + 1
-        same = time[k] == time[k - 1]
-        verb = "repeats" if same else "lies before"
-        remedy = "; if the stamps were rounded, state the sample_time instead" if same else ""
-        met = f"sample {k} ({time[k]:g} s) {verb} sample {k - 1} ({time[k - 1]:g} s)"
-        raise InputError(f"{record}: time must increase; {met}{remedy}")
-
-
-def _check_enabled(enabled: NDArray[np.float64] | None, record: str) -> None:
-    if enabled is None:
-        return
-    odd = np.flatnonzero((enabled != 0) & (enabled != 1))
-    if odd.size:
-        k = int(odd[0])
-        raise InputError(f"{record}: enabled must be 0 (motor off) or 1 (on); sample {k} is {enabled[k]:g}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and bool(np.isfinite(value))
-
-
-def _require(condition: object, message: str) -> None:
-    if not condition:
-        raise InputError(message)

@@ -16,7 +16,7 @@ from servolens.design.spec import check_spec
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_models
 from servolens.processors import in_parallel, single_threaded_blas
-from servolens.record import as_numbers
+from servolens.record_signals import as_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

@@ -12,7 +12,7 @@ from servolens.control_arithmetic import LoopSignals, answer
 from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_plant
-from servolens.record import as_numbers
+from servolens.record_signals import as_numbers
 from servolens.simulation import simulate_loop
 
 if TYPE_CHECKING:

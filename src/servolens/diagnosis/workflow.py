@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from servolens.diagnosis.case import Case
-from servolens.diagnosis.decision import decided
 from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.explorer import SPENT
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
+from servolens.diagnosis.loop_rate import decided_beside_loop_rate
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, may_be_nothing, own_quantities, rival_plants
@@ -35,6 +34,8 @@ from servolens.quality.spikes import without_spikes
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from servolens.diagnosis.case import Case
+    from servolens.diagnosis.decision import Decision
     from servolens.diagnosis.errors import Gains
     from servolens.diagnosis.result import Verdict
     from servolens.diagnosis.search import Search
@@ -103,7 +104,9 @@ def diagnose(
     findings = log_findings((*runs, *others))
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
-        return _diagnosed(Case(runs, others, known, len(catalogue())), effort, findings, progress)
+        tell = _never_back(progress)
+        decision = decided_beside_loop_rate(runs, others, known, len(catalogue()), EFFORT[effort], tell)
+        return _diagnosed(decision, effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
             raise
@@ -111,10 +114,12 @@ def diagnose(
 
 
 def _diagnosed(
-    case: Case, effort: str, findings: Sequence[Finding], progress: Callable[[str, int, int], None]
+    decision: Decision, effort: str, findings: Sequence[Finding], progress: Callable[[str, int, int], None]
 ) -> Diagnosis:
-    decision = decided(case, EFFORT[effort], _never_back(progress))
+    """Test what was decided on records held out, and say it."""
     case, found = decision.case, decision.found
+    if case.records[0].ticks > 1:  # their law, too, ran at the ticks that were found
+        findings = log_findings((*case.records, *case.heldout))
     progress("Comparing errors with and without the causes", 90, 100)
     path, fits, sizeless = _as_far_as_shown(case, decision.path, work := SPENT * EFFORT[effort].work)
     found = replace(found, path=tuple(path)) if sizeless else found

@@ -12,11 +12,10 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
 from servolens.identification.runs import ClosedLoop, rest
-from servolens.identification.segments import applied_before, applied_voltage, begins_with_its_step
+from servolens.identification.segments import applied_at, applied_before, begins_with_its_step
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.grids import without_gaps
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.trial import Trial, observed_trial
 
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
 
     from servolens.plant import Plant
     from servolens.record import Record
+    from servolens.ticks import Ticks
 
 __all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed"]
 
@@ -81,41 +81,64 @@ class Signals:
     ----------
     record : Record
         Where it comes from.
-    time, voltage, position : ndarray, shape (n,)
-        On a grid without gaps.
+    ticks : Ticks
+        At which it is simulated.
+    voltage, position : ndarray, shape (n,)
+        At the ticks.
     index : ndarray of int or None
-        Where the samples that are compared stand in the grid; None if all are.
+        Ticks that are compared; None if all are.
     initial : InitialState
         Of the first sample.
     may_be_unpowered : bool
         Whether the record begins with its step and does not say what was applied before: that may be nothing.
     speed_on_grid : ndarray, shape (n,)
         Of the axis at all samples that are simulated [m/s or rad/s].
+    mistimed : ndarray, shape (n,), or None
+        Error of its velocity, a standard deviation, for the voltage jumped a tick sooner or later than it is said to
+        in a log slower than its loop [m/s or rad/s].
     """
 
     record: Record
-    time: NDArray[np.float64]
+    ticks: Ticks
     voltage: NDArray[np.float64]
     position: NDArray[np.float64]
     index: NDArray[np.intp] | None
     initial: InitialState
     may_be_unpowered: bool
     speed_on_grid: NDArray[np.float64]
+    mistimed: NDArray[np.float64] | None
 
     @classmethod
     def of(cls, record: Record, noise: float, plant: Plant, rate: float, every: int = 1) -> Signals:
         """Prepare `record`, every so many samples of it; its axis is about like `plant`, its loop as fast as `rate`."""
-        time, voltage, position, index = _on_grid(record.time, applied_voltage(record), record.position)
+        ticks = record.loop_ticks()
+        index = ticks.index
         if every > 1:
-            index = (np.arange(time.size) if index is None else index)[::every]
+            index = (np.arange(ticks.time.size) if index is None else index)[::every]
+        voltage, position = applied_at(record, ticks), ticks.motion(record.position)
         initial = InitialState.of(record, noise)
-        speed = _observed_speed(plant, rate, time, voltage, position, initial)
-        return cls(record, time, voltage, position, index, initial, begins_with_its_step(record), speed)
+        speed = _observed_speed(plant, rate, ticks.time, voltage, position, initial)
+        kicks = _mistimed(plant, ticks, voltage)
+        return cls(record, ticks, voltage, position, index, initial, begins_with_its_step(record), speed, kicks)
 
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
-        _, applied, shown, _ = _on_grid(self.record.time, voltage, position)
-        return replace(self, position=shown, voltage=applied)
+        other = replace(self.record, position=position, voltage=voltage)
+        return replace(self, position=self.ticks.motion(position), voltage=applied_at(other, self.ticks))
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Of the ticks [s]."""
+        return self.ticks.time
+
+    @property
+    def is_measured(self) -> NDArray[np.bool_] | None:
+        """Which of the ticks were logged, shape (n,); None if all were."""
+        if self.ticks.index is None:
+            return None
+        found = np.zeros(self.time.size, dtype=np.bool_)
+        found[self.ticks.index] = True
+        return found
 
     @property
     def speed(self) -> NDArray[np.float64]:
@@ -133,13 +156,14 @@ class Signals:
         return self.position if self.index is None else self.position[self.index]
 
 
-def _on_grid(
-    time: NDArray[np.float64], voltage: NDArray[np.float64], position: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.intp] | None]:
-    """Return time, voltage and position on a grid without gaps, and where the samples stand in it, if any lack."""
-    grid, held, index = without_gaps(time)
-    shown = position[held] if index is None else np.interp(grid, time, position)
-    return np.ascontiguousarray(grid), np.ascontiguousarray(voltage[held]), np.ascontiguousarray(shown), index
+def _mistimed(plant: Plant, ticks: Ticks, voltage: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return by how much a tick of a jump's voltage moves the velocity of about such a plant; None without any."""
+    if ticks.jumps is None or not ticks.jumps.size:
+        return None
+    came = ticks.jumps[:, 1]
+    found = np.zeros(ticks.time.size)
+    found[came] = ticks.step * np.abs(plant.gain * (voltage[came] - voltage[came - 1]))
+    return found
 
 
 def _observed_speed(
@@ -198,7 +222,8 @@ class ObservedRun:
 
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
         self.group, self.signals, self.noise = group, signals, noise
-        self._observer = observer_of(noise, signals.time, signals.speed_on_grid, signals.voltage)
+        instants = (signals.time, signals.speed_on_grid, signals.voltage)
+        self._observer = observer_of(noise, *instants, signals.is_measured, signals.mistimed)
         weight = None if self._observer is None else self._observer.weight
         if weight is not None and signals.index is not None:
             weight = weight[signals.index]

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.simulation.kalman import NEVER
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -37,7 +39,12 @@ class Observer:
 
 
 def observer_of(
-    noise: NoiseModel, time: NDArray[np.float64], speed: NDArray[np.float64], voltage: NDArray[np.float64]
+    noise: NoiseModel,
+    time: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    voltage: NDArray[np.float64],
+    is_measured: NDArray[np.bool_] | None = None,
+    mistimed: NDArray[np.float64] | None = None,
 ) -> Observer | None:
     """Return the observer of a record; None where the axis is simulated, for nothing shakes it and its clock is true.
 
@@ -47,12 +54,17 @@ def observer_of(
         Of the record.
     time, speed, voltage : ndarray, shape (n,)
         [s], [m/s or rad/s], and [V], applied from each sample to the next.
+    is_measured : ndarray of bool, shape (n,), optional
+        Which of the instants were logged; all if None. What was not moves nothing.
+    mistimed : ndarray, shape (n,), optional
+        Standard deviation of what is not known of the velocity at each instant, for its voltage came at another
+        [m/s or rad/s].
 
     Notes
     -----
     See :mod:`servolens.simulation.kalman`.
     """
-    if not noise.is_observed:
+    if not noise.is_observed and mistimed is None:
         return None
     from servolens.simulation.native import native
 
@@ -63,6 +75,10 @@ def observer_of(
     model = np.array([left, given, kept, 0.5 * given * h, given, power])
     size = noise.jitter / max(noise.floor, 1e-300)
     late, kick = size * speed, size * noise.gain * np.diff(voltage, prepend=voltage[0])
+    if mistimed is not None:
+        kick = np.where(mistimed > 0.0, mistimed / max(noise.floor, 1e-300), kick)
+    if is_measured is not None:
+        late = np.where(is_measured, late, 2.0 * NEVER)
     gains, variance = np.empty((time.size, 3)), np.empty(time.size)
     addresses = [array.ctypes.data for array in (model, late, kick, gains, variance)]
     native(()).gains(ctypes.byref(ctypes.c_int64()), None, time.size, *addresses)

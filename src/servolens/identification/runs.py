@@ -12,7 +12,6 @@ from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.segments import applied_before, applied_voltage, noise_level
 from servolens.identification.smoothing import smooth
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.grids import without_gaps
 from servolens.simulation.loop import simulate_voltage
 from servolens.simulation.trial import Trial, closed_trial
 
@@ -127,9 +126,10 @@ class ClosedLoop:
     def __init__(self, record: Record, before: float | None = None) -> None:
         assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - callers see to it
         self.record, self.controller = record, record.controller
-        self.time, held, self._index = without_gaps(record.time)
-        self._reference = np.ascontiguousarray(record.reference[held])
-        self._added = None if record.feedforward is None else record.feedforward[held]
+        self._ticks = record.loop_ticks()
+        self.time = self._ticks.time
+        self._reference = self._ticks.set_point(record.reference)
+        self._added = None if record.feedforward is None else self._ticks.command(record.feedforward)
         self._before = applied_before(record) if before is None else before
         self.sample_time = float(np.max(np.diff(self.time)))
 
@@ -143,8 +143,7 @@ class ClosedLoop:
     def measured(self, plants: Sequence[Plant], start: tuple[float, float], substeps: int) -> NDArray[np.float64]:
         """Return the measured positions of `plants` at the record's own samples, shape (k, n); NaN where one fails."""
         those = [_as_it_was(plant, self.record) for plant in plants]
-        found = self._trial(self._added).measured(those, [start] * len(those), substeps)
-        return found if self._index is None else found[:, self._index]
+        return self.logged(self._trial(self._added).measured(those, [start] * len(those), substeps))
 
     def _trial(self, added: NDArray[np.float64] | None) -> Trial:
         return closed_trial(
@@ -158,7 +157,7 @@ class ClosedLoop:
 
     def logged(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what of a simulated `signal` stands at the record's own samples."""
-        return signal if self._index is None else signal[self._index]
+        return self._ticks.logged(signal)
 
 
 @final

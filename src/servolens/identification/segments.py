@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens import encoder
-from servolens.control_law import controller_voltage
+from servolens.control_law import command_at, controller_voltage
 from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.quality.beginning import initial_motion
@@ -21,9 +21,11 @@ if TYPE_CHECKING:
 
     from servolens.plant import Plant
     from servolens.record import Record
+    from servolens.ticks import Ticks
 
 __all__ = [
     "Segment",
+    "applied_at",
     "applied_before",
     "applied_voltage",
     "begins_with_its_step",
@@ -63,7 +65,8 @@ class Segment:
     first, stop : int
         Samples ``first … stop − 1`` of the record.
     time, position, voltage : ndarray, shape (n,)
-        Time since the segment's first sample [s], position, voltage that reached the amplifier's output.
+        Time since the segment's first sample [s], position, voltage that reached the amplifier's output on average
+        until the next sample.
     noise : float
         Standard deviation of the position's noise.
     since_step : float
@@ -96,7 +99,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     found: list[Segment] = []
     records = tuple(records)
     for record in records:
-        voltage = applied_voltage(record)
+        voltage = _means(record)
         noise = noise_level(record)
         step, sample_time = record.step_size, _sample_time(record)
         floor = max(4.0 * noise, 1.5 * (record.encoder_resolution or 0.0))
@@ -121,6 +124,12 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     if not found:
         raise InputError(f"{', '.join(r.name for r in records) or 'no record'}: {_too_little(records)}")
     return tuple(found)
+
+
+def _means(record: Record) -> NDArray[np.float64]:
+    """Return the voltage from each sample to the next."""
+    ticks = record.loop_ticks()
+    return ticks.means(applied_at(record, ticks)) if ticks.is_faster else applied_voltage(record)
 
 
 def _too_little(records: Sequence[Record]) -> str:
@@ -191,6 +200,14 @@ def applied_voltage(record: Record) -> NDArray[np.float64]:
     if record.voltage_limit is None:
         return np.ascontiguousarray(asked)
     return np.clip(asked, -record.voltage_limit, record.voltage_limit)
+
+
+def applied_at(record: Record, ticks: Ticks) -> NDArray[np.float64]:
+    """Return the same at the `ticks` of the record's loop."""
+    if not ticks.is_faster:
+        return ticks.command(applied_voltage(record))
+    asked, limit = command_at(record, ticks), record.voltage_limit
+    return asked if limit is None else np.clip(asked, -limit, limit)
 
 
 def applied_before(record: Record) -> float | None:

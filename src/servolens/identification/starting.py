@@ -13,11 +13,10 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.integral import assemble, solve_integral
 from servolens.identification.ranking import Thinned, by_peaks, force_rows, record_numbers
 from servolens.identification.regressors import regressor
-from servolens.identification.segments import applied_before, applied_voltage
+from servolens.identification.segments import applied_at, applied_before, applied_voltage
 from servolens.identification.smoothing import smooth, smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.plant import Plant
-from servolens.simulation.grids import without_gaps
 from servolens.simulation.loop import simulate_voltage
 
 if TYPE_CHECKING:
@@ -183,14 +182,14 @@ def _pushes(record: Record, actuators: tuple[Effect, ...]) -> NDArray[np.float64
 
     By it an axis without damping accelerates; its gain is so small that it does not go far.
     """
-    time, held, index = without_gaps(record.time)
+    ticks = record.loop_ticks()
     voltage, before = applied_voltage(record), applied_before(record)
     most = max(float(np.abs(voltage).max()), abs(before or 0.0), 1e-300)
     small = 1.0 / (most * record.duration**2)
-    run = simulate_voltage(Plant(gain=small, damping=0.0, effects=actuators), time, voltage[held], before=before)
-    push = np.diff(run.velocity) / np.diff(time) / small
-    push = np.append(push, push[-1])
-    return push if index is None else push[index]
+    plant = Plant(gain=small, damping=0.0, effects=actuators)
+    run = simulate_voltage(plant, ticks.time, applied_at(record, ticks), before=before)
+    push = np.diff(ticks.logged(run.velocity)) / np.diff(record.time) / small
+    return np.append(push, push[-1])
 
 
 def _sized(effect: Effect, sizes: list[float], records: int) -> Effect:

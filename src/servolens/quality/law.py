@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_arithmetic import samples_a_period
+from servolens.control_arithmetic import samples_a_tick
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def felt_rounding(controller: Controller, step: float, sample_time: float) -> fl
 def remembered(controller: Controller, record: Record) -> int:
     """Return the samples for which the derivative depends on what was before the record."""
     past = controller.derivative_window + math.ceil(5 / controller.derivative_filter)
-    return min(past * samples_a_period(controller, record.sample_time), len(record) // 4)
+    return min(past * samples_a_tick(controller, record.sample_time), len(record) // 4)
 
 
 def rms(values: Array) -> float:
@@ -191,7 +191,7 @@ def rms(values: Array) -> float:
 
 def tick_phase(record: Record) -> int:
     """Return the first sample at which a loop slower than the log runs: there its voltage changes."""
-    count = samples_a_period(controller_of(record), record.sample_time)
+    count = samples_a_tick(controller_of(record), record.sample_time)
     if count == 1 or record.voltage is None or len(record) < 4 * count:
         return 0
     changes = np.flatnonzero(np.diff(record.voltage)) + 1
@@ -220,7 +220,7 @@ def _with_integrals(parts: Array, growth: Array) -> Array:
 
 def _growth(record: Record, controller: Controller) -> Array:
     """Return by how much the integral of 1 grows at each sample, while nothing clamps it [s]."""
-    period = samples_a_period(controller, record.sample_time) * record.sample_time
+    period = samples_a_tick(controller, record.sample_time) * record.sample_time
     return np.where(_ticks(record, controller), period, 0.0)
 
 
@@ -238,7 +238,7 @@ def _known(record: Record) -> Array:
     stated, voltage = controller_of(record), record.voltage
     if stated.anti_windup != "back_calculation" or not stated.integrates or voltage is None:
         return added
-    count = samples_a_period(stated, record.sample_time)
+    count = samples_a_tick(stated, record.sample_time)
     beyond = np.where(_ticks(record, stated), np.clip(voltage, -_limit(record), _limit(record)) - voltage, 0.0)
     pulled = np.cumsum(beyond) * count * record.sample_time / stated.tracking
     return np.asarray(added + np.concatenate((np.zeros(count), pulled[:-count])))
@@ -250,7 +250,7 @@ def _limit(record: Record) -> float:
 
 def _ticks(record: Record, controller: Controller) -> NDArray[np.bool_]:
     """Mark the samples at which the loop runs."""
-    count = samples_a_period(controller, record.sample_time)
+    count = samples_a_tick(controller, record.sample_time)
     period = np.rint((record.time - record.time[0]) / record.sample_time).astype(np.int64) // count
     return np.asarray(np.diff(period, prepend=-1) != 0)
 

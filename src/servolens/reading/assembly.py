@@ -117,6 +117,7 @@ def assemble(
         "encoder_resolution": numbers.get("encoder_resolution", scales.per_count),
         "voltage_limit": _limit(numbers, command),
         "voltage_before": numbers.get("voltage_before"),
+        "control_period": numbers.get("control_period") if controller is None else None,
         "inertia": numbers.get("inertia", numbers.get("mass")),
         "remarks": tuple(replace(remark, record=title) for remark in (*parsed.remarks, *remarks)),
     }
@@ -234,7 +235,7 @@ def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Contr
         gains = [key for key in ("kd", "ki", "kv", "kiv") if numbers.get(key)]
         if gains or "kd" in numbers:
             raise InputError(f"{(gains or ['kd'])[0]} is given without kp; give both")
-        what = [key for key in loop if key not in ("controller", "ki")]
+        what = [key for key in loop if key not in ("controller", "ki", "control_period")]
         message = f"kp is not given, so {', '.join(what)} says nothing."
         return None, [Finding(code="settings_without_gains", severity="note", message=message)] if what else []
     cascade = settings.words.get("controller") == "cascade"

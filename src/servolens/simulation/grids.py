@@ -1,4 +1,4 @@
-"""The instants at which an axis is simulated: those of a log, lost samples put back."""
+"""The instants at which an axis is simulated."""
 
 from __future__ import annotations
 
@@ -7,30 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import InputError
-from servolens.record import as_numbers
+from servolens.record_signals import as_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["as_floats", "as_grid", "sample_time_of", "without_gaps"]
-
-
-def without_gaps(
-    time: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.intp] | None]:
-    """Return a grid on which the loop ran, lost samples put back.
-
-    With the record's sample that is held at each of its instants, and where the record's samples stand in it; None if
-    none are lost.
-    """
-    steps = np.diff(time)
-    nominal = float(np.median(steps))
-    if steps.max() < 1.5 * nominal:
-        return time, np.arange(time.size), None
-    counts = np.maximum(np.rint(steps / nominal).astype(np.intp), 1)
-    index = np.concatenate([[0], np.cumsum(counts)])
-    grid = np.interp(np.arange(index[-1] + 1), index, time)
-    return grid, np.searchsorted(time, grid + 0.5 * nominal, side="right") - 1, index
+__all__ = ["as_floats", "as_grid", "sample_time_of"]
 
 
 def sample_time_of(grid: NDArray[np.float64]) -> float:

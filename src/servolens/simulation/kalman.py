@@ -16,7 +16,9 @@ from __future__ import annotations
 
 from typing import Any
 
-__all__ = ["kalman"]
+__all__ = ["NEVER", "kalman"]
+
+NEVER = 1e99
 
 
 def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) -> int:
@@ -31,7 +33,7 @@ def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) 
         velocity that an acceleration of 1 has, its variance in the long run.
     late, kick : array, shape (n,)
         Position that a late instant adds to the reading, and velocity that it takes from the axis, in standard
-        deviations of the sensor.
+        deviations of the sensor. A reading that is later than `NEVER` was not taken.
     gains, variance : array, shape (3n,) and (n,)
         To fill.
     """
@@ -39,8 +41,10 @@ def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) 
     fresh = power * (1.0 - kept * kept)
     yy, yv, ya, vv, va, aa = 0.0, 0.0, 0.0, 0.0, 0.0, power
     for k in range(n):
-        s = yy + 1.0 + late[k] * late[k]
-        gy, gv, ga = yy / s, (yv - kick[k] * late[k]) / s, ya / s
+        read = 0.0 if late[k] > NEVER else 1.0
+        error = read * late[k]
+        s = yy + 1.0 + error * error
+        gy, gv, ga = read * yy / s, read * (yv - kick[k] * error) / s, read * ya / s
         gains[3 * k], gains[3 * k + 1], gains[3 * k + 2], variance[k] = gy, gv, ga, s
         yy, yv, ya = yy - gy * gy * s, yv - gy * gv * s, ya - gy * ga * s
         vv, va, aa = vv + kick[k] * kick[k] - gv * gv * s, va - gv * ga * s, aa - ga * ga * s

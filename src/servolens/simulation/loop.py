@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar, Unpack
+from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
+from servolens.control_law import command_at
 from servolens.dynamics import ideal_pd
 from servolens.errors import InputError
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
-from servolens.simulation.grids import as_floats, as_grid, sample_time_of, without_gaps
+from servolens.simulation.grids import as_floats, as_grid, sample_time_of
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.runs import Inputs, Simulation, run_one
 from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
     from servolens.controller import Controller
     from servolens.inputs import Plants, Records, RecordSettings
+    from servolens.plant import Plant
+    from servolens.record import Record
+    from servolens.ticks import Ticks
 
 __all__ = [
     "Simulation",
@@ -86,36 +90,48 @@ def simulate(
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
     plant = plant_in(plant, record)
     _shaking(acceleration, sensor_error, record.time)
-    start = (float(record.position[0]), initial_velocity)
-    if driven:
-        return simulate_voltage(
-            plant,
-            record.time,
-            _given(record.voltage),
-            start=start,
-            before=record.voltage_before,
-            acceleration=acceleration,
-            sensor_error=sensor_error,
-            substeps=substeps,
-        )
-    grid, held, index = without_gaps(record.time)
-    result = simulate_loop(
+    ticks = record.loop_ticks()
+    run = _driven if driven else _closed
+    result = run(
         plant,
-        _given(record.controller),
-        grid,
-        _given(record.reference)[held],
-        feedforward=None if record.feedforward is None else record.feedforward[held],
-        start=start,
+        record,
+        ticks,
+        start=(float(record.position[0]), initial_velocity),
         before=record.voltage_before,
-        resolution=record.encoder_resolution or 0.0,
-        limit=record.voltage_limit,
-        acceleration=None if acceleration is None else acceleration[held],
-        sensor_error=None if sensor_error is None else sensor_error[held],
+        acceleration=None if acceleration is None else as_floats(acceleration, "acceleration")[ticks.held],
+        sensor_error=None if sensor_error is None else as_floats(sensor_error, "sensor_error")[ticks.held],
         substeps=substeps,
     )
-    if index is None:
+    if ticks.index is None:
         return result
-    return Simulation(**{name: getattr(result, name)[index] for name in Simulation.__slots__})
+    return Simulation(**{name: ticks.logged(getattr(result, name)) for name in Simulation.__slots__})
+
+
+class _Circumstances(TypedDict):
+    """Of a run."""
+
+    start: tuple[float, float]
+    before: float | None
+    acceleration: NDArray[np.float64] | None
+    sensor_error: NDArray[np.float64] | None
+    substeps: int | None
+
+
+def _driven(plant: Plant, record: Record, ticks: Ticks, **circumstances: Unpack[_Circumstances]) -> Simulation:
+    return simulate_voltage(plant, ticks.time, command_at(record, ticks), **circumstances)
+
+
+def _closed(plant: Plant, record: Record, ticks: Ticks, **circumstances: Unpack[_Circumstances]) -> Simulation:
+    return simulate_loop(
+        plant,
+        _given(record.controller),
+        ticks.time,
+        ticks.set_point(_given(record.reference)),
+        feedforward=None if record.feedforward is None else ticks.command(record.feedforward),
+        resolution=record.encoder_resolution or 0.0,
+        limit=record.voltage_limit,
+        **circumstances,
+    )
 
 
 def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword

@@ -1,0 +1,118 @@
+"""Logs slower than their loop: whether the command was held between the samples, or went on to change."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from servolens.diagnosis.case import Case
+from servolens.diagnosis.decision import Decision, decided
+from servolens.errors import InputError, NumericalError
+from servolens.findings import Finding
+from servolens.jump_times import with_timed_jumps
+from servolens.units import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from servolens.diagnosis.effort import Effort
+    from servolens.identification.options import Prior
+    from servolens.record import Record
+
+__all__ = ["decided_beside_loop_rate"]
+
+USUAL = 1.5e-3
+"""Sample time up to which a log is taken to hold every tick of its loop [s]: position loops seldom run faster than
+1 kHz."""
+TRIED = (2, 3, 4, 5, 6, 8, 10, 20)
+"""Ticks from one sample to the next that are tried: by more than twenty the held command is no longer seen."""
+LIKELIER = 13.8
+"""Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
+
+
+def decided_beside_loop_rate(
+    records: tuple[Record, ...],
+    heldout: tuple[Record, ...],
+    priors: Mapping[str, Prior],
+    candidates: int,
+    effort: Effort,
+    tell: Callable[[str, float], None],
+) -> Decision:
+    """Decide on the causes; where a slow log is likelier if its loop ran faster than it, beside such a loop.
+
+    A command that is held until the next sample is late by half a sample on average, and no cause of the catalogue
+    makes it earlier; but a held command that answers late may look like one of a faster loop. How often that ran is
+    asked again beside the causes that were found.
+
+    Parameters
+    ----------
+    records, heldout, priors, candidates
+        As of :class:`~servolens.diagnosis.case.Case`.
+    effort, tell
+        As of :func:`~servolens.diagnosis.decision.decided`.
+
+    Raises
+    ------
+    InputError, NumericalError
+        As :class:`~servolens.diagnosis.case.Case`.
+    """
+    held = Case(records, heldout, priors, candidates)
+    if _is_known(records) or held.explains(held.base):
+        return decided(held, effort, tell)
+    cases = [case for count in TRIED if (case := _faster(held, priors, candidates, count)) is not None]
+    likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total), default=held)
+    if not likeliest.base.total < held.base.total - LIKELIER:
+        return decided(held, effort, tell)
+    found = [decided(likeliest, effort, lambda what, share: tell(what, 0.5 * share))]
+    if not _explains(found[0]):
+        again = min((held, *cases), key=lambda case: _beside(case, found[0]))
+        if again is not likeliest:
+            found.append(decided(again, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
+    elif _beside(held, found[0]) < found[0].path[-1].total:
+        found.append(decided(held, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
+    chosen = min(found, key=lambda one: (not _explains(one), _simulated_error(one)))
+    return chosen if chosen.case.records[0].ticks == 1 else _told(chosen)
+
+
+def _is_known(records: tuple[Record, ...]) -> bool:
+    """Tell whether a log holds every tick, or says how many there were."""
+    is_stated = any(r.ticks > 1 or (r.controller is not None and r.controller.control_period) for r in records)
+    return is_stated or max(record.sample_time for record in records) <= USUAL
+
+
+def _faster(held: Case, priors: Mapping[str, Prior], candidates: int, count: int) -> Case | None:
+    """Return the case of a loop that ran so often from one sample to the next; None where there can be none."""
+    try:
+        return Case(_with_ticks(held.records, count), _with_ticks(held.heldout, count), priors, candidates)
+    except (InputError, NumericalError):
+        return None
+
+
+def _with_ticks(records: tuple[Record, ...], count: int) -> tuple[Record, ...]:
+    return with_timed_jumps([record.with_ticks(count) for record in records])
+
+
+def _explains(decision: Decision) -> bool:
+    return decision.contradiction is None and decision.case.explains(decision.path[-1])
+
+
+def _beside(case: Case, found: Decision) -> float:
+    """Return −2 log-likelihood of the plant that was found, fitted to the records of another case."""
+    again = case.likelihood.judged(found.path[-1].plant)
+    return math.inf if again is None else again.total
+
+
+def _simulated_error(decision: Decision) -> float:
+    return decision.case.gains([decision.path[-1]]).tested(-1)
+
+
+def _told(decision: Decision) -> Decision:
+    record = decision.case.records[0]
+    message = (
+        f"the axis answers to commands between the samples: its loop ran faster than the log, about {record.ticks}"
+        f" times in {readable(record.sample_time, 's')}, which is assumed here. State control_period, the period of"
+        " the loop, so that predictions and designs use it too."
+    )
+    finding = Finding(code="loop_faster_than_log", severity="warning", message=message)
+    return replace(decision, findings=(*decision.findings, finding))
