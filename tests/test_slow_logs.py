@@ -9,11 +9,14 @@ from servolens import Controller, Plant, Record, diagnose, fit, lab, predict, re
 from servolens.control_law import command_at, controller_voltage
 from servolens.effects import CoulombFriction, Delay
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observer import observer_of
 from servolens.inputs import as_records
 from servolens.jump_times import with_timed_jumps
+from servolens.quality import assess
 from servolens.simulation import simulate, simulate_loop
+from servolens.study.lights import data_light
 
 H = 1e-3
 AXIS = lab.Truth(gain=1.9, damping=6.0)
@@ -228,3 +231,9 @@ def test_slow_loop_that_was_logged_at_each_tick_is_no_faster_one():
     found = diagnose(runs, effort="quick")
     assert "loop_faster_than_log" not in {finding.code for finding in found.findings}
     assert [cause.effect for cause in found.causes] == [Delay.name]
+
+
+def test_light_of_the_data_is_amber_beside_a_loop_that_was_not_stated():
+    record = every(simulated(LOOPS["pd"], 100), 5)
+    told = Finding(code="loop_faster_than_log", severity="warning", message="The loop ran faster.")
+    assert [data_light([assess(record)], others).light for others in ((), (told,))] == ["green", "amber"]

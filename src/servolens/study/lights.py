@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 
 MOST_NAMED = 3
-OF_ALL_RECORDS = ("records_contradict", "limit_contradicts_log")
+OF_ALL_RECORDS = ("records_contradict", "limit_contradicts_log", "loop_faster_than_log")
 """Findings that speak against records as they are together."""
 SETTINGS = ("settings_contradict_log", "gains_contradict_log")
 """Findings that name the setting which a log fits."""
