@@ -100,6 +100,40 @@ def test_log_that_begins_in_motion_is_missed_by_no_more_than_its_noise(kept, beg
     assert same is record
 
 
+@pytest.mark.parametrize("kept", [0.0, 0.9])
+@pytest.mark.parametrize("begin", [0.1, 0.61])
+def test_motion_that_loud_noise_hides_at_the_beginning_is_told_by_the_rest_of_the_log(kept, begin) -> None:
+    time = np.arange(2500) * 1e-3
+    sine = 0.05 * np.sin(2 * np.pi * 1.3 * time)
+    clean = step_record(LM1, 40.0, 1.0, encoder=0.0, setup=Setup(trajectory=sine))
+    hidden = 0
+    for seed in range(12):
+        noise = slow_noise(1e-4, len(clean), seed, kept)
+        record = clean.with_({"position": clean.position + noise}).slice(begin, 3.0)
+        hidden += initial_motion(record) == 0.0
+        missed, after = prediction_residual(LINEAR, record), noise[-len(record) :]
+        assert np.sqrt(np.mean(missed**2)) < 1.2 * np.sqrt(np.mean(after**2))
+    assert (hidden > 2) == (begin == 0.1)
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.02, 0.2])
+def test_axis_at_rest_is_not_set_in_motion_by_what_a_plant_lacks(begin) -> None:
+    lacking = {
+        "coulomb_friction": {"level": 0.3},
+        "delay": {"time": 0.01},
+        "backlash": {"gap": 2e-3, "load_share": 0.3},
+        "return_spring": {"stiffness": 20.0},
+        "constant_force": {"acceleration": 0.5},
+        "flexible_coupling": {"frequency": 8.0, "damping_ratio": 0.05, "load_ratio": 0.3},
+    }
+    for name, sizes in lacking.items():
+        truth = Truth(gain=LM1.gain, damping=LM1.damping, effects={name: sizes})
+        clean = step_record(truth, 60.0, 1.0, encoder=0.0, setup=Setup(rest=begin))
+        for size, kept in ((1e-5, 0.0), (1e-4, 0.9), (1e-3, 0.0)):
+            record = clean.with_({"position": clean.position + slow_noise(size, len(clean), 3, kept)})
+            assert beginning(LINEAR, record)[1] == 0.0
+
+
 def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:
     up = step_record(LM1, 60.0, encoder=0.0)
     down = step_record(LM1, 60.0, encoder=0.0, reference=(0.1, 0.0), duration=1.5).steps()[1]

@@ -13,7 +13,7 @@ import numpy as np
 from servolens.decoding import read_fields
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_model, as_records, check_units, listed
-from servolens.quality.beginning import AGREES, initial_motion
+from servolens.quality.beginning import initial_motion, possible_motion
 from servolens.result import Result, late
 from servolens.simulation import simulate
 
@@ -44,6 +44,9 @@ WINDOW_TIME_CONSTANTS = 5.0
 """Time constants of the axis that a window of a simulation without a reference lasts."""
 FIRST_CHANGE, MOST_SECANTS = 0.1, 3
 """Share by which an initial velocity is changed at first to see what that does, and how often it is."""
+HIDDEN = 0.5
+"""Share of the squared error of a simulation from rest that one from a motion may leave which the first samples do not
+show by themselves."""
 
 
 @final
@@ -246,15 +249,24 @@ def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[ND
     """Return what the simulation misses of a record, that record, and the velocity at which it begins."""
     is_open = record.voltage_before is None and plant.remembers_voltage
     alike = [record, replace(record, voltage_before=0.0)] if is_open else [record]
-    velocities = dict.fromkeys((0.0, initial_motion(record), *([] if speed is None else [speed])))
-    found = [
-        _refined(plant, same, velocity) if velocity and speed is None else (_from(plant, same, velocity), velocity)
-        for same in alike
-        for velocity in velocities
-    ]
-    least = min(range(len(found)), key=lambda k: float(found[k][0] @ found[k][0]))
-    missed, velocity = found[least]
-    return *_timed(plant, alike[least // len(velocities)], velocity, missed), velocity
+    told, (likely, off) = initial_motion(record), possible_motion(record)
+    found = []
+    for same in alike:
+        found.append((_from(plant, same, 0.0), same, 0.0))
+        if speed is not None:
+            found.append((_from(plant, same, speed), same, speed))
+        elif told:
+            found.append(_refined(plant, same, told, off))
+        elif off and _may_move(plant, same, found[-1][0], off):
+            found.append(_refined(plant, same, likely, off))
+    missed, same, velocity = min(found, key=lambda one: float(one[0] @ one[0]))
+    return *_timed(plant, same, velocity, missed), velocity
+
+
+def _may_move(plant: Plant, record: Record, still: NDArray[np.float64], change: float) -> bool:
+    """Tell whether another initial velocity would leave far less of what a simulation from rest misses."""
+    slope = _from(plant, record, change) - still
+    return float(slope @ still) ** 2 > (1.0 - HIDDEN) * float(slope @ slope) * float(still @ still)
 
 
 def _timed(
@@ -278,24 +290,23 @@ def _timed(
     return missed, record
 
 
-def _refined(plant: Plant, record: Record, told: float) -> tuple[NDArray[np.float64], float]:
+def _refined(plant: Plant, record: Record, told: float, off: float) -> tuple[NDArray[np.float64], Record, float]:
     """Return what the simulation misses that begins about as fast as the first samples have `told`, and how fast.
 
-    In least squares over the record, by secants, no further off than two estimates of the velocity may be apart: what
-    the plant gets wrong is no reason to begin otherwise.
+    In least squares over the record, by secants, no further `off` than the first samples allow: what the plant gets
+    wrong is no reason to begin otherwise.
     """
-    missed, velocity, change = _from(plant, record, told), told, FIRST_CHANGE * told
-    low, high = sorted(((1.0 - AGREES) * told, (1.0 + AGREES) * told))
+    missed, velocity, change = _from(plant, record, told), told, FIRST_CHANGE * max(abs(told), off)
     with suppress(NumericalError):
         for _ in range(MOST_SECANTS):
             slope = (_from(plant, record, velocity + change) - missed) / change
             best = velocity - float(slope @ missed) / max(float(slope @ slope), 1e-300)
-            best = min(max(best, low), high)
+            best = min(max(best, told - off), told + off)
             again = _from(plant, record, best)
             if not float(again @ again) < float(missed @ missed):
                 break
             missed, velocity, change = again, best, 0.5 * (best - velocity)
-    return missed, velocity
+    return missed, record, velocity
 
 
 def _from(plant: Plant, record: Record, velocity: float) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["AGREES", "beginning_findings", "initial_motion"]
+__all__ = ["beginning_findings", "initial_motion", "possible_motion"]
 
 FEW, MOST = 12, 20_000
 """Fewest samples that tell of motion, together with twice as many; most that are looked at."""
@@ -34,6 +34,33 @@ def initial_motion(record: Record) -> float:
     Of a cubic through as many of the first samples, at least 24, as it misses by no more than the noise, which that
     through half as many bears out; of an axis that is pushed off at once those through fewer do not agree.
     """
+    found = _cubics(record)
+    if len(found) < 2:
+        return 0.0
+    speed = found[-1][0]
+    is_seen = all(abs(one) > MOVES * error + 1e-12 for one, error in found[-2:])
+    agree = all(abs(speed - one) <= AGREES * abs(speed) + error for one, error in found)
+    return speed if is_seen and agree else 0.0
+
+
+def possible_motion(record: Record) -> tuple[float, float]:
+    """Return what the first samples say of the velocity at the first, and by how much that may be off [m/s or rad/s].
+
+    Loud noise may hide a motion that the rest of the record shows. The error is that of half as many samples: slow
+    noise makes the cubic through all of them look better than it is. Both are 0 where the first samples say nothing.
+    """
+    found = _cubics(record)
+    if not found:
+        return 0.0, 0.0
+    speed = found[-1][0]
+    return speed, max(AGREES * abs(speed), MOVES * found[max(len(found) - 2, 0)][1])
+
+
+def _cubics(record: Record) -> list[tuple[float, float]]:
+    """Return the slope at the first sample, and its error, of cubics through more and more samples.
+
+    As long as they miss no more than the noise.
+    """
     noise, least, step = _noise(record), 1e-6 * float(np.ptp(record.position)), record.encoder_resolution or 0.0
     found, count = [], FEW
     while count <= min(len(record), MOST):
@@ -42,12 +69,7 @@ def initial_motion(record: Record) -> float:
             break
         found.append((velocity, spread * (missed + step)))
         count *= 2
-    if len(found) < 2:
-        return 0.0
-    speed = found[-1][0]
-    is_seen = all(abs(one) > MOVES * error + 1e-12 for one, error in found[-2:])
-    agree = all(abs(speed - one) <= AGREES * abs(speed) + error for one, error in found)
-    return speed if is_seen and agree else 0.0
+    return found
 
 
 def _velocity(record: Record, count: int) -> tuple[float, float, float]:
