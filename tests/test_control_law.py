@@ -109,12 +109,12 @@ def test_slow_loop_keeps_its_ticks_over_lost_samples():
         ),
         (
             Record(time=[0, 2], position=[0, 1], reference=[0, 1], controller=Controller(kp=1, control_period=3.0)),
-            "record: control_period is 3 s and the sample time 2 s; the one must be a whole multiple of the other",
+            "record: control_period is 3 s and the sample time 2 s; the longer must be a whole multiple of the shorter",
         ),
         (
             Record(time=[0, 2], position=[0, 1], reference=[0, 1], controller=Controller(kp=1, control_period=0.75)),
             "record: control_period is 0.75 s and the sample time 2 s;"
-            " the one must be a whole multiple of the other, and at most 1000 times as long",
+            " the longer must be a whole multiple of the shorter, and at most 1000 times as long",
         ),
     ],
     ids=["gains", "reference", "velocity", "fraction", "faster than the log"],

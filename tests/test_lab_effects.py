@@ -746,7 +746,10 @@ def test_numbers_of_numpy_are_as_good_as_plain_ones():
         ({"feedforward": [0.1]}, "feedforward has 1 samples, the reference has 1501"),
         ({"start": np.inf}, "start must be finite"),
         ({"log_reference": False, "log_voltage": False}, "log_reference and log_voltage are both False"),
-        ({"controller": Controller(kp=60, control_period=0.0025)}, "the one must be a whole multiple of the other"),
+        (
+            {"controller": Controller(kp=60, control_period=0.0025)},
+            "the longer must be a whole multiple of the shorter",
+        ),
     ],
     ids=["one sample", "two dimensions", "not finite", "limit", "rest", "other length", "start", "nothing", "period"],
 )

@@ -272,7 +272,7 @@ def test_unstable_loop_is_a_numerical_error_that_names_the_plant() -> None:
 
 def test_control_period_must_be_whole_samples() -> None:
     time = grid(0.1)
-    with pytest.raises(InputError, match="the one must be a whole multiple of the other"):
+    with pytest.raises(InputError, match="the longer must be a whole multiple of the shorter"):
         simulate_loop(LINEAR, Controller(kp=1.0, control_period=2.5e-3), time, np.zeros(time.size))
 
 

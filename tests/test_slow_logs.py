@@ -104,7 +104,7 @@ def test_axes_without_known_gains_state_the_period_too(tmp_path):
 
 @pytest.mark.parametrize(
     ("period", "words"),
-    [(7e-4, "whole multiple of the other"), (1e-6, "at most 1000 times as long")],
+    [(7e-4, "whole multiple of the shorter"), (1e-6, "at most 1000 times as long")],
     ids=["no multiple", "far too fast"],
 )
 def test_period_that_does_not_fit_is_refused(period, words):
@@ -112,6 +112,57 @@ def test_period_that_does_not_fit_is_refused(period, words):
     odd = replace(slow, controller=replace(slow.controller, control_period=period))
     with pytest.raises(InputError, match=words):
         simulate(Plant(gain=1.9, damping=6.0), odd)
+
+
+@pytest.mark.parametrize("lead", [-2e-3, 6e-3, 0.2])
+def test_jump_that_does_not_come_between_two_samples_is_refused(lead):
+    slow = every(simulated(LOOPS["p"], 100), 5)
+    leads = np.where(np.arange(len(slow)) == 20, lead, 0.0)
+    with pytest.raises(InputError, match=r"^run: jump_leads must lie in \[0, 0.005\) s, .*; sample 20 is "):
+        replace(slow, jump_leads=leads)
+
+
+def test_file_of_a_record_states_the_period_of_its_controller(tmp_path):
+    slow = replace(every(simulated(LOOPS["p"], 100), 5), control_period=2e-4)
+    assert slow.ticks == 5
+    slow.to_csv(tmp_path / "slow.csv")
+    assert read_record(tmp_path / "slow.csv").controller == slow.controller
+
+
+def test_records_logged_at_different_rates_are_timed_each_by_itself():
+    runs = [
+        logged(lab.Truth(gain=1.9, damping=6.0, effects={"delay": {"time": 0.002}}), 60, 0, count=n, rest=0.1, seed=n)
+        for n in (10, 3)
+    ]
+    alone = [with_timed_jumps([run])[0].jump_leads.tolist() for run in runs]
+    for order in (runs, runs[::-1]):
+        found = {record.ticks: record.jump_leads.tolist() for record in with_timed_jumps(order)}
+        assert [found[n] for n in (10, 3)] == alone
+
+
+def test_jump_in_a_gap_is_not_timed_by_what_lies_beyond():
+    slow = logged(AXIS, 60, 0, count=5, rest=0.103)
+    keep = ~np.isin(np.arange(len(slow)), [19, 20, 21])
+    signals = {name: getattr(slow, name)[keep] for name in ("time", "position", "reference", "voltage")}
+    (timed,) = with_timed_jumps([replace(slow, **signals)])
+    assert timed.jump_leads[timed.jumps()[0]] == 0.0
+    assert timed.jump_leads[timed.jumps()[1]] > 0.0
+
+
+@pytest.mark.parametrize("on", ["measurement", "error"])
+@pytest.mark.parametrize("noise", [1e-6, 5e-5])
+def test_check_says_nothing_against_a_slow_log_whose_period_is_stated(on, noise):
+    setup = lab.Setup(rest=0.1, controller=Controller(kp=80, kd=3, derivative_on=on))
+    full = lab.step_record(AXIS, reference=(0.1, 0.0), duration=1.2, noise=noise, seed=4, setup=setup)
+    for count in (3, 5):
+        found = assess(every(full, count)).findings
+        assert [finding.code for finding in found if finding.severity != "note"] == []
+        assert "law_not_verified" in {finding.code for finding in found}
+
+
+def test_law_that_needs_a_limit_is_answered_without_one():
+    full = simulated(LOOPS["p"], 100)
+    assert full.answer(Controller(kp=60, ki=3, anti_windup="clamping")).integral.size == len(full)
 
 
 def test_lost_samples_of_a_slow_log_are_put_back():
@@ -131,7 +182,6 @@ def test_jumps_between_samples_are_timed(count, late):
     before = -(100 + late) % count * H
     for record in with_timed_jumps(runs):
         assert record.jump_leads[record.jumps()] == pytest.approx(before, abs=1e-9 if count == 3 else H + 1e-9)
-        assert np.count_nonzero(record.jump_leads) <= record.jumps().size
     assert all(record.jump_leads is not None for record in as_records(runs))
 
 
@@ -146,7 +196,9 @@ def test_delay_of_the_axis_is_no_late_jump():
 
 def test_jumps_stay_as_stated_and_follow_their_samples():
     slow = logged(AXIS, 60, 0, count=3, rest=0.101)
-    stated = replace(slow, jump_leads=np.full(len(slow), 2e-3))
+    leads = np.zeros(len(slow))
+    leads[slow.jumps()] = 2e-3
+    stated = replace(slow, jump_leads=leads)
     assert with_timed_jumps([stated])[0] is stated
     (timed,) = with_timed_jumps([slow])
     part = timed.slice(0.5, 2.0)
@@ -191,6 +243,37 @@ def test_observer_is_not_moved_between_samples_and_follows_a_mistimed_jump():
         gain = prior[:, 0] / (prior[0, 0] + 1e-10)
         assert gains[tick, :2] == pytest.approx(gain, rel=1e-6)
         prior = prior - np.outer(gain, prior[0])
+
+
+def test_lost_samples_are_no_cause():
+    """The axis is led along what was measured, for the voltage at a lost sample is not known."""
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    stream, runs = np.random.default_rng(7), []
+    for kp in (40, 80):
+        full = lab.step_record(truth, kp=kp, kd=1, reference=(0.1, 0.0), duration=1.2, noise=1e-5, seed=kp)
+        keep = stream.random(len(full)) > 0.05
+        keep[:5] = True
+        taken = {name: getattr(full, name)[keep] for name in ("time", "position", "reference", "voltage")}
+        runs.append(replace(full, **taken))
+    assert [cause.effect for cause in diagnose(runs, effort="quick").causes] == ["coulomb_friction"]
+
+
+def test_spike_of_a_slow_log_is_told():
+    slow = logged(AXIS, 60, 0, count=5, noise=1e-6)
+    position = slow.position.copy()
+    position[300] += 0.03
+    found = diagnose(replace(slow, position=position), effort="quick")
+    assert "position_spikes" in {finding.code for finding in found.findings}
+
+
+def test_only_the_slow_ones_of_several_logs_have_a_faster_loop():
+    slow = [logged(AXIS, kp, 0, count=5, rest=0.1, seed=kp) for kp in (60, 40)]
+    slow = [replace(run, controller=replace(run.controller, control_period=None)) for run in slow]
+    full = lab.step_record(AXIS, kp=80, reference=(0.1, 0.0), duration=1.2, noise=1e-5, seed=3)
+    found = diagnose([full, *slow], effort="quick")
+    assert [record.ticks for record in found.records] in ([1, 4, 4], [1, 5, 5], [1, 6, 6])
+    (said,) = (finding for finding in found.findings if finding.code == "loop_faster_than_log")
+    assert "times in 5 ms" in said.message
 
 
 @pytest.mark.slow

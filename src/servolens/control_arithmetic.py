@@ -130,13 +130,13 @@ def samples_a_period(controller: Controller, sample_time: float) -> int:
     if not _is_whole(ratio):
         raise InputError(
             f"control_period is {controller.control_period:g} s and the sample time {sample_time:g} s;"
-            " the one must be a whole multiple of the other"
+            " the longer must be a whole multiple of the shorter"
         )
     return round(ratio)
 
 
 def samples_a_tick(controller: Controller, sample_time: float) -> int:
-    """Return the same of a log, 1 where that is slower than its loop.
+    """Return how many samples of a log the controller's period holds, 1 where the log is slower than its loop.
 
     Raises
     ------
@@ -162,7 +162,7 @@ def ticks_a_sample(control_period: float | None, sample_time: float) -> int:
     if not (_is_whole(ratio) and ratio < MOST_TICKS + 0.5):
         raise InputError(
             f"control_period is {control_period:g} s and the sample time {sample_time:g} s;"
-            f" the one must be a whole multiple of the other, and at most {MOST_TICKS} times as long"
+            f" the longer must be a whole multiple of the shorter, and at most {MOST_TICKS} times as long"
         )
     return round(ratio)
 

@@ -1,4 +1,4 @@
-"""When the reference jumped, of a loop that ran faster than it was logged: between two samples, the axis tells."""
+"""When the reference jumped between two samples of a log slower than its loop: the motion shows it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["with_timed_jumps"]
 
 BEFORE, AFTER, FEWEST = 6, 12, 9
-"""Samples around a jump that tell when it came, and how many there must be: three more than is unknown of them."""
+"""Samples before and after a jump that tell when it came; fewest of them, for they have six unknowns."""
 FINEST = 20
 """Times between two samples that are told apart at most."""
 LATEST = 2
@@ -42,19 +42,26 @@ def with_timed_jumps(records: Sequence[Record]) -> tuple[Record, ...]:
     records : sequence of Record
         Those without a logged voltage, and those whose times are known, stay as they are.
     """
-    chosen = [i for i, r in enumerate(records) if r.voltage is not None and r.jump_leads is None and r.ticks > 1]
-    windows = {i: _windows(records[i]) for i in chosen}
-    flat = [window for some in windows.values() for window in some]
-    if not flat:
-        return tuple(records)
-    leads = iter(_leads(flat))
     found = list(records)
-    for i, some in windows.items():
-        signal = np.zeros(len(records[i]))
-        for window in some:
-            signal[window.sample] = next(leads)
-        found[i] = replace(records[i], jump_leads=signal)
+    chosen = [i for i, r in enumerate(records) if r.voltage is not None and r.jump_leads is None and r.ticks > 1]
+    for alike in _logged_alike(records, chosen):
+        windows = {i: _windows(records[i]) for i in alike}
+        flat = [window for some in windows.values() for window in some]
+        leads = iter(_leads(flat) if flat else ())
+        for i, some in windows.items():
+            signal = np.zeros(len(records[i]))
+            for window in some:
+                signal[window.sample] = next(leads)
+            found[i] = replace(records[i], jump_leads=signal)
     return tuple(found)
+
+
+def _logged_alike(records: Sequence[Record], chosen: Sequence[int]) -> list[list[int]]:
+    """Return the `chosen` records by their sample time and ticks: only delays in like steps can be compared."""
+    groups: dict[tuple[float, int], list[int]] = {}
+    for i in chosen:
+        groups.setdefault((float(f"{records[i].sample_time:.3g}"), records[i].ticks), []).append(i)
+    return list(groups.values())
 
 
 @final
@@ -97,7 +104,8 @@ def _windows(record: Record) -> list[_Window]:
     for k in record.jumps().tolist():
         at = int(np.searchsorted(bounds, k))
         first, stop = max(k - BEFORE, int(bounds[at - 1])), min(k + AFTER, int(bounds[at + 1]))
-        if k - first > 1 and stop - k > 1 and stop - first >= FEWEST:
+        is_whole = np.max(np.diff(record.time[first:stop]), initial=0.0) < 1.5 * record.sample_time
+        if k - first > 1 and stop - k > 1 and stop - first >= FEWEST and is_whole:
             found.append(_window(record, k, first, stop))
     return found
 

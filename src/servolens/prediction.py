@@ -323,7 +323,8 @@ def predict(
     models : Plant, model, fit, diagnosis, path of a model's file, a sequence of these, or a mapping by name
         What predicts.
     records : Record, path, DataFrame, TimeResponseData, or a sequence of these
-        Each record's reference is simulated with its own gains; one without them from its logged voltage.
+        Each record's reference is simulated with its own gains; one without them from its logged voltage. Fitted to it
+        are the velocity at which it begins, if not at rest, and of a log slower than its loop the tick of each jump.
     **settings
         ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
 

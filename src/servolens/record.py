@@ -14,7 +14,7 @@ import numpy as np
 from servolens.control_arithmetic import Answer, LoopSignals, answer, ticks_a_sample
 from servolens.controller import Controller
 from servolens.errors import needed, unwrapped
-from servolens.record_signals import as_signal, check_enabled, check_time, is_number, require
+from servolens.record_signals import as_signal, check_enabled, check_leads, check_time, is_number, require
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
 from servolens.ticks import Ticks
@@ -152,6 +152,7 @@ class Record:
             )
 
         check_enabled(self.enabled, self.name)
+        check_leads(self.jump_leads, steps, self.name)
         if self.controller is not None:
             needed(self.controller, Controller, "Controller(kp=60, kd=1)")
         require(
@@ -328,18 +329,22 @@ class Record:
         InputError
             If there is no reference, or a velocity is needed and not logged, or the period does not fit.
         """
-        ticks = self.with_({"controller": controller}).loop_ticks()
-        if not ticks.is_faster:
+        count = ticks_a_sample(controller.control_period, self.sample_time)
+        if count == 1:
             return answer(controller, self.signals_seen())
+        ticks = self._ticks(count)
         found = answer(controller, ticks.seen(self.signals_seen()))
         return Answer(**{name: ticks.logged(getattr(found, name)) for name in Answer.__slots__})
 
     def loop_ticks(self) -> Ticks:
         """Return when the loop ran: at each sample, at lost ones too, or several times between them."""
-        if self.ticks == 1:
+        return self._ticks(self.ticks)
+
+    def _ticks(self, count: int) -> Ticks:
+        if count == 1:
             return Ticks.of(self.time)
         jumps = self.jumps()
-        return Ticks.of(self.time, self.ticks, jumps, None if self.jump_leads is None else self.jump_leads[jumps])
+        return Ticks.of(self.time, count, jumps, None if self.jump_leads is None else self.jump_leads[jumps])
 
     def jumps(self) -> NDArray[np.intp]:
         """Return the samples that first show a jump of the reference, which does not just go on moving."""
@@ -370,8 +375,8 @@ class Record:
     def to_csv(self, path: str | os.PathLike[str]) -> None:
         """Write the record as a file that :func:`servolens.read_record` reads with the same numbers, to the last bit.
 
-        What the file does not hold are `source` and `remarks`, which are its reader's. Where the loop is not known, who
-        reads the file looks for gains in the logged command, as in every log.
+        What the file does not hold are `source`, `remarks` and `jump_leads`, which are its reader's. Where the loop is
+        not known, who reads the file looks for gains in the logged command, as in every log.
 
         Parameters
         ----------
@@ -397,7 +402,7 @@ class Record:
         if self.controller is not None:
             settings |= loop_settings(self.controller, length, command)
         for key in SETTINGS:
-            if getattr(self, key) is not None:
+            if getattr(self, key) is not None and key not in settings:
                 settings[key] = float(getattr(self, key))
         units = {"time": "s", "velocity": f"{length}/s", "voltage": command, "feedforward": command}
         columns = {s if s == "enabled" else f"{s} [{units.get(s, length)}]": getattr(self, s) for s in SIGNALS}

@@ -11,7 +11,7 @@ from servolens.errors import InputError, described
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["as_numbers", "as_signal", "check_enabled", "check_time", "is_number", "require"]
+__all__ = ["as_numbers", "as_signal", "check_enabled", "check_leads", "check_time", "is_number", "require"]
 
 
 def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
@@ -94,6 +94,25 @@ def check_enabled(enabled: NDArray[np.float64] | None, record: str) -> None:
     if odd.size:
         k = int(odd[0])
         raise InputError(f"{record}: enabled must be 0 (motor off) or 1 (on); sample {k} is {enabled[k]:g}")
+
+
+def check_leads(leads: NDArray[np.float64] | None, steps: NDArray[np.float64], record: str) -> None:
+    """Refuse jumps that came after the sample that shows them, or not after the one before; `steps` lie between [s].
+
+    Raises
+    ------
+    InputError
+        With the first such sample.
+    """
+    if leads is None:
+        return
+    odd = np.flatnonzero((leads[1:] < 0.0) | (leads[1:] >= steps)) + 1
+    if odd.size:
+        k = int(odd[0])
+        raise InputError(
+            f"{record}: jump_leads must lie in [0, {steps[k - 1]:g}) s, the time since the sample before;"
+            f" sample {k} is {leads[k]:g}"
+        )
 
 
 def is_number(value: object) -> bool:

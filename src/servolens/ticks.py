@@ -29,7 +29,7 @@ class Ticks:
     time : ndarray, shape (n,)
         [s].
     index : ndarray of int or None
-        Where the record's samples stand in it; None if it is they.
+        Where the record's samples stand in it; None if every tick was logged.
     sampled : ndarray, shape (m,)
         Time of the record's samples [s].
     held : ndarray of int, shape (n,)
@@ -82,7 +82,7 @@ class Ticks:
         return cls(time=grid, index=index, sampled=time, held=held, jumps=came, step=nominal / count)
 
     def command(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a command at the ticks: held from sample to sample, or of a faster loop smooth but for the jumps."""
+        """Return a command at the ticks: held between samples; of a faster loop interpolated between jumps."""
         if self.jumps is None:
             return np.ascontiguousarray(signal[self.held])
         found = self._smooth(signal)
@@ -96,18 +96,18 @@ class Ticks:
 
     def _smooth(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a command between its jumps."""
-        from scipy.interpolate import CubicSpline
+        from scipy.interpolate import PchipInterpolator
 
         assert self.jumps is not None  # noqa: S101 - of a faster loop
         found, index = signal[self.held], self._places
         for first, stop in pairwise([0, *self.jumps[:, 0].tolist(), signal.size]):
             if stop - first > 1:
                 inside = slice(int(index[first]), int(index[stop - 1]) + 1)
-                found[inside] = CubicSpline(self.sampled[first:stop], signal[first:stop])(self.time[inside])
+                found[inside] = PchipInterpolator(self.sampled[first:stop], signal[first:stop])(self.time[inside])
         return np.ascontiguousarray(found)
 
     def set_point(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return a set point at the ticks: held from sample to sample, or of a faster loop moving but for the jumps."""
+        """Return a set point at the ticks: held between samples; of a faster loop interpolated between jumps."""
         if self.jumps is None:
             return np.ascontiguousarray(signal[self.held])
         found, index = np.interp(self.time, self.sampled, signal), self._places

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -25,8 +26,9 @@ __all__ = ["decided_beside_loop_rate"]
 USUAL = 1.5e-3
 """Sample time up to which a log is taken to hold every tick of its loop [s]: position loops seldom run faster than
 1 kHz."""
-TRIED = (2, 3, 4, 5, 6, 8, 10, 20)
-"""Ticks from one sample to the next that are tried: by more than twenty the held command is no longer seen."""
+FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
+"""Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
+more than twenty the held command is no longer seen."""
 LIKELIER = 13.8
 """Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
 
@@ -60,10 +62,11 @@ def decided_beside_loop_rate(
     held = Case(records, heldout, priors, candidates)
     if _is_known(records) or held.explains(held.base):
         return decided(held, effort, tell)
-    cases = [case for count in TRIED if (case := _faster(held, priors, candidates, count)) is not None]
-    likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total), default=held)
-    if not likeliest.base.total < held.base.total - LIKELIER:
+    cases = _faster(held, priors, candidates, FIRST)
+    if not any(case.base.total < held.base.total - LIKELIER for case in cases):
         return decided(held, effort, tell)
+    cases += _faster(held, priors, candidates, OTHERS)
+    likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total))
     found = [decided(likeliest, effort, lambda what, share: tell(what, 0.5 * share))]
     if not _explains(found[0]):
         again = min((held, *cases), key=lambda case: _beside(case, found[0]))
@@ -72,7 +75,7 @@ def decided_beside_loop_rate(
     elif _beside(held, found[0]) < found[0].path[-1].total:
         found.append(decided(held, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
     chosen = min(found, key=lambda one: (not _explains(one), _simulated_error(one)))
-    return chosen if chosen.case.records[0].ticks == 1 else _told(chosen)
+    return _told(chosen) if chosen.case is not held and _fastest(chosen.case).ticks > 1 else chosen
 
 
 def _is_known(records: tuple[Record, ...]) -> bool:
@@ -81,16 +84,24 @@ def _is_known(records: tuple[Record, ...]) -> bool:
     return is_stated or max(record.sample_time for record in records) <= USUAL
 
 
-def _faster(held: Case, priors: Mapping[str, Prior], candidates: int, count: int) -> Case | None:
-    """Return the case of a loop that ran so often from one sample to the next; None where there can be none."""
-    try:
-        return Case(_with_ticks(held.records, count), _with_ticks(held.heldout, count), priors, candidates)
-    except (InputError, NumericalError):
-        return None
+def _faster(held: Case, priors: Mapping[str, Prior], candidates: int, counts: tuple[int, ...]) -> list[Case]:
+    """Return the cases of loops that ran so often from one sample of the slowest log to the next, as far as they do."""
+    slowest, found = max(record.sample_time for record in held.records), []
+    for count in counts:
+        with suppress(InputError, NumericalError):
+            groups = [_with_loop(group, slowest / count) for group in (held.records, held.heldout)]
+            found.append(Case(groups[0], groups[1], priors, candidates))
+    return found
 
 
-def _with_ticks(records: tuple[Record, ...], count: int) -> tuple[Record, ...]:
-    return with_timed_jumps([record.with_ticks(count) for record in records])
+def _with_loop(records: tuple[Record, ...], period: float) -> tuple[Record, ...]:
+    """Return the records of a loop of that period [s], as often as it ran in each of them."""
+    return with_timed_jumps([record.with_ticks(max(round(record.sample_time / period), 1)) for record in records])
+
+
+def _fastest(case: Case) -> Record:
+    """Return the record whose loop ran most often between its samples."""
+    return max(case.records, key=lambda record: record.ticks)
 
 
 def _explains(decision: Decision) -> bool:
@@ -108,7 +119,7 @@ def _simulated_error(decision: Decision) -> float:
 
 
 def _told(decision: Decision) -> Decision:
-    record = decision.case.records[0]
+    record = _fastest(decision.case)
     message = (
         f"the axis answers to commands between the samples: its loop ran faster than the log, about {record.ticks}"
         f" times in {readable(record.sample_time, 's')}, which is assumed here. State control_period, the period of"

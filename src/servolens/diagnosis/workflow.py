@@ -101,11 +101,15 @@ def diagnose(
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
-    findings = log_findings((*runs, *others))
+    given = (*runs, *others)
+    findings = log_findings(given)
     runs, others = (tuple(without_spikes(record) for record in group) for group in (runs, others))
     try:
         tell = _never_back(progress)
         decision = decided_beside_loop_rate(runs, others, known, len(catalogue()), EFFORT[effort], tell)
+        ticks = [record.ticks for record in (*decision.case.records, *decision.case.heldout)]
+        if ticks != [record.ticks for record in given]:  # their law, too, ran at the ticks that were found
+            findings = log_findings([one.with_ticks(count) for one, count in zip(given, ticks, strict=True)])
         return _diagnosed(decision, effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):
@@ -118,8 +122,6 @@ def _diagnosed(
 ) -> Diagnosis:
     """Test what was decided on records held out, and say it."""
     case, found = decision.case, decision.found
-    if case.records[0].ticks > 1:  # their law, too, ran at the ticks that were found
-        findings = log_findings((*case.records, *case.heldout))
     progress("Comparing errors with and without the causes", 90, 100)
     path, fits, sizeless = _as_far_as_shown(case, decision.path, work := SPENT * EFFORT[effort].work)
     found = replace(found, path=tuple(path)) if sizeless else found

@@ -133,8 +133,11 @@ class Signals:
 
     @property
     def is_measured(self) -> NDArray[np.bool_] | None:
-        """Which of the ticks were logged, shape (n,); None if all were."""
-        if self.ticks.index is None:
+        """Which of the ticks of a loop faster than its log were logged, shape (n,); None if it was no faster.
+
+        Of samples that were lost the voltage is not known either: there the axis is led along what was measured.
+        """
+        if self.ticks.index is None or not self.ticks.is_faster:
             return None
         found = np.zeros(self.time.size, dtype=np.bool_)
         found[self.ticks.index] = True

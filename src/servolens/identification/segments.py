@@ -127,7 +127,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
 
 
 def _means(record: Record) -> NDArray[np.float64]:
-    """Return the voltage from each sample to the next."""
+    """Return the mean voltage from each sample to the next."""
     ticks = record.loop_ticks()
     return ticks.means(applied_at(record, ticks)) if ticks.is_faster else applied_voltage(record)
 
@@ -203,7 +203,7 @@ def applied_voltage(record: Record) -> NDArray[np.float64]:
 
 
 def applied_at(record: Record, ticks: Ticks) -> NDArray[np.float64]:
-    """Return the same at the `ticks` of the record's loop."""
+    """Return the voltage behind the amplifier's limits at the `ticks` of the record's loop."""
     if not ticks.is_faster:
         return ticks.command(applied_voltage(record))
     asked, limit = command_at(record, ticks), record.voltage_limit

@@ -116,7 +116,8 @@ def _early(record: Record, seen: Sampling, edge: int) -> Iterator[Finding]:
         return
     resting = y[: edge // 2]
     towards = float(np.sign(reference[edge] - reference[edge - 1]))
-    gone = (float(y[edge]) - float(np.median(resting))) * towards
+    before = edge - 1 if record.ticks > 1 else edge  # the reference may have jumped between two samples
+    gone = (float(y[before]) - float(np.median(resting))) * towards
     if float(np.ptp(resting)) > seen.outstanding or gone < seen.outstanding:
         return
     begun = int(np.argmax(np.abs(y[:edge] - np.median(resting)) > seen.outstanding))

@@ -136,7 +136,7 @@ def _in_law(record: Record, jumps: _Jumps) -> tuple[NDArray[np.bool_], NDArray[n
         return nothing, nothing
     try:
         missed = voltage - controller_voltage(record)
-        slow = samples_a_tick(loop, record.sample_time) > 1
+        slow = samples_a_tick(loop, record.sample_time) > 1 or record.ticks > 1
     except InputError:
         return nothing, nothing
     jump = loop.kd * loop.derivative_filter * jumps.sizes / (loop.derivative_window * record.sample_time)

@@ -241,7 +241,7 @@ def _known(record: Record) -> Array:
     count = samples_a_tick(stated, record.sample_time)
     beyond = np.where(_ticks(record, stated), np.clip(voltage, -_limit(record), _limit(record)) - voltage, 0.0)
     pulled = np.cumsum(beyond) * count * record.sample_time / stated.tracking
-    return np.asarray(added + np.concatenate((np.zeros(count), pulled[:-count])))
+    return np.asarray(added + np.concatenate((np.zeros(count), pulled))[: pulled.size])
 
 
 def _limit(record: Record) -> float:

@@ -86,12 +86,15 @@ class LoopFit:
 def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
     """Fit kp and kd to the logged voltage by least squares; None without voltage or reference.
 
+    None, too, of a log slower than its loop: the noise of the ticks between its samples is in the voltage alone.
     Left out are samples at a limit, the 20 ms after each edge of the reference, the first samples (the loop's past is
     not in the log), and, in three rounds, what is off by more than four standard deviations.
     """
     if record.voltage is None or record.reference is None or not record.voltage.any() or len(record) < 4:
         return None
     try:
+        if record.ticks > 1:
+            return None
         aligned = _aligned(record)
         limits, free = _limited(aligned)
         other = find_alternative(aligned, free) or find_alternative(aligned, free & _quiet(aligned))
@@ -145,6 +148,9 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     if record.voltage is None:
         message = "no voltage is logged; it is reconstructed from kp and kd, which therefore cannot be verified."
         yield Finding(code="voltage_reconstructed", severity="note", message=message)
+    elif record.has_loop and fit is None and _is_slow(record):
+        message = "the log is slower than its loop; kp and kd, and the settings of the loop, cannot be verified."
+        yield Finding(code="law_not_verified", severity="note", message=message)
     beyond = beyond_limit(record)
     if beyond:
         message = (
@@ -158,6 +164,13 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         if fit.alternative is not None:
             yield _alternative(record, fit, fit.alternative)
         yield from _gains(record, fit)
+
+
+def _is_slow(record: Record) -> bool:
+    try:
+        return record.ticks > 1
+    except InputError:  # of an impossible period, which is told by itself
+        return False
 
 
 def _believed(record: Record, fit: LoopFit) -> bool:

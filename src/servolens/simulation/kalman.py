@@ -19,6 +19,7 @@ from typing import Any
 __all__ = ["NEVER", "kalman"]
 
 NEVER = 1e99
+"""Error of a reading, in standard deviations of the sensor, from which on it counts as not taken."""
 
 
 def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) -> int:
@@ -33,7 +34,7 @@ def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) 
         velocity that an acceleration of 1 has, its variance in the long run.
     late, kick : array, shape (n,)
         Position that a late instant adds to the reading, and velocity that it takes from the axis, in standard
-        deviations of the sensor. A reading that is later than `NEVER` was not taken.
+        deviations of the sensor. A reading whose error is above `NEVER` was not taken.
     gains, variance : array, shape (3n,) and (n,)
         To fill.
     """

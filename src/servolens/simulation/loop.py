@@ -108,7 +108,7 @@ def simulate(
 
 
 class _Circumstances(TypedDict):
-    """Of a run."""
+    """What a run begins with and is disturbed by, and its substeps."""
 
     start: tuple[float, float]
     before: float | None
