@@ -109,9 +109,13 @@ def _explains(decision: Decision) -> bool:
 
 
 def _beside(case: Case, found: Decision) -> float:
-    """Return −2 log-likelihood of the plant that was found, fitted to the records of another case."""
-    again = case.likelihood.judged(found.path[-1].plant)
-    return math.inf if again is None else again.total
+    """Return −2 log-likelihood of what was found, fitted to the records of another case.
+
+    Of the causes, or of the likeliest alone: beside a wrong rate others make up for it.
+    """
+    alone = sorted(found.found.singles, key=lambda h: h.total)[:1]
+    fits = [case.likelihood.judged(h.plant) for h in (found.path[-1], *alone)]
+    return min((h.total for h in fits if h is not None), default=math.inf)
 
 
 def _simulated_error(decision: Decision) -> float:

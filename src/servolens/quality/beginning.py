@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,8 @@ AGREES, ROUGH, EXACT = 0.3, 2.0, 1.2
 samples, and of more: what it misses of 48 is within a tenth of the noise."""
 MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
+LATE = 3.0
+"""Samples by which an axis that rests may answer early or late when it is pushed off."""
 FAST = 0.05
 """Share of the top speed from which on a beginning in motion is worth a warning."""
 
@@ -34,7 +37,8 @@ def initial_motion(record: Record) -> float:
     Of a cubic through as many of the first samples, at least 24, as it misses by no more than the noise, which that
     through half as many bears out; of an axis that is pushed off at once those through fewer do not agree.
     """
-    found = _cubics(record)
+    step = record.encoder_resolution or 0.0
+    found = [(velocity, spread * (missed + step)) for velocity, spread, missed in _cubics(record)]
     if len(found) < 2:
         return 0.0
     speed = found[-1][0]
@@ -47,17 +51,23 @@ def possible_motion(record: Record) -> tuple[float, float]:
     """Return what the first samples say of the velocity at the first, and by how much that may be off [m/s or rad/s].
 
     Loud noise may hide a motion that the rest of the record shows. The error is that of half as many samples: slow
-    noise makes the cubic through all of them look better than it is. Both are 0 where the first samples say nothing.
+    noise makes the cubic through all of them look better than it is. Both are 0 where the first samples say nothing, or
+    contradict each other beyond their noise, and where an axis that is pushed off at once, and answers a few samples
+    early or late, looks the same.
     """
-    found = _cubics(record)
-    if not found:
+    rounding = (record.encoder_resolution or 0.0) / math.sqrt(12.0)
+    cubics = _cubics(record)
+    found = [(velocity, spread * math.hypot(missed, rounding)) for velocity, spread, missed in cubics]
+    speed = found[-1][0] if found else 0.0
+    if not found or any(abs(speed - one) > AGREES * abs(speed) + MOVES * error for one, error in found):
         return 0.0, 0.0
-    speed = found[-1][0]
-    return speed, max(AGREES * abs(speed), MOVES * found[max(len(found) - 2, 0)][1])
+    off = max(AGREES * abs(speed), MOVES * found[max(len(found) - 2, 0)][1])
+    pushed = abs(_acceleration(record, FEW * 2 ** (len(cubics) - 1)))
+    return (0.0, 0.0) if abs(speed) + off < LATE * pushed * record.sample_time else (speed, off)
 
 
-def _cubics(record: Record) -> list[tuple[float, float]]:
-    """Return the slope at the first sample, and its error, of cubics through more and more samples.
+def _cubics(record: Record) -> list[tuple[float, float, float]]:
+    """Return what :func:`_velocity` tells of cubics through more and more samples.
 
     As long as they miss no more than the noise.
     """
@@ -67,7 +77,7 @@ def _cubics(record: Record) -> list[tuple[float, float]]:
         velocity, spread, missed = _velocity(record, count)
         if missed > (ROUGH if count <= 2 * FEW else EXACT) * (noise + step) + least:
             break
-        found.append((velocity, spread * (missed + step)))
+        found.append((velocity, spread, missed))
         count *= 2
     return found
 
@@ -80,6 +90,12 @@ def _velocity(record: Record, count: int) -> tuple[float, float, float]:
     along, slope = basis.T @ record.position[:count], np.linalg.inv(upper)[1] / duration
     missed = float(np.sqrt(np.mean((record.position[:count] - basis @ along) ** 2)))
     return float(slope @ along), float(np.linalg.norm(slope)), missed
+
+
+def _acceleration(record: Record, count: int) -> float:
+    """Return the acceleration at the first sample, of a parabola through the first `count` [m/s² or rad/s²]."""
+    time = record.time[:count] - record.time[0]
+    return 2.0 * float(np.polynomial.polynomial.polyfit(time, record.position[:count], 2)[2])
 
 
 def _noise(record: Record) -> float:
