@@ -29,6 +29,8 @@ USUAL = 1.5e-3
 FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
+FIRST_SHARE = 0.5
+"""Of the progress, that of the search beside a held command."""
 LIKELIER = 13.8
 """Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
 
@@ -44,8 +46,8 @@ def decided_beside_loop_rate(
     """Decide on the causes; where a slow log is likelier if its loop ran faster than it, beside such a loop.
 
     A command that is held until the next sample is late by half a sample on average, and no cause of the catalogue
-    makes it earlier; but a held command that answers late may look like one of a faster loop. How often that ran is
-    asked again beside the causes that were found.
+    makes it earlier: it is asked where no causes explain the records. How often the loop ran is asked again beside the
+    causes that were found.
 
     Parameters
     ----------
@@ -60,22 +62,21 @@ def decided_beside_loop_rate(
         As :class:`~servolens.diagnosis.case.Case`.
     """
     held = Case(records, heldout, priors, candidates)
-    if _is_known(records) or held.explains(held.base):
-        return decided(held, effort, tell)
+    found = [decided(held, effort, lambda what, share: tell(what, FIRST_SHARE * share))]
+    if _is_known(records) or _explains(found[0]):
+        return found[0]
     cases = _faster(held, priors, candidates, FIRST)
     if not any(case.base.total < held.base.total - LIKELIER for case in cases):
-        return decided(held, effort, tell)
+        return found[0]
     cases += _faster(held, priors, candidates, OTHERS)
     likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total))
-    found = [decided(likeliest, effort, lambda what, share: tell(what, 0.5 * share))]
-    if not _explains(found[0]):
-        again = min((held, *cases), key=lambda case: _beside(case, found[0]))
-        if again is not likeliest:
-            found.append(decided(again, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
-    elif _beside(held, found[0]) < found[0].path[-1].total:
-        found.append(decided(held, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
+    found.append(decided(likeliest, effort, tell))
+    if not _explains(found[-1]):
+        again = min((held, *cases), key=lambda case: _beside(case, found[-1]))
+        if again is not likeliest and again is not held:
+            found.append(decided(again, effort, tell))
     chosen = min(found, key=lambda one: (not _explains(one), _simulated_error(one)))
-    return _told(chosen) if chosen.case is not held and _fastest(chosen.case).ticks > 1 else chosen
+    return chosen if _fastest(chosen.case).ticks == 1 else _told(chosen)
 
 
 def _is_known(records: tuple[Record, ...]) -> bool:
