@@ -43,9 +43,10 @@ def with_timed_jumps(records: Sequence[Record]) -> tuple[Record, ...]:
         Those without a logged voltage, and those whose times are known, stay as they are.
     """
     found = list(records)
-    chosen = [i for i, r in enumerate(records) if r.voltage is not None and r.jump_leads is None and r.ticks > 1]
+    voltages = {i: r.voltage for i, r in enumerate(records) if r.voltage is not None}
+    chosen = [i for i in voltages if records[i].jump_leads is None and records[i].ticks > 1]
     for alike in _logged_alike(records, chosen):
-        windows = {i: _windows(records[i]) for i in alike}
+        windows = {i: _windows(records[i], voltages[i]) for i in alike}
         flat = [window for some in windows.values() for window in some]
         leads = iter(_leads(flat) if flat else ())
         for i, some in windows.items():
@@ -98,7 +99,7 @@ class _Window:
         return int(np.argmin([float(one[0]) if one.size else np.inf for one in left]))
 
 
-def _windows(record: Record) -> list[_Window]:
+def _windows(record: Record, voltage: Signal) -> list[_Window]:
     bounds = np.concatenate(([0], record.edges(), [len(record)]))
     found = []
     for k in record.jumps().tolist():
@@ -106,18 +107,17 @@ def _windows(record: Record) -> list[_Window]:
         first, stop = max(k - BEFORE, int(bounds[at - 1])), min(k + AFTER, int(bounds[at + 1]))
         is_whole = np.max(np.diff(record.time[first:stop]), initial=0.0) < 1.5 * record.sample_time
         if k - first > 1 and stop - k > 1 and stop - first >= FEWEST and is_whole:
-            found.append(_window(record, k, first, stop))
+            found.append(_window(record, voltage, k, first, stop))
     return found
 
 
-def _window(record: Record, k: int, first: int, stop: int) -> _Window:
+def _window(record: Record, applied: Signal, k: int, first: int, stop: int) -> _Window:
     """Return the samples from `first` to `stop` around the jump that sample `k` shows."""
     from scipy.interpolate import CubicSpline
 
-    assert record.voltage is not None  # noqa: S101 - the caller sees to it
     count = min(record.ticks, FINEST)
     time, position = record.time[first:stop] - record.time[k], record.position[first:stop] - record.position[first]
-    voltage, at = record.voltage[first:stop], k - first
+    voltage, at = applied[first:stop], k - first
     ticks = np.interp(np.arange((time.size - 1) * count + 1), count * np.arange(time.size), time)
     leads, delays = np.arange(count), np.arange(LATEST * count)
     after, before = CubicSpline(time[at:], voltage[at:]), CubicSpline(time[:at], voltage[:at])

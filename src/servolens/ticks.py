@@ -85,7 +85,7 @@ class Ticks:
         """Return a command at the ticks: held between samples; of a faster loop interpolated between jumps."""
         if self.jumps is None:
             return np.ascontiguousarray(signal[self.held])
-        found = self._smooth(signal)
+        found = self._smooth(signal, self.jumps)
         for seen, came in self.jumps.tolist():
             before, after = int(self._places[seen - 1]), int(self._places[seen])
             rises = (signal[seen - 1] - signal[max(seen - 2, 0)], signal[min(seen + 1, signal.size - 1)] - signal[seen])
@@ -94,13 +94,12 @@ class Ticks:
             found[came:after] = signal[seen] + (ticks[came - before :] - ticks.size) * rises[1] / ticks.size
         return found
 
-    def _smooth(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _smooth(self, signal: NDArray[np.float64], jumps: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return a command between its jumps."""
         from scipy.interpolate import PchipInterpolator
 
-        assert self.jumps is not None  # noqa: S101 - of a faster loop
         found, index = signal[self.held], self._places
-        for first, stop in pairwise([0, *self.jumps[:, 0].tolist(), signal.size]):
+        for first, stop in pairwise([0, *jumps[:, 0].tolist(), signal.size]):
             if stop - first > 1:
                 inside = slice(int(index[first]), int(index[stop - 1]) + 1)
                 found[inside] = PchipInterpolator(self.sampled[first:stop], signal[first:stop])(self.time[inside])

@@ -197,7 +197,8 @@ class Case:
         what they leave is whitened as well as can be. Noise that moves the axis by a material part of its travel has to
         be shown, which only a loop that can be simulated can do; where there is none, simulations that miss as much
         may lack anything. An axis of which simulations under its voltage diverge, as with cogging, is observed although
-        nothing shakes it: its loop then misses no more than the sensor's noise.
+        nothing shakes it: its loop then misses no more than the sensor's noise. So is one whose log is slower than its
+        loop after each jump of its reference, which is timed to about a tick: its loop is asked as well.
         """
         noise = hypothesis.noise
         if noise.rate == 0.0 and noise.spread <= noise.least:
@@ -211,7 +212,7 @@ class Case:
                 return True
         except NumericalError:  # what cannot be asked is not shown
             return True
-        is_timed = all(record.ticks == 1 for record in self.records)  # else an observer follows mistimed jumps
+        is_timed = all(record.ticks == 1 for record in self.records)
         if closed and noise.rate == 0.0 and noise.order == 0 and is_timed:
             return False
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]

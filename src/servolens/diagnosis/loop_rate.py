@@ -29,8 +29,6 @@ USUAL = 1.5e-3
 FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
-FIRST_SHARE = 0.5
-"""Of the progress, that of the search beside a held command."""
 LIKELIER = 13.8
 """Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
 
@@ -62,15 +60,17 @@ def decided_beside_loop_rate(
         As :class:`~servolens.diagnosis.case.Case`.
     """
     held = Case(records, heldout, priors, candidates)
-    found = [decided(held, effort, lambda what, share: tell(what, FIRST_SHARE * share))]
-    if _is_known(records) or _explains(found[0]):
+    if _is_known(records):
+        return decided(held, effort, tell)
+    found = [decided(held, effort, lambda what, share: tell(what, 0.5 * share))]
+    if _explains(found[0]):
         return found[0]
     cases = _faster(held, priors, candidates, FIRST)
     if not any(case.base.total < held.base.total - LIKELIER for case in cases):
         return found[0]
     cases += _faster(held, priors, candidates, OTHERS)
     likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total))
-    found.append(decided(likeliest, effort, tell))
+    found.append(decided(likeliest, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
     if not _explains(found[-1]):
         again = min((held, *cases), key=lambda case: _beside(case, found[-1]))
         if again is not likeliest and again is not held:
