@@ -69,7 +69,7 @@ BETTER = 0.1
 """Share of what is unexplained of the voltage that an explanation may leave if not the rounding: 1 % of variance."""
 AS_WELL, EXACT = 1.2, 1e-6
 """Times the least misfit, and share of the voltage, up to which a simpler alternative explains a log as well."""
-STRETCH = 10_000
+STRETCH = 3_000
 """Samples that are looked at, around the largest misfit, so that time is bounded."""
 
 
