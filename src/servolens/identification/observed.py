@@ -87,6 +87,8 @@ class Signals:
         At the ticks.
     index : ndarray of int or None
         Ticks that are compared; None if all are.
+    corrects : ndarray of bool, shape (n,), or None
+        Ticks whose position corrects an observer; None if all do.
     initial : InitialState
         Of the first sample.
     may_be_unpowered : bool
@@ -103,6 +105,7 @@ class Signals:
     voltage: NDArray[np.float64]
     position: NDArray[np.float64]
     index: NDArray[np.intp] | None
+    corrects: NDArray[np.bool_] | None
     initial: InitialState
     may_be_unpowered: bool
     speed_on_grid: NDArray[np.float64]
@@ -112,14 +115,15 @@ class Signals:
     def of(cls, record: Record, noise: float, plant: Plant, rate: float, every: int = 1) -> Signals:
         """Prepare `record`, every so many samples of it; its axis is about like `plant`, its loop as fast as `rate`."""
         ticks = record.loop_ticks()
-        index = ticks.index
+        index, corrects = ticks.index, _correcting(ticks, every)
         if every > 1:
             index = (np.arange(ticks.time.size) if index is None else index)[::every]
         voltage, position = applied_at(record, ticks), ticks.motion(record.position)
         initial = InitialState.of(record, noise)
         speed = _observed_speed(plant, rate, ticks.time, voltage, position, initial)
         kicks = _mistimed(plant, ticks, voltage)
-        return cls(record, ticks, voltage, position, index, initial, begins_with_its_step(record), speed, kicks)
+        is_unknown = begins_with_its_step(record)
+        return cls(record, ticks, voltage, position, index, corrects, initial, is_unknown, speed, kicks)
 
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
@@ -130,18 +134,6 @@ class Signals:
     def time(self) -> NDArray[np.float64]:
         """Of the ticks [s]."""
         return self.ticks.time
-
-    @property
-    def is_measured(self) -> NDArray[np.bool_] | None:
-        """Which of the ticks of a loop faster than its log were logged, shape (n,); None if it was no faster.
-
-        Of samples that were lost the voltage is not known either: there the axis is led along what was measured.
-        """
-        if self.ticks.index is None or not self.ticks.is_faster:
-            return None
-        found = np.zeros(self.time.size, dtype=np.bool_)
-        found[self.ticks.index] = True
-        return found
 
     @property
     def speed(self) -> NDArray[np.float64]:
@@ -157,6 +149,24 @@ class Signals:
     def measured(self) -> NDArray[np.float64]:
         """Positions that were measured."""
         return self.position if self.index is None else self.position[self.index]
+
+
+def _correcting(ticks: Ticks, every: int) -> NDArray[np.bool_] | None:
+    """Return which ticks correct an observer, where every so many samples are compared; None if all do.
+
+    Those that are compared and no others, so that a simulation and an observer are judged by the same samples: of slow
+    noise an observer that sees more of it would miss less. Of samples that were lost the voltage is not known either:
+    there the axis is led along what was measured, interpolated.
+    """
+    count = ticks.time.size
+    logged = np.arange(count) if ticks.index is None else ticks.index
+    if every == 1 and not ticks.is_faster:
+        return None
+    found = np.zeros(count, dtype=np.bool_)
+    if not ticks.is_faster:
+        found[np.setdiff1d(np.arange(count), logged)] = True
+    found[logged[::every]] = True
+    return found
 
 
 def _mistimed(plant: Plant, ticks: Ticks, voltage: NDArray[np.float64]) -> NDArray[np.float64] | None:
@@ -226,7 +236,7 @@ class ObservedRun:
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
         self.group, self.signals, self.noise = group, signals, noise
         instants = (signals.time, signals.speed_on_grid, signals.voltage)
-        self._observer = observer_of(noise, *instants, signals.is_measured, signals.mistimed)
+        self._observer = observer_of(noise, *instants, signals.corrects, signals.mistimed)
         weight = None if self._observer is None else self._observer.weight
         if weight is not None and signals.index is not None:
             weight = weight[signals.index]

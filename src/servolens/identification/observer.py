@@ -43,7 +43,7 @@ def observer_of(
     time: NDArray[np.float64],
     speed: NDArray[np.float64],
     voltage: NDArray[np.float64],
-    is_measured: NDArray[np.bool_] | None = None,
+    corrects: NDArray[np.bool_] | None = None,
     mistimed: NDArray[np.float64] | None = None,
 ) -> Observer | None:
     """Return the observer of a record; None where the axis is simulated, for nothing shakes it and its clock is true.
@@ -54,8 +54,8 @@ def observer_of(
         Of the record.
     time, speed, voltage : ndarray, shape (n,)
         [s], [m/s or rad/s], and [V], applied from each sample to the next.
-    is_measured : ndarray of bool, shape (n,), optional
-        Which of the instants were logged; all if None. What was not moves nothing.
+    corrects : ndarray of bool, shape (n,), optional
+        Which of the instants move the axis; all if None.
     mistimed : ndarray, shape (n,), optional
         Standard deviation of what is not known of the velocity at each instant, for its voltage came at another
         [m/s or rad/s].
@@ -77,8 +77,8 @@ def observer_of(
     late, kick = size * speed, size * noise.gain * np.diff(voltage, prepend=voltage[0])
     if mistimed is not None:
         kick = np.where(mistimed > 0.0, mistimed / max(noise.floor, 1e-300), kick)
-    if is_measured is not None:
-        late = np.where(is_measured, late, 2.0 * NEVER)
+    if corrects is not None:
+        late = np.where(corrects, late, 2.0 * NEVER)
     gains, variance = np.empty((time.size, 3)), np.empty(time.size)
     addresses = [array.ctypes.data for array in (model, late, kick, gains, variance)]
     native(()).gains(ctypes.byref(ctypes.c_int64()), None, time.size, *addresses)
