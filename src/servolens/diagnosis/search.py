@@ -82,12 +82,12 @@ def search(
     try:
         unshaken = alone and alone.first()
         if unshaken and _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
-            return unshaken
+            return _after(trials, base, unshaken)
         observed = observing.first()
         if observed is None and alone:
             unshaken = unshaken or alone.whole(longer=LIKELIER, promising=base.total)
             if _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
-                return unshaken
+                return _after(trials, base, unshaken)
         if observed is None:
             left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
             begun = _telling(unshaken, effort) if unshaken else ()
@@ -100,6 +100,12 @@ def search(
         return observed
     likelier = min(observed, unshaken, key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*observed.judged, *unshaken.judged)))
+
+
+def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
+    """Return `found` after the `base` that an observer tells, where what it began with is none: it ran away."""
+    is_base = trials.shows(found.path[0].plant) or len(found.path) == 1
+    return found if is_base else replace(found, path=(base, *found.path[1:]))
 
 
 def _telling(found: Search, effort: Effort) -> list[Hypothesis]:
@@ -180,7 +186,8 @@ def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enou
     parts = (0.0, 0.25), (0.5, 0.75)
     # what an encoder's coarse steps do not show moving is rather a cause that is missing
     share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
-    return Walk(unshaken, begun, effort, tell, is_enough, (), share, ends=shaken_likewise, parts=parts)
+    begins = unshaken.observed(begun)
+    return Walk(unshaken, begun, effort, tell, is_enough, (), share, begins, ends=shaken_likewise, parts=parts)
 
 
 def improved_path(

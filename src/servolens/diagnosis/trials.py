@@ -145,6 +145,19 @@ class Trials:
                 return found
         raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
 
+    def observed(self, base: Hypothesis) -> Hypothesis:
+        """Return gain and damping as an observer tells them where those of `base` run away to what no sample shows.
+
+        There no score tells of a cause, and so fast a plant takes long to simulate. Else `base`.
+        """
+        if self._observed is None or self.shows(base.plant):
+            return base
+        return self.likelihood.tried(self._observed, None, 0) or base
+
+    def shows(self, plant: Plant) -> bool:
+        """Tell whether samples show the time constant of gain and damping: it lasts one at least."""
+        return _is_shown(plant, self.seen)
+
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter."""
         return _entry_price(_needed(cls), self.candidates, self.likelihood.counted)
@@ -343,8 +356,15 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
     agrees = all(low <= value <= high for value, low, high in known)
     holds = STOPS * abs(plant.gain) * seen.command
     moves = all(max(_forces(effect), default=0.0) <= holds for effect in plant.effects)
-    is_seen = plant.damping * seen.sample_time <= 1.0 or not any(isinstance(e, Drive) for e in plant.effects)
-    return agrees and moves and is_seen and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
+    is_shown = _is_shown(plant, seen) or not any(isinstance(e, Drive) for e in plant.effects)
+    return (
+        agrees and moves and is_shown and all(effect.is_whole(seen) and not effect.absent for effect in plant.effects)
+    )
+
+
+def _is_shown(plant: Plant, seen: Seen) -> bool:
+    """See :meth:`Trials.shows`."""
+    return plant.damping * seen.sample_time <= 1.0
 
 
 def _forces(effect: Effect) -> list[float]:

@@ -87,6 +87,8 @@ class Walk:
         Others that were fitted to these records before.
     share : float
         Of the effort, what it may take.
+    begins : Hypothesis, optional
+        Beside which the first cause is looked for, if not beside `base`.
     ends : callable
         It ends with a hypothesis at once if what this makes of it, given the work it may do, is likelier than its last
         resorts.
@@ -101,6 +103,7 @@ class Walk:
     is_enough: Callable[[Hypothesis], bool]
     known: Sequence[Hypothesis] = ()
     share: float = 1.0
+    begins: Hypothesis | None = None
     ends: MadeOf = lambda _found, _work: None
     unobserved: MadeOf = lambda _found, _work: None
     parts: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 1.0))
@@ -133,7 +136,7 @@ class Walk:
         may be an impostor of which an observer follows the rest.
         """
         self._part = self.parts[0]
-        found, pairs = self._looked = self._next([self.base], [self.base])
+        found, pairs = self._looked = self._next([self.base], self._beam([self.base]))
         alone = self._without_observer(pairs)
         if alone:
             return self._found([self.base, alone])
@@ -222,7 +225,7 @@ class Walk:
 
         Then it ends with the likeliest of all that was fitted.
         """
-        beam, steps, explorer = path[-1:], 0, self.explorer
+        beam, steps, explorer = self._beam(path), 0, self.explorer
         while len(path[-1].causes) < self.effort.causes:
             if not (explorer.has_more(work) if steps else explorer.left > 0.0):
                 return self._to_the_likeliest(path), True
@@ -249,6 +252,10 @@ class Walk:
             further = [h for h in better[1:] if len(h.causes) < self.effort.causes]
             beam = chosen_for_extension(families([best, *further]), self.effort.beam)
         return path, False
+
+    def _beam(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return what is extended first, of a path."""
+        return [path[-1] if path[-1].causes or self.begins is None else self.begins]
 
     def _next(
         self, path: Sequence[Hypothesis], beam: Sequence[Hypothesis]

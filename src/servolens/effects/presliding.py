@@ -62,8 +62,11 @@ class Presliding(Force):
         return (p.stiffness * (axis.velocity - axis.speed * axis.state.force / fmax(p.level, 1e-12)),)
 
     def is_whole(self, seen: Seen) -> bool:
-        """See :meth:`servolens.effects.base.Effect.is_whole`: by less than the noise, dry friction gives way unseen."""
-        return self.level >= seen.noise * self.stiffness
+        """See :meth:`servolens.effects.base.Effect.is_whole`.
+
+        By less than the noise, dry friction gives way unseen; by more than the travel it never slips: that is a spring.
+        """
+        return seen.noise * self.stiffness <= self.level <= seen.travel * self.stiffness
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[Presliding]:

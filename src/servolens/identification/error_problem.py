@@ -15,7 +15,7 @@ from servolens.identification.phases import own_phases, round_the_circle
 from servolens.identification.runs import one_by_one
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
-from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for
+from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for, work_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -350,7 +350,7 @@ class Problem:
             for k, row in zip(those, rows, strict=True):
                 found[k] = row if np.isfinite(row).all() else None
 
-        work = sum(self.runs[i].simulated * self.substeps[i] for i, _ in trials)
+        work = sum(work_of(self.runs[i].simulated, self.substeps[i]) for i, _ in trials)
         self.simulated += work
         in_parallel(several, jobs, 1 if work < WORTH_THREADS else None)
         return found

@@ -13,7 +13,7 @@ from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel, i
 from servolens.identification.parabola import Parabola
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
-from servolens.simulation.rates import substeps_for
+from servolens.simulation.rates import substeps_for, work_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -159,7 +159,7 @@ class NoiseTrials:
             missed = [run.missed(plant, start, steps) for run, plant, start, steps in of_each]
         except (InputError, NumericalError):
             return np.inf
-        likelihood.count(sum(run.simulated * steps for run, _, _, steps in of_each))
+        likelihood.count(sum(work_of(run.simulated, steps) for run, _, _, steps in of_each))
         whiteners = [run.whiten for run in runs]
         steady = [whiten.steady(error) for whiten, error in zip(whiteners, missed, strict=True)]
         if not first.is_observed:
