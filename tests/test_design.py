@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
+from servolens.controller import Controller
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
 from servolens.design.cover import Cover
-from servolens.effects import CoulombFriction, Saturation, VelocityDecayDamping
+from servolens.effects import ActuatorLag, CoulombFriction, Delay, Saturation, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.report.figures_design import columns, draw_settling
+from servolens.simulation import simulate_loop
 
 
 def cart(gain: float, damping: float, *law: float) -> Plant:
@@ -254,3 +256,18 @@ def test_what_is_called_feasible_meets_the_spec(time: float, band: float, sample
     assert all(response.meets for response in design.verified)
     for low, high in design.intervals:
         assert evaluate(MODELS[name], spec, 0.5 * (low + high)).meets
+
+
+@pytest.mark.parametrize("effect", [Delay(time=0.04), ActuatorLag(time_constant=0.05)])
+@pytest.mark.parametrize("back", [False, True])
+def test_a_dead_time_and_a_lag_begin_with_the_step(effect, back):
+    """Truth: the loop at rest for 0.2 s, then the step."""
+    plant = Plant(gain=1.9, damping=6.0, effects=(effect,))
+    spec = PDSpec(kp=8.0, settling_time=2.0, reference=0.1, sample_time=0.002)
+    time = 0.002 * np.arange(2000)
+    begin, end = (0.1, 0.0) if back else (0.0, 0.1)
+    reference = np.where(time < 0.2 - 1e-9, begin, end)
+    run = simulate_loop(plant, Controller(kp=8.0, kd=1.5), time, reference, start=(begin, 0.0))
+    outside = np.flatnonzero(np.abs(run.position - end) > spec.band * 0.1)
+    settled = time[outside[-1] + 1] - 0.2
+    assert evaluate(plant, spec, 1.5, back=back).settling_time == pytest.approx(settled, abs=0.002)

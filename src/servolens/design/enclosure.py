@@ -92,7 +92,7 @@ class LoopMaps:
         start = ca.substitute(
             ca.vertcat(0, 0, beginning),
             ca.vertcat(d.position, d.command, d.time),
-            ca.DM([0, spec.kp * spec.reference, 0]),
+            ca.DM.zeros(3),
         )
         self.start = np.array(ca.evalf(start)).ravel()
 

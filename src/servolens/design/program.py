@@ -120,12 +120,12 @@ class Loop:
         self.step = self._sample()
 
     def beginning(self, settings: Any) -> Any:
-        """Return the state of the loop at rest at 0, its first command applied for long."""
+        """Return the state of the loop at rest at 0, nothing applied before its first command."""
         import casadi as ca
 
         asked = settings[self.parameters + 1] * settings[self.parameters + 2]
-        axis = self._resting(0.0, asked, settings[: self.parameters])
-        return ca.vertcat(0.0, asked, 0.0, 0.0, 0.0, axis, ca.repmat(asked, self._late + 1, 1))
+        axis = self._resting(0.0, 0.0, settings[: self.parameters])
+        return ca.vertcat(0.0, asked, 0.0, 0.0, 0.0, axis, ca.DM.zeros(self._late + 1, 1))
 
     def _sample(self) -> Any:
         import casadi as ca

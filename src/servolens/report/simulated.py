@@ -18,7 +18,7 @@ from servolens.simulation.rates import (
     rate_of,
     substeps_for,
 )
-from servolens.simulation.settings import NO_LAW, NO_LOOP, OPEN_LOOP, law_settings, loop_settings
+from servolens.simulation.settings import ANY_NUMBER, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 from servolens.simulation.translated import rule_places, rule_script
 
 if TYPE_CHECKING:
@@ -96,10 +96,11 @@ def axis_json(name: str, plant: Plant, spec: PDSpec, scenario: Scenario | None =
 
 
 def _settings(spec: PDSpec, plant: Plant) -> list[float]:
-    """Return what the rule is told of the loop, its gains aside."""
+    """Return what the rule is told of the loop, its gains aside; nothing is applied before its step."""
+    still = [ANY_NUMBER, *known(0.0), *NO_OBSERVER]
     if spec.control == "continuous":
-        return [*OPEN_LOOP, *NO_LOOP, *NO_LAW]
+        return [*OPEN_LOOP, *still, *NO_LAW]
     controller = spec.loop(1.0)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
     law = law_settings(plant, controller, spec.sample_time, limit)
-    return [1.0, *loop_settings(controller, spec.sample_time), 0.0, *NO_LOOP, *law]
+    return [1.0, *loop_settings(controller, spec.sample_time), 0.0, *still, *law]

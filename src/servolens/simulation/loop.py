@@ -14,7 +14,16 @@ from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of
 from servolens.simulation.rates import substeps_for
 from servolens.simulation.runs import Inputs, Simulation, run_one
-from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
+from servolens.simulation.settings import (
+    ANY_NUMBER,
+    DISTURBED,
+    NO_LAW,
+    NO_OBSERVER,
+    OPEN_LOOP,
+    known,
+    law_settings,
+    loop_settings,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -34,9 +43,6 @@ __all__ = [
 ]
 
 Part = TypeVar("Part")
-
-ANY_NUMBER = 0.0
-"""Most pieces into which substeps may be split, where there is no such limit."""
 
 
 def simulate(
@@ -242,11 +248,13 @@ def simulate_continuous(
     reference: ArrayLike,
     *,
     start: tuple[float, float] = (0.0, 0.0),
+    before: float | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples.
 
-    Fed back are the position as the sensor shows it and the true velocity of the load.
+    Fed back are the position as the sensor shows it and the true velocity of the load. Before the first instant the
+    voltage `before` was applied [V]; None is the first one.
 
     Raises
     ------
@@ -261,7 +269,8 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    settings = [*OPEN_LOOP, ANY_NUMBER, *known(None), *NO_OBSERVER, *NO_LAW]
+    first = float(ideal_pd(kp, kd, held[:1], *np.atleast_2d(start).T)[0]) if before is None else before
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(first), *NO_OBSERVER, *NO_LAW]
     result = run_one(plant, Inputs(grid, held, held), settings, start, count, (kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(

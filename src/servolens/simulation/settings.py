@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from servolens.controller import Controller
     from servolens.plant import Plant
 
-__all__ = ["DISTURBED", "NO_LAW", "NO_LOOP", "NO_OBSERVER", "OPEN_LOOP", "known", "law_settings", "loop_settings"]
+__all__ = ["ANY_NUMBER", "DISTURBED", "NO_LAW", "NO_OBSERVER", "OPEN_LOOP", "known", "law_settings", "loop_settings"]
 
+ANY_NUMBER = 0.0
+"""Most pieces into which substeps may be split, where there is no such limit."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
 NO_OBSERVER = (0.0, 0.0, 0.0)
 """What it is told where no measurement corrects the axis."""
 DISTURBED = (2.0, 0.0, 0.0)
 """What it is told where the axis is shaken or its sensor errs."""
-NO_LOOP = [0.0] * 6
-"""What it is told of pieces granted, of the time before and of an observer, where there is nothing to tell."""
 NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0, 1.0]
 """What it is told of the rest of a law where there is none."""
 
