@@ -7,11 +7,16 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from servolens.control_law import controller_voltage
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
+from servolens.encoder import quantisation_step
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.jump_times import with_timed_jumps
+from servolens.quality.law import rms
 from servolens.units import readable
 
 if TYPE_CHECKING:
@@ -29,6 +34,9 @@ USUAL = 1.5e-3
 FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
+HOLDS = 1e-3
+"""Share of the derivative's part of the command up to which the law holds: between samples a derivative differs by
+more."""
 LIKELIER = 13.8
 """Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
 
@@ -82,7 +90,21 @@ def decided_beside_loop_rate(
 def _is_known(records: tuple[Record, ...]) -> bool:
     """Tell whether a log holds every tick, or says how many there were."""
     is_stated = any(r.ticks > 1 or (r.controller is not None and r.controller.control_period) for r in records)
-    return is_stated or max(record.sample_time for record in records) <= USUAL
+    return is_stated or max(r.sample_time for r in records) <= USUAL or any(_shows_each_tick(r) for r in records)
+
+
+def _shows_each_tick(record: Record) -> bool:
+    """Tell whether the logged command is made of differences from sample to sample: then the loop ran at these."""
+    loop, voltage = record.controller, record.voltage
+    if loop is None or loop.kd == 0.0 or loop.derivative != "position" or voltage is None or record.reference is None:
+        return False
+    part, missed = loop.kd * record.answer(loop).derivative, voltage - controller_voltage(record)
+    limit = math.inf if record.voltage_limit is None else record.voltage_limit
+    free = np.abs(voltage) < limit
+    free[: len(record) // 10] = False  # what was before a record is not known
+    rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(12.0)
+    allowed = math.hypot(HOLDS * rms(part[free]), rounding)
+    return allowed > 0.0 and rms(missed[free]) <= allowed
 
 
 def _faster(held: Case, priors: Mapping[str, Prior], candidates: int, counts: tuple[int, ...]) -> list[Case]:

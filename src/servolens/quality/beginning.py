@@ -27,6 +27,9 @@ MOVES = 6.0
 """Standard errors from which on an initial velocity is one."""
 LATE = 3.0
 """Samples by which an axis that rests may answer early or late when it is pushed off."""
+WANDERS = 3.0
+"""Times its range in the first half of a rest by which a position may go off by the end of it: slow noise, taken for a
+random walk, goes farther once in ten thousand rests; what creeps steadily goes half as far."""
 FAST = 0.05
 """Share of the top speed from which on a beginning in motion is worth a warning."""
 
@@ -134,7 +137,8 @@ def _early(record: Record, seen: Sampling, edge: int) -> Iterator[Finding]:
     towards = float(np.sign(reference[edge] - reference[edge - 1]))
     before = edge - 1 if record.ticks > 1 else edge  # the reference may have jumped between two samples
     gone = (float(y[before]) - float(np.median(resting))) * towards
-    if float(np.ptp(resting)) > seen.outstanding or gone < seen.outstanding:
+    wander = float(np.ptp(resting))
+    if wander > seen.outstanding or gone <= max(seen.outstanding, WANDERS * wander):
         return
     begun = int(np.argmax(np.abs(y[:edge] - np.median(resting)) > seen.outstanding))
     message = (
