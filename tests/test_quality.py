@@ -293,6 +293,21 @@ def test_lost_samples_that_the_time_column_hides_are_said(count, missing):
     assert int(re.search(r"in (\d+) samples", finding.message)[1]) == pytest.approx(count, abs=2)
 
 
+@pytest.mark.parametrize("target", [7.0, -9.0])
+def test_a_sensor_that_begins_again_after_each_turn_is_said(target):
+    """Truth: the lag of first order, its angle within one turn as a single-turn encoder shows it."""
+    time = 0.002 * np.arange(1500)
+    angle = target * (1.0 - np.exp(-np.maximum(time - 0.2, 0.0) / 0.3))
+    record = Record(
+        time=time, position=np.mod(angle + 1.0, 2.0 * np.pi), reference=np.where(time < 0.2, 0.0, target),
+        voltage=np.where(time < 0.2, 0.0, target / 0.3), length_unit="rad",
+    )  # fmt: skip
+    assert "position_wraps" not in codes(record.with_({"position": angle}))
+    (finding,) = [f for f in check(record) if f.severity == "error"]
+    assert finding.code == "position_wraps"
+    assert "unwrap the column" in finding.message
+
+
 def test_lost_samples_of_an_axis_almost_at_rest_are_told_by_the_control_law():
     record = lab.step_record(lab.NLM1, 100, 4, noise=1e-5, seed=4)
     still = int(np.argmax(record.position)) + 10

@@ -61,11 +61,20 @@ class _Jumps:
 
 
 def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
-    """Yield jumps of the position between two samples where the time column shows no gap.
+    """Yield jumps of the position between two samples where the time column shows no gap, first by whole turns.
 
     An axis that moves on has none: an impact changes its speed, not its place. One at rest may have slipped; there only
     the control law tells, whose derivative knows of no jump if the controller has seen what the log lacks.
     """
+    turns = _turns(record)
+    if turns.size:
+        message = (
+            f"the position jumps by a whole turn at {record.time[turns[0] + 1]:g} s"
+            f"{f' ({turns.size} such places)' if turns.size > 1 else ''}: the sensor begins again after each turn;"
+            " unwrap the column, so that it counts on."
+        )
+        yield Finding(code="position_wraps", severity="error", message=message)
+        return
     jumps = _jumps(record, seen)
     if not jumps.places.size:
         return
@@ -86,6 +95,15 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
         count = round(size / abs(float(jumps.usual[at])))
         message = f"{where}, as far as it goes in {count} samples there: {lost}, or the sensor has slipped; {cut}."
     yield Finding(code="position_jumps", severity="warning", message=message)
+
+
+def _turns(record: Record) -> NDArray[np.intp]:
+    """Return the samples before movements of about a whole turn, where the axis moves by less than a quarter else."""
+    if record.length_unit != "rad":
+        return np.empty(0, dtype=np.intp)
+    moves, quarter = np.abs(np.diff(record.position)), 0.5 * np.pi
+    is_turn = np.abs(moves - 2.0 * np.pi) < quarter
+    return np.flatnonzero(is_turn) if (is_turn | (moves < quarter)).all() else np.empty(0, dtype=np.intp)
 
 
 def _jumps(record: Record, seen: Sampling) -> _Jumps:

@@ -256,6 +256,9 @@ def _verdict(diagnosis: Diagnosis) -> str:
             f"{start}; with {them} the {held}error is {after} (r.m.s., the noise is {noise}); without, the simulation"
             " diverges."
         )
+    loop = " of the loop as the logs state it" if _is_of_the_loop(diagnosis) else ""
+    if not math.isfinite(errors[1]):
+        return f"{start}; with {them} the simulation{loop} diverges."
     before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     falls = errors[1] < errors[0]
     has_phases = any(effect.phase_per_record for effect in diagnosis.plant.effects)
@@ -270,7 +273,6 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if before == after or falls:
         goes = "stays at" if before == after else f"falls from {before} to"
         return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
-    loop = " of the loop as the logs state it" if _is_of_the_loop(diagnosis) else ""
     return (
         f"{start}; but simulations{loop} miss more with {them}: the {held}error is {after} with {them}, {before}"
         f" without (r.m.s., the noise is {noise})."
