@@ -24,7 +24,7 @@ class Effort:
     beam : int
         Hypotheses that are extended.
     work : float
-        Samples times substeps that fits may simulate.
+        Of simulations: samples, each by the time that its substeps take (:func:`~servolens.simulation.rates.work_of`).
     """
 
     causes: int

@@ -89,7 +89,7 @@ class Explorer:
 
     @property
     def left(self) -> float:
-        """Samples times substeps that may still be simulated, of the granted share of the effort."""
+        """Work that may still be done, of the granted share of the effort."""
         return max(self._share * self.effort.work - self._spent, 0.0)
 
     @property

@@ -118,7 +118,7 @@ class Walk:
 
     @property
     def work(self) -> int:
-        """Samples times substeps that were simulated."""
+        """Of all simulations so far."""
         return self.trials.likelihood.work
 
     def has_asked(self, hypothesis: Hypothesis) -> bool:

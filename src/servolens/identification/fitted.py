@@ -53,7 +53,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
     hypothesis : Hypothesis
         Where to begin.
     allowance : float
-        Samples times substeps after which no further minimum is looked for.
+        Work after which no further minimum is looked for, see :func:`~servolens.simulation.rates.work_of`.
     """
     runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
     plant = hypothesis.plant

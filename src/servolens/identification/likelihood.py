@@ -139,7 +139,7 @@ class Likelihood:
         return other
 
     def count(self, simulated: int) -> None:
-        """Add to the samples times substeps that were simulated, from any thread."""
+        """Add to the work of all simulations (:func:`~servolens.simulation.rates.work_of`), from any thread."""
         with self._counting:
             self.work += simulated
 
@@ -192,7 +192,7 @@ class Likelihood:
         iterations : int
             Of each descent at most.
         allowance : float
-            Samples times substeps after which no descent goes on.
+            Work after which no descent goes on.
         """
         choices = (False, True) if self.may_be_unpowered and plant.remembers_voltage else (False,)
         share = allowance / len(choices)

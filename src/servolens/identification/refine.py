@@ -222,7 +222,7 @@ def minimise_error(
     known : Known, optional
         What another fit ended with: each run begins so, if that misses less.
     allowance : float
-        Samples times substeps after which no further minimum is looked for.
+        Work after which no further minimum is looked for, see :func:`~servolens.simulation.rates.work_of`.
 
     Raises
     ------
