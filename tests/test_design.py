@@ -19,7 +19,7 @@ from servolens.effects import ActuatorLag, CoulombFriction, Delay, Saturation, V
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.report.figures_design import columns, draw_settling
-from servolens.simulation import simulate_loop
+from servolens.simulation import simulate_continuous, simulate_loop
 
 
 def cart(gain: float, damping: float, *law: float) -> Plant:
@@ -268,6 +268,20 @@ def test_a_dead_time_and_a_lag_begin_with_the_step(effect, back):
     begin, end = (0.1, 0.0) if back else (0.0, 0.1)
     reference = np.where(time < 0.2 - 1e-9, begin, end)
     run = simulate_loop(plant, Controller(kp=8.0, kd=1.5), time, reference, start=(begin, 0.0))
+    outside = np.flatnonzero(np.abs(run.position - end) > spec.band * 0.1)
+    settled = time[outside[-1] + 1] - 0.2
+    assert evaluate(plant, spec, 1.5, back=back).settling_time == pytest.approx(settled, abs=0.002)
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_lag_begins_with_the_step_of_an_ideal_loop(back):
+    """Truth: the loop at rest for 0.2 s, then the step."""
+    plant = Plant(gain=1.9, damping=6.0, effects=(ActuatorLag(time_constant=0.05),))
+    spec = PDSpec(kp=8.0, settling_time=2.0, reference=0.1, control="continuous")
+    time = 0.001 * np.arange(4000)
+    begin, end = (0.1, 0.0) if back else (0.0, 0.1)
+    reference = np.where(time < 0.2 - 1e-9, begin, end)
+    run = simulate_continuous(plant, 8.0, 1.5, time, reference, start=(begin, 0.0))
     outside = np.flatnonzero(np.abs(run.position - end) > spec.band * 0.1)
     settled = time[outside[-1] + 1] - 0.2
     assert evaluate(plant, spec, 1.5, back=back).settling_time == pytest.approx(settled, abs=0.002)

@@ -91,7 +91,7 @@ def step_response(
     begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
     reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
-        return simulate_continuous(plant, spec.kp, kd, time, reference, start=start, before=0.0)
+        return simulate_continuous(plant, spec.kp, kd, time, reference, start=start, before=begin)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
     error = None if noise is None else noise.drawn(time.size)
     loop = spec.loop(kd)

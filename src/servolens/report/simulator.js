@@ -54,6 +54,7 @@ const servolensSimulator = (rule, plants) => {
     const own = design.continuous ? [realised * gains.kp, realised * gains.free] : [];
     const values = Float64Array.from([...axis.values, ...own]), loop = loopOf(design, axis, gains);
     if (design.continuous) for (const name of ["KP", "KD", "IS_PD"]) loop[design.places[name]] = +(name === "IS_PD");
+    if (design.continuous) loop[design.places.BEFORE] = begin;
     const results = new Float64Array(3 * n), measured = new Float64Array(n), none = new Float64Array(3);
     const count = substepsOf(design, axis, gains);
     const done = runnerOf(axis.plant)(

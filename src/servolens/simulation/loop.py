@@ -254,7 +254,7 @@ def simulate_continuous(
     """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples.
 
     Fed back are the position as the sensor shows it and the true velocity of the load. Before the first instant the
-    voltage `before` was applied [V]; None is the first one.
+    reference was `before` [m or rad]; None is the first one.
 
     Raises
     ------
@@ -269,8 +269,7 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    first = float(ideal_pd(kp, kd, held[:1], *np.atleast_2d(start).T)[0]) if before is None else before
-    settings = [*OPEN_LOOP, ANY_NUMBER, *known(first), *NO_OBSERVER, *NO_LAW]
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(before), *NO_OBSERVER, *NO_LAW]
     result = run_one(plant, Inputs(grid, held, held), settings, start, count, (kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
