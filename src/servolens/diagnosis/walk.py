@@ -300,7 +300,7 @@ class Walk:
         best = min([path[-1], *explorer.judged], key=by_total)
         if best is path[-1] or explorer.is_chance(path[-1], best):
             return [*path]
-        best = explorer.reduced(best)
+        best = explorer.freed(explorer.reduced(best))
         return self._steps(path, best) if best.causes else [best]
 
     def _steps(self, path: Sequence[Hypothesis], best: Hypothesis) -> list[Hypothesis]:
