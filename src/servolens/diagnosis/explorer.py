@@ -351,11 +351,11 @@ class Explorer:
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
-        An observer follows what usual ones leave, so that nothing is left beside shaking. A fit that goes far from them
-        goes on as long as it gets likelier.
+        An observer follows what usual ones leave, and slow noise takes it up, so that nothing is left beside these. A
+        fit that goes far from them goes on as long as it gets likelier.
         """
-        plants = [*hypothesis.plant.freed()]
-        if not plants or (hypothesis.noise.rate == 0.0 and self.is_enough(hypothesis)):
+        plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
+        if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):
             return hypothesis
         further = self.fitted([(plant, hypothesis) for plant in plants])
         while further and further[0].total < hypothesis.total - NO_BETTER:
