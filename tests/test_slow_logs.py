@@ -1,12 +1,17 @@
 """Logs slower than their loop: what it did between the samples, and when its reference jumped there."""
 
+from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from servolens import Controller, Plant, Record, diagnose, fit, lab, predict, read_record
 from servolens.control_law import command_at, controller_voltage
+from servolens.diagnosis import loop_rate
+from servolens.diagnosis.effort import EFFORT
+from servolens.diagnosis.loop_rate import decided_beside_loop_rate
 from servolens.effects import CoulombFriction, Delay
 from servolens.errors import InputError
 from servolens.findings import Finding
@@ -269,7 +274,7 @@ def test_spike_of_a_slow_log_is_told():
 def test_only_the_slow_ones_of_several_logs_have_a_faster_loop():
     slow = [logged(AXIS, kp, 0, count=5, rest=0.1, seed=kp) for kp in (60, 40)]
     slow = [replace(run, controller=replace(run.controller, control_period=None)) for run in slow]
-    full = lab.step_record(AXIS, kp=80, reference=(0.1, 0.0), duration=1.2, noise=1e-5, seed=3)
+    full = lab.step_record(AXIS, kp=80, kd=2, reference=(0.1, 0.0), duration=1.2, noise=1e-5, seed=3)
     found = diagnose([full, *slow], effort="quick")
     assert [record.ticks for record in found.records] in ([1, 4, 4], [1, 5, 5], [1, 6, 6])
     (said,) = (finding for finding in found.findings if finding.code == "loop_faster_than_log")
@@ -314,6 +319,35 @@ def test_slow_loop_that_was_logged_at_each_tick_is_no_faster_one():
     found = diagnose(runs, effort="quick")
     assert "loop_faster_than_log" not in {finding.code for finding in found.findings}
     assert [cause.effect for cause in found.causes] == [Delay.name]
+
+
+class AskedError(Exception):
+    """A faster loop is tried."""
+
+
+def slow_log(count: int, step: float) -> Record:
+    """Return a log at 5 ms, of a loop at every tick or `count` times as fast, whose voltage is rounded to a step."""
+    full = lab.step_record(
+        AXIS, 40, 2, reference=(0.1, 0.0, 0.06), sample_time=5e-3 / count, noise=1e-5, seed=1, setup=lab.Setup(rest=0.1)
+    )
+    slow = every(full, count)
+    voltage = np.round(slow.voltage / step) * step if step else slow.voltage
+    return replace(slow, controller=replace(slow.controller, control_period=None), voltage=voltage)
+
+
+@pytest.mark.parametrize(
+    ("count", "step", "asks"), [(1, 0.0, False), (1, 1e-3, False), (1, 1.0, True), (5, 0.0, True), (5, 0.05, True)]
+)
+def test_faster_loops_are_tried_unless_the_command_shows_each_tick(monkeypatch, count, step, asks):
+    def with_ticks(_record: Record, _count: int) -> Record:
+        raise AskedError
+
+    nothing = SimpleNamespace(contradiction="nothing explains it")
+    monkeypatch.setattr(loop_rate, "decided", lambda *_: nothing)
+    monkeypatch.setattr(Record, "with_ticks", with_ticks)
+    asked = pytest.raises(AskedError) if asks else nullcontext()
+    with asked:
+        decided_beside_loop_rate((slow_log(count, step),), (), {}, 24, EFFORT["quick"], lambda *_: None)
 
 
 def test_light_of_the_data_is_amber_beside_a_loop_that_was_not_stated():

@@ -12,7 +12,6 @@ import numpy as np
 from servolens.control_law import controller_voltage
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
-from servolens.encoder import quantisation_step
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.jump_times import with_timed_jumps
@@ -34,9 +33,6 @@ USUAL = 1.5e-3
 FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
-HOLDS = 1e-3
-"""Share of the derivative's part of the command up to which the law holds: between samples a derivative differs by
-more."""
 LIKELIER = 13.8
 """Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
 
@@ -88,23 +84,30 @@ def decided_beside_loop_rate(
 
 
 def _is_known(records: tuple[Record, ...]) -> bool:
-    """Tell whether a log holds every tick, or says how many there were."""
-    is_stated = any(r.ticks > 1 or (r.controller is not None and r.controller.control_period) for r in records)
-    return is_stated or max(r.sample_time for r in records) <= USUAL or any(_shows_each_tick(r) for r in records)
+    """Tell whether the slowest logs hold every tick, or a log says how many there were."""
+    if any(r.ticks > 1 or (r.controller is not None and r.controller.control_period) for r in records):
+        return True
+    slowest = max(r.sample_time for r in records)
+    return slowest <= USUAL or any(_shows_each_tick(r) for r in records if round(slowest / r.sample_time) == 1)
 
 
 def _shows_each_tick(record: Record) -> bool:
-    """Tell whether the logged command is made of differences from sample to sample: then the loop ran at these."""
+    """Tell whether the logged command is made of differences from sample to sample: then the loop ran at these.
+
+    The derivative of a loop twice as fast comes a quarter of a sample sooner, half as much as one over two samples
+    comes later. By as much or more the law would miss such a loop's command: it must miss less than half of that, and
+    where the voltage is rounded too coarsely nothing is told.
+    """
     loop, voltage = record.controller, record.voltage
     if loop is None or loop.kd == 0.0 or loop.derivative != "position" or voltage is None or record.reference is None:
         return False
-    part, missed = loop.kd * record.answer(loop).derivative, voltage - controller_voltage(record)
+    over_two = replace(loop, derivative_window=2 * loop.derivative_window)
+    later = loop.kd * (record.answer(over_two).derivative - record.answer(loop).derivative)
+    missed = voltage - controller_voltage(record)
     limit = math.inf if record.voltage_limit is None else record.voltage_limit
     free = np.abs(voltage) < limit
     free[: len(record) // 10] = False  # what was before a record is not known
-    rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(12.0)
-    allowed = math.hypot(HOLDS * rms(part[free]), rounding)
-    return allowed > 0.0 and rms(missed[free]) <= allowed
+    return rms(missed[free]) < 0.5 * (0.5 * rms(later[free]))
 
 
 def _faster(held: Case, priors: Mapping[str, Prior], candidates: int, counts: tuple[int, ...]) -> list[Case]:
