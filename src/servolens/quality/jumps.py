@@ -11,6 +11,7 @@ from servolens.control_arithmetic import samples_a_tick
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
+from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,6 +25,7 @@ __all__ = ["jump_findings"]
 
 SIDE = 4
 """Movements from sample to sample, on either side, that one is held against."""
+OFFSETS = tuple(j for j in range(-SIDE, SIDE + 1) if j)
 EVEN = 0.5
 """Share of this excess within which they must agree, and of the largest of them that it must be: a loss doubles it."""
 MOVES = 3.0
@@ -98,12 +100,17 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 
 
 def _turns(record: Record) -> NDArray[np.intp]:
-    """Return the samples before movements of about a whole turn, where the axis moves by less than a quarter else."""
+    """Return the samples before movements of about a whole turn among others of less than a quarter.
+
+    A sample that sticks out is none, and in a gap the axis may have turned.
+    """
     if record.length_unit != "rad":
         return np.empty(0, dtype=np.intp)
-    moves, quarter = np.abs(np.diff(record.position)), 0.5 * np.pi
-    is_turn = np.abs(moves - 2.0 * np.pi) < quarter
-    return np.flatnonzero(is_turn) if (is_turn | (moves < quarter)).all() else np.empty(0, dtype=np.intp)
+    moves, quarter = np.abs(np.diff(without_spikes(record).position)), 0.5 * np.pi
+    is_turn = (np.abs(moves - 2.0 * np.pi) < quarter) & (np.diff(record.time) < 1.5 * record.sample_time)
+    is_fast = np.pad((moves >= quarter) & ~is_turn, SIDE)
+    beside = np.max([is_fast[SIDE + j : SIDE + j + moves.size] for j in OFFSETS], axis=0)
+    return np.flatnonzero(is_turn & ~beside)
 
 
 def _jumps(record: Record, seen: Sampling) -> _Jumps:
@@ -112,8 +119,7 @@ def _jumps(record: Record, seen: Sampling) -> _Jumps:
     least = seen.outstanding
     places = _candidates(record, moves, least)
     one = moves[places]
-    offsets = [j for j in range(-SIDE, SIDE + 1) if j]
-    beside = moves[places + np.array(offsets)[:, None]] * np.sign(one)
+    beside = moves[places + np.array(OFFSETS)[:, None]] * np.sign(one)
     longest = beside.max(axis=0)
     excess = np.abs(one) - longest
     slowest = np.minimum(beside[:SIDE].mean(axis=0), beside[SIDE:].mean(axis=0))
