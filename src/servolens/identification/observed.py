@@ -154,17 +154,18 @@ class Signals:
 def _correcting(ticks: Ticks, every: int) -> NDArray[np.bool_] | None:
     """Return which ticks correct an observer, where every so many samples are compared; None if all do.
 
-    Those that are compared and no others, so that a simulation and an observer are judged by the same samples: of slow
-    noise an observer that sees more of it would miss less. Of samples that were lost the voltage is not known either:
-    there the axis is led along what was measured, interpolated.
+    Then those that are compared and no others, so that a simulation and an observer are judged by the same samples: of
+    slow noise an observer that sees more of it would miss less. Where more samples were lost than lie between two that
+    are compared the voltage is not known for long: there the axis is led along what was measured, interpolated.
     """
-    count = ticks.time.size
-    logged = np.arange(count) if ticks.index is None else ticks.index
     if every == 1 and not ticks.is_faster:
         return None
+    count = ticks.time.size
+    logged = np.arange(count) if ticks.index is None else ticks.index
     found = np.zeros(count, dtype=np.bool_)
     if not ticks.is_faster:
-        found[np.setdiff1d(np.arange(count), logged)] = True
+        found[:-1] = np.repeat(np.diff(logged) > every, np.diff(logged))
+    found[logged] = False
     found[logged[::every]] = True
     return found
 
