@@ -98,13 +98,13 @@ def search(
         observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
         return observed
-    likelier = min(observed, unshaken, key=lambda found: found.chosen.total)
+    likelier = min(observed, _after(trials, base, unshaken), key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*observed.judged, *unshaken.judged)))
 
 
 def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
-    """Return `found` after the `base` that an observer tells, where what it began with is none: it ran away."""
-    is_base = trials.shows(found.path[0].plant) or len(found.path) == 1
+    """Return `found` after the `base` that an observer tells, where gain and damping alone, its beginning, ran away."""
+    is_base = trials.shows_time_constant(found.path[0].plant) or len(found.path) == 1
     return found if is_base else replace(found, path=(base, *found.path[1:]))
 
 

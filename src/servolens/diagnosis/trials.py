@@ -150,12 +150,13 @@ class Trials:
 
         There no score tells of a cause, and so fast a plant takes long to simulate. Else `base`.
         """
-        if self._observed is None or self.shows(base.plant):
+        observed = self._observed
+        if observed is None or self.shows_time_constant(base.plant) or not self.shows_time_constant(observed):
             return base
-        return self.likelihood.tried(self._observed, None, 0) or base
+        return self.likelihood.tried(observed, None, 0) or base
 
-    def shows(self, plant: Plant) -> bool:
-        """Tell whether samples show the time constant of gain and damping: it lasts one at least."""
+    def shows_time_constant(self, plant: Plant) -> bool:
+        """Tell whether samples show the time constant of gain and damping: it is at least one sample time."""
         return _is_shown(plant, self.seen)
 
     def price(self, cls: type[Effect]) -> float:
@@ -347,8 +348,8 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
     """Tell whether the records show the effects as a whole, none is nothing, and no prior is contradicted.
 
     A drive with a loop of its own sets the gain, which no bound of the fit holds then. Dry friction stronger than twice
-    all that pushes the axis, once to move it and once to stop it, would hold it; and of a drive whose
-    own loop is beside a time constant shorter than a sample nothing is seen.
+    all that pushes the axis, once to move it and once to stop it, would hold it; and of a drive nothing is seen where
+    gain and damping are fitted with a time constant shorter than a sample.
     """
     values = dict(zip(plant.parameters, plant.values, strict=True))
     fitted = values.keys() - set(plant.usual)
@@ -363,7 +364,7 @@ def _is_admissible(priors: Mapping[str, Prior], seen: Seen, plant: Plant) -> boo
 
 
 def _is_shown(plant: Plant, seen: Seen) -> bool:
-    """See :meth:`Trials.shows`."""
+    """See :meth:`Trials.shows_time_constant`."""
     return plant.damping * seen.sample_time <= 1.0
 
 

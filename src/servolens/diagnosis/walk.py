@@ -118,7 +118,7 @@ class Walk:
 
     @property
     def work(self) -> int:
-        """Of all simulations so far."""
+        """Work of all simulations so far."""
         return self.trials.likelihood.work
 
     def has_asked(self, hypothesis: Hypothesis) -> bool:
@@ -264,7 +264,7 @@ class Walk:
         found, pairs = self.explorer.extended(beam, len(path[-1].causes)), []
         hidden = self.trials.likelihood.simulates  # where no model is the axis, two effects may hide each other
         if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):
-            pairs = self.explorer.paired(path[-1], found[0] if found else path[-1])
+            pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             if hidden or found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
                 found = sorted([*found, *pairs], key=by_total)
