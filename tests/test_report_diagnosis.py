@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import replace
 
@@ -431,17 +432,31 @@ def test_all_causes_stand_in_bold_among_the_effects_that_were_tried(rubbing, mon
 
 
 def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help(rubbing):
-    worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=1.0))
+    worse = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=0.05))
     assert (
         verdict_sentence(worse)
         .partition("; but ")[2]
-        .startswith("simulations miss more with it: the held-out error is 1000 mm with it, ")
+        .startswith("simulations miss more with it: the held-out error is 50 mm with it, ")
     )
     late = Finding(code="position_shifted", severity="warning", message="shift the column.", record="kp 40")
     assert "; but simulations of the loop as the logs state it miss more" in verdict_sentence(
         replace(worse, findings=(late,))
     )
     assert "the held-out error falls from" in verdict_sentence(rubbing)
+
+
+@pytest.mark.parametrize("error", [1.0, math.inf, math.nan])
+def test_causes_with_which_the_simulation_diverges_are_told_so(rubbing, error):
+    """Off by more than an axis travels is no error of its model: 1 m of 0.1 m, or not a number."""
+    away = replace(rubbing, extended=replace(rubbing.extended, heldout_rms_error=error))
+    told = verdict_sentence(away).partition("; but ")[2]
+    assert told.startswith("with it the simulation diverges; without, the held-out error is ")
+    assert re.search(r" is [0-9.]+ mm \(r\.m\.s\.\)\. The noise is [0-9.]+ µm\.$", told)
+    both = replace(away, baseline=replace(away.baseline, heldout_rms_error=math.inf))
+    assert "; but with it the simulation diverges. The noise is " in verdict_sentence(both)
+    late = Finding(code="position_shifted", severity="warning", message="shift the column.", record="kp 40")
+    loop = verdict_sentence(replace(away, findings=(late,)))
+    assert "; but with it the simulation of the loop as the logs state it diverges" in loop
 
 
 def test_model_without_the_cause_that_diverges_is_not_told_as_an_error(rubbing):

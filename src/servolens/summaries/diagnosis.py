@@ -257,8 +257,10 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " diverges."
         )
     loop = " of the loop as the logs state it" if _is_of_the_loop(diagnosis) else ""
-    if not math.isfinite(errors[1]):
-        return f"{start}; with {them} the simulation{loop} diverges."
+    if _diverges(diagnosis, after=True):
+        before, noise = length(errors[0], unit_), length(errors[2], unit_)
+        without = "" if _diverges(diagnosis, after=False) else f"; without, the {held}error is {before} (r.m.s.)"
+        return f"{start}; but with {them} the simulation{loop} diverges{without}. The noise is {noise}."
     before, after, noise = (length(error, unit_, beside=errors[0]) for error in errors)
     falls = errors[1] < errors[0]
     has_phases = any(effect.phase_per_record for effect in diagnosis.plant.effects)
