@@ -19,6 +19,8 @@ from servolens.checking import check
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step, white_noise
 from servolens.quality import assess, fatal
+from servolens.quality.beginning import beginning_findings
+from servolens.quality.sampling import measure
 from servolens.quality.spikes import without_spikes
 from servolens.reading import read_record
 from servolens.record import Controller, Record
@@ -293,19 +295,47 @@ def test_lost_samples_that_the_time_column_hides_are_said(count, missing):
     assert int(re.search(r"in (\d+) samples", finding.message)[1]) == pytest.approx(count, abs=2)
 
 
+def turning(target, wraps):
+    """Return an angle of first order with a sensor of one turn, or one that counts on."""
+    time = 0.002 * np.arange(1500)
+    angle = target * (1.0 - np.exp(-np.maximum(time - 0.2, 0.0) / 0.3))
+    return Record(
+        time=time, position=np.mod(angle + 1.0, 2.0 * np.pi) if wraps else angle,
+        reference=np.where(time < 0.2, 0.0, target), voltage=np.where(time < 0.2, 0.0, target / 0.3), length_unit="rad",
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("target", [7.0, -9.0])
 def test_a_sensor_that_begins_again_after_each_turn_is_said(target):
     """Truth: the lag of first order, its angle within one turn as a single-turn encoder shows it."""
-    time = 0.002 * np.arange(1500)
-    angle = target * (1.0 - np.exp(-np.maximum(time - 0.2, 0.0) / 0.3))
-    record = Record(
-        time=time, position=np.mod(angle + 1.0, 2.0 * np.pi), reference=np.where(time < 0.2, 0.0, target),
-        voltage=np.where(time < 0.2, 0.0, target / 0.3), length_unit="rad",
-    )  # fmt: skip
-    assert "position_wraps" not in codes(record.with_({"position": angle}))
-    (finding,) = [f for f in check(record) if f.severity == "error"]
+    assert "position_wraps" not in codes(turning(target, wraps=False))
+    (finding,) = [f for f in check(turning(target, wraps=True)) if f.severity == "error"]
     assert finding.code == "position_wraps"
     assert "unwrap the column" in finding.message
+
+
+@pytest.mark.parametrize("height", [4.8, 6.0, -6.3, 7.5])
+def test_a_spike_of_about_a_turn_is_a_spike(height):
+    record = turning(3.0, wraps=False)
+    position = record.position.copy()
+    position[700] += height
+    assert "position_spikes" in codes(record.with_({"position": position}))
+    assert "position_wraps" not in codes(record.with_({"position": position}))
+
+
+def test_an_axis_that_turned_once_in_a_gap_has_not_wrapped():
+    record = turning(30.0, wraps=False)
+    kept = np.delete(np.arange(1500), np.arange(90, 135))
+    signals = {name: getattr(record, name)[kept] for name in ("time", "position", "reference", "voltage")}
+    assert abs(np.max(np.diff(signals["position"])) - 2.0 * np.pi) < 0.5 * np.pi
+    assert "position_wraps" not in codes(record.with_(signals))
+
+
+def test_a_spike_elsewhere_does_not_hide_that_a_sensor_wraps():
+    record = turning(9.0, wraps=True)
+    position = record.position.copy()
+    position[700] += 3.0
+    assert "position_wraps" in codes(record.with_({"position": position}))
 
 
 def test_lost_samples_of_an_axis_almost_at_rest_are_told_by_the_control_law():
@@ -938,6 +968,27 @@ def test_reference_that_is_logged_late_is_said(late):
     shifted = np.where(np.arange(len(record)) < 100 + late, 0.0, 0.1)
     assert "reference_shifted" in codes(record.with_({"reference": shifted}))
     assert codes(record) == []
+
+
+@pytest.mark.parametrize("share", [1.4, 1.6, 1.8])
+def test_creep_before_the_step_is_no_shift(share):
+    """In the first half of the rest it stays within the noise; at its end it is beyond, as a shifted reference is."""
+    record = simulated(edge=100, noise=1e-5, encoder=0.0)
+    creep = share * measure(record).outstanding * np.minimum(np.arange(len(record)) / 100.0, 1.0)
+    creeping = record.with_({"position": record.position + creep})
+    assert [*beginning_findings(creeping, measure(creeping))] == []
+    late = record.with_({"reference": np.where(np.arange(len(record)) < 110, 0.0, 0.1)})
+    assert [found.code for found in beginning_findings(late, measure(late))] == ["reference_shifted"]
+
+
+def test_axis_exactly_at_rest_before_its_step_has_no_shift():
+    time = np.arange(1200) * 1e-3
+    position = 0.1 * (1.0 - np.exp(-np.maximum(time - 0.1, 0.0) / 0.05))
+    record = Record(time=time, position=position, reference=np.where(time < 0.1, 0.0, 0.1),
+                    voltage=np.where(time < 0.1, 0.0, 1.0))  # fmt: skip
+    assert "reference_shifted" not in codes(record)
+    early = record.with_({"reference": np.where(time < 0.14, 0.0, 0.1)})
+    assert "reference_shifted" in codes(early)
 
 
 @pytest.mark.parametrize("delay", [0, 12])
