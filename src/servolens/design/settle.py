@@ -84,14 +84,15 @@ def step_response(
 ) -> Simulation:
     """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0.
 
-    Nothing is applied before it: a dead time passes, and a lag begins, with the step.
+    Nothing is applied before it: a dead time passes, and a lag begins, with the step. So an axis on which a weight or a
+    spring pulls is let go at the step; that the loop held it is not counted.
     A loop that is sampled answers to the `noise` of the sensor, if there is some.
     """
     time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)
     begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
     reference, start = np.full(time.size, end), (begin, 0.0)
     if spec.control == "continuous":
-        return simulate_continuous(plant, spec.kp, kd, time, reference, start=start, before=begin)
+        return simulate_continuous(plant, spec.kp, kd, time, reference, start=start, reference_before=begin)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
     error = None if noise is None else noise.drawn(time.size)
     loop = spec.loop(kd)

@@ -46,7 +46,7 @@ __all__ = ["Case"]
 T = TypeVar("T")
 
 REFITTED = 5e6
-"""The work of a refit without one record: it begins at the optimum of all."""
+"""Work that a refit without one record may do: it begins at the optimum of all."""
 
 
 @final
@@ -112,7 +112,7 @@ class Case:
     def fitted_to_simulations(self, plants: Sequence[Plant], work: float) -> list[Hypothesis]:
         """Return `plants` as fitted, from where they are and as much heavier or lighter as the base is.
 
-        All together may do about so much `work`.
+        All together may do at most about `work`.
         """
         begun = list(plants)
         for plant in plants:

@@ -24,7 +24,8 @@ class Effort:
     beam : int
         Hypotheses that are extended.
     work : float
-        Of simulations: samples, each by the time that its substeps take (:func:`~servolens.simulation.rates.work_of`).
+        Of all simulations: samples, each weighted by the time its substeps take
+        (:func:`~servolens.simulation.rates.work_of`).
     """
 
     causes: int

@@ -351,8 +351,8 @@ class Explorer:
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
-        An observer follows what usual ones leave, and slow noise takes it up, so that nothing is left beside these. A
-        fit that goes far from them goes on as long as it gets likelier.
+        What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
+        nothing seems left: then it is freed in any case. A fit that goes far goes on as long as it gets likelier.
         """
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
         if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):

@@ -64,7 +64,7 @@ class Presliding(Force):
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`.
 
-        By less than the noise, dry friction gives way unseen; by more than the travel it never slips: that is a spring.
+        Elastic displacement below the noise is not seen; beyond the travel it never slips and is a spring.
         """
         return seen.noise * self.stiffness <= self.level <= seen.travel * self.stiffness
 

@@ -35,7 +35,8 @@ UNSTABLE = "the plant to start from cannot be simulated on these records: its lo
 MOST_PLANTS = 256
 """Plants that are remembered."""
 WORTH_THREADS = 200_000
-"""Substeps of all simulations of one linearisation from which on the runs are shared among threads."""
+"""Work of all simulations of one linearisation, in samples with one substep, from which on the runs are shared among
+threads."""
 
 
 @final

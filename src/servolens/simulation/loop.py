@@ -248,13 +248,13 @@ def simulate_continuous(
     reference: ArrayLike,
     *,
     start: tuple[float, float] = (0.0, 0.0),
-    before: float | None = None,
+    reference_before: float | None = None,
     substeps: int | None = None,
 ) -> Simulation:
     """Simulate the ideal continuous PD ``V = kp (r − y) − kd ẏ`` (paper eq. 15), the reference held between samples.
 
     Fed back are the position as the sensor shows it and the true velocity of the load. Before the first instant the
-    reference was `before` [m or rad]; None is the first one.
+    reference was `reference_before` [m or rad]; None is the first one.
 
     Raises
     ------
@@ -269,7 +269,7 @@ def simulate_continuous(
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
     loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
     count = substeps or substeps_for(plant, step, extra=float(loop))
-    settings = [*OPEN_LOOP, ANY_NUMBER, *known(before), *NO_OBSERVER, *NO_LAW]
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(reference_before), *NO_OBSERVER, *NO_LAW]
     result = run_one(plant, Inputs(grid, held, held), settings, start, count, (kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(

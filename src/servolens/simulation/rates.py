@@ -42,7 +42,7 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
 
 
 def work_of(samples: int, substeps: int) -> int:
-    """Return the time that samples take to be simulated and compared, in that of samples with one substep each."""
+    """Return the cost of simulating and comparing samples; 1 is a sample with one substep."""
     return samples * (BESIDE_SUBSTEPS + substeps) // (BESIDE_SUBSTEPS + 1)
 
 
