@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -15,7 +16,17 @@ from scipy.integrate import solve_ivp
 from servolens.controller import Controller
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
 from servolens.design.cover import Cover
-from servolens.effects import ActuatorLag, CoulombFriction, Delay, Saturation, VelocityDecayDamping
+from servolens.design.program import Loop
+from servolens.design.settle import step_response
+from servolens.effects import (
+    ActuatorLag,
+    CoulombFriction,
+    Delay,
+    Effect,
+    Saturation,
+    SensorLag,
+    VelocityDecayDamping,
+)
 from servolens.errors import InputError
 from servolens.plant import Plant
 from servolens.report.figures_design import columns, draw_settling
@@ -52,6 +63,33 @@ def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
     np.testing.assert_allclose(np.array(design.intervals), np.array(FEASIBLE[name]), atol=0.002)
     assert design.kd == design.intervals[0][0]
     assert design.verified[0].meets
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (Delay(time=0.0123),),
+        (ActuatorLag(time_constant=0.03),),
+        (Delay(time=0.004), ActuatorLag(time_constant=0.01)),
+        (SensorLag(time_constant=0.02),),
+    ],
+    ids=["none", "delay", "lag", "delay and lag", "sensor lag"],
+)
+@pytest.mark.parametrize("control", ["sampled", "continuous"])
+def test_the_nonlinear_program_steps_as_the_loop_does(
+    effects: tuple[Effect, ...], control: Literal["sampled", "continuous"]
+) -> None:
+    plant = replace(cart(1.9, 6.0), effects=effects)
+    if control == "continuous" and plant.delay > 0.0:
+        pytest.skip("a continuous loop has no delay")
+    spec, kd, samples = PDSpec(kp=80.0, settling_time=0.5, control=control), 4.0, 600
+    late, due = divmod(plant.delay / spec.sample_time, 1.0)
+    loop = Loop(plant.structure, control == "continuous", 4, (int(late), due > 0.0))
+    given = [*plant.values, 1e-3, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due, kd]
+    states = np.array(loop.step.mapaccum(samples)(loop.beginning(ca.DM(given)), ca.repmat(ca.DM(given), 1, samples)))
+    run = step_response(plant, spec, kd, samples * spec.sample_time)
+    np.testing.assert_allclose(states[0], run.position[1 : samples + 1], atol=5e-7)
 
 
 @pytest.mark.parametrize("control", ["sampled", "continuous"])

@@ -14,6 +14,7 @@ from servolens.design.certify import proven_gap
 from servolens.design.enclosure import FEASIBLE_CELL, INFEASIBLE, LoopMaps, prove
 from servolens.design.intervals import IntervalFunction
 from servolens.effects import (
+    ActuatorLag,
     AsymmetricDamping,
     Backlash,
     CoulombFriction,
@@ -72,7 +73,13 @@ def test_a_wrong_design_is_contradicted() -> None:
 
 @pytest.mark.parametrize("control", ["sampled", "continuous"])
 @pytest.mark.parametrize(
-    "plant", [PAPER, LINEAR.with_effect(SensorLag(time_constant=0.02))], ids=["damping law", "sensor lag"]
+    "plant",
+    [
+        PAPER,
+        LINEAR.with_effect(SensorLag(time_constant=0.02)),
+        LINEAR.with_effect(ActuatorLag(time_constant=0.02)),
+    ],
+    ids=["damping law", "sensor lag", "actuator lag"],
 )
 def test_what_is_proven_of_a_cell_holds_for_its_gains(plant: Plant, control: Literal["sampled", "continuous"]) -> None:
     spec = PDSpec(kp=100.0, settling_time=0.5, sample_time=5e-3, control=control, overshoot=0.4)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from servolens.design import PDSpec, evaluate
-from servolens.design.scenarios import drawn
+from servolens.design.scenarios import Scenario, drawn
 from servolens.design.settle import horizon, step_response
 from servolens.effects import CATALOGUE, CoulombFriction, Delay, Force, Saturation, parameter
 from servolens.errors import NumericalError
@@ -205,6 +205,18 @@ def test_script_agrees_on_axes_as_they_may_be(tmp_path):
             run = step_response(scenario.plant, scenario.spec, 5.0 * scenario.realised, 1.2, back=scenario.back)
             assert np.abs(np.array(told["position"]) - run.position).max() <= OF_THE_STEP * abs(spec.reference)
             assert told["settling"] == pytest.approx(scenario.response(5.0, 1.2).settling_time, abs=1e-6)
+
+
+@pytest.mark.parametrize("control", ["sampled", "continuous"])
+def test_script_steps_back_and_lets_a_lag_begin_with_the_step(control, tmp_path):
+    spec = PDSpec(kp=80.0, settling_time=0.4, control=control, reference=0.1)
+    plant = Plant(gain=1.8, damping=6.0, effects=(CATALOGUE["actuator_lag"](time_constant=0.03),))
+    scenarios = [Scenario(plant=plant, spec=spec, realised=1.0, back=back) for back in (False, True)]
+    axes = [(s.plant, spec, 5.0, s) for s in scenarios]
+    for scenario, told in zip(scenarios, asked(axes, tmp_path, duration=1.2), strict=True):
+        run = step_response(plant, spec, 5.0, 1.2, back=scenario.back)
+        assert np.abs(np.array(told["position"]) - run.position).max() < 1e-10
+        assert told["settling"] == pytest.approx(scenario.response(5.0, 1.2).settling_time, abs=1e-6)
 
 
 def test_script_knows_operations_of_users_own_effects(tmp_path):
