@@ -13,6 +13,7 @@ from servolens.diagnosis.effort import EFFORT
 from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import beside_shaking, delays, with_lag_for_damping, with_twins
 from servolens.diagnosis.search import search
+from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     ActuatorLag,
     CoulombFriction,
@@ -57,18 +58,57 @@ def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
 def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
     campaign = lab.hidden_campaign(610108, effects=["coulomb_friction", "cogging"], world="coloured")
     case = Case(campaign.records, (), {}, len(catalogue()))
-    first, *_ = case.trials.pairs_of_forces(3)
+    first, *_ = case.trials.pairs(3)
     truth = campaign.truth.effects
     friction, cogging = sorted(first.effects, key=lambda effect: effect.name == "cogging")
     assert friction.values == pytest.approx([truth["coulomb_friction"]["level"]] * len(friction.values), rel=0.05)
     assert cogging.pitch == pytest.approx(truth["cogging"]["pitch"], rel=0.01)
-    assert not any(effect.absent for plant in case.trials.pairs_of_forces(3) for effect in plant.effects)
+    assert not any(effect.absent for plant in case.trials.pairs(3) for effect in plant.effects)
     assert cogging.amplitude == pytest.approx(truth["cogging"]["amplitude"], rel=0.05)
 
 
 def test_friction_and_cogging_beside_slow_noise_are_found_together():
     campaign = lab.hidden_campaign(910977, effects=["coulomb_friction", "cogging"], world="coloured")
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "cogging"})
+
+
+@pytest.fixture(scope="module")
+def sprung():
+    """Records of an axis that a spring holds behind a dead zone, in slow noise: its voltage seems to push it back."""
+    around = lab.Surroundings(noise=lab.SensorNoise(deviation=2.9e-4, autoregression=(0.97,)), encoder=0.0)
+    forces = {"dead_zone": {"width": 2.335}, "return_spring": {"stiffness": 11.0}}
+    truth, setup = lab.Truth(gain=0.785, damping=16.8, effects=forces), lab.Setup(surroundings=around)
+    runs = ((233.0, 4.6, (0.2, 0.0, 0.1)), (140.0, 4.6, (0.2, 0.05)), (349.0, 9.1, (0.1, 0.0, 0.2)))
+    return [
+        lab.step_record(truth, kp, kd, reference=r, duration=2.0, sample_time=3e-3, seed=i, setup=setup)
+        for i, (kp, kd, r) in enumerate(runs)
+    ]
+
+
+def test_gain_of_an_axis_that_a_spring_holds_does_not_vanish(sprung):
+    trials = Trials(sprung, {}, len(catalogue()))
+    assert trials.bare.gain < 0.0  # of the integral equation without a force
+    assert 0.4 < trials.base().plant.gain < 1.2
+
+
+def test_gain_and_damping_that_ran_away_are_taken_as_an_observer_tells_them(sprung):
+    trials = Trials(sprung, {}, len(catalogue()))
+    observed, unshaken = trials.base(), trials.unshaken()
+    away = unshaken.likelihood.judged(replace(trials.bare, gain=0.3, damping=5.0))
+    assert not unshaken.shows_time_constant(away.plant)
+    found = unshaken.observed(away)
+    assert found.plant.values == observed.plant.values
+    assert found.noise.rate == 0.0
+    assert unshaken.observed(found) is found
+
+
+def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
+    trials = Trials(sprung, {}, len(catalogue()))
+    assert {"dead_zone", "return_spring"} in [{e.name for e in plant.effects} for plant in trials.pairs(10)]
+    found = diagnose(sprung)
+    assert (found.verdict, {c.effect for c in found.causes}) == ("explained", {"dead_zone", "return_spring"})
+    width = found.model.quantities["dead_zone.width"]
+    assert abs(width.value - 2.335) < 3.5 * width.stderr < 0.05
 
 
 def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():

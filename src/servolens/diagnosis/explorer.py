@@ -150,7 +150,7 @@ class Explorer:
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        plants = [*self.trials.pairs_of_forces(self.effort.fitted)]
+        plants = [*self.trials.pairs(self.effort.fitted)]
         scores: list[Plant] = []
         if not self.likelihood.simulates:
             starts = self._followed(self.trials.drives_beside_friction(base.plant), base, 0)

@@ -6,12 +6,12 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from itertools import product
 from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.ordering import kind
+from servolens.diagnosis.integral_pairs import beside_a_force, best_pairs, needed, shapes, sized
+from servolens.diagnosis.ordering import by_total
 from servolens.effects import CoulombFriction, Drive, DryFriction, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
@@ -135,15 +135,16 @@ class Trials:
         NumericalError
             If no start can be simulated.
         """
-        starts = [self.bare, *(replace(self.bare, gain=s * self.bare.gain) for s in (0.5, 2.0))]
-        if "gain" in self.priors:
-            starts = [replace(self.bare, gain=self.priors["gain"].value), *starts]
-        for start in starts:
-            found = self.likelihood.judged(start)
-            if found is not None:
-                self._observed = found.plant if found.noise.rate > 0.0 else self._observed
-                return found
-        raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
+        bare, judged = self.bare, self.likelihood.judged
+        others = [replace(bare, gain=s * bare.gain) for s in (0.5, 2.0)]
+        first = replace(bare, gain=self.priors["gain"].value) if "gain" in self.priors else bare
+        begun = [first, *beside_a_force(self.screen, bare)[:1]] if first.gain <= 0.0 else [first]
+        found = min((h for h in map(judged, begun) if h), key=by_total, default=None)
+        found = found or next((h for h in map(judged, [bare, *others]) if h), None)
+        if found is None:
+            raise NumericalError("gain and damping alone cannot be simulated on these records; check sign and units")
+        self._observed = found.plant if found.noise.rate > 0.0 else self._observed
+        return found
 
     def observed(self, base: Hypothesis) -> Hypothesis:
         """Return gain and damping as an observer tells them where those of `base` run away to what no sample shows.
@@ -161,7 +162,7 @@ class Trials:
 
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter."""
-        return _entry_price(_needed(cls), self.candidates, self.likelihood.counted)
+        return _entry_price(needed(cls), self.candidates, self.likelihood.counted)
 
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.
@@ -232,55 +233,14 @@ class Trials:
                 continue
             with suppress(InputError, NumericalError):
                 friction = tuple(self.screen.proposals_of(plant, CoulombFriction)[:1])
-                found += self._proposed(self._sized(replace(plant, effects=friction)), cls)
+                found += self._proposed(sized(self.screen, replace(plant, effects=friction)), cls)
         return [start for start in found if not self.likelihood.is_too_stiff(start)]
 
-    def pairs_of_forces(self, most: int) -> list[Plant]:
-        """Return plants with two forces each that leave least of the integral equation, the best first; made once."""
+    def pairs(self, most: int) -> list[Plant]:
+        """Return the plants with two effects that leave least of the integral equation, the best first; made once."""
         if most not in self._pairs:
-            self._pairs[most] = self._pairs_of_forces(self.bare, most)
+            self._pairs[most] = best_pairs(self.screen, self.seen, self.bare, self._proposals_of, most)
         return self._pairs[most]
-
-    def _pairs_of_forces(self, plant: Plant, most: int) -> list[Plant]:
-        """Return `plant` with two forces each, one pair of each kind, see :meth:`pairs_of_forces`.
-
-        One of the two has no shape that is searched for, as dry friction or a spring: it hides which the other has, as
-        a pitch. In order of the Bayesian information criterion, what is left taken for white.
-        """
-        forces = [cls for cls in catalogue().values() if regressor(cls).sizes and not cls.is_last_resort]
-        forces = [cls for cls in forces if plant.length_unit == "rad" or not cls.is_rotary]
-        plain = [cls for cls in forces if not _shapes(cls)]
-        thinned, found = self.screen.thinned, []
-        for first, second in product(plain, forces):
-            if kind([first]) & kind([second]) or (second in plain and first.name > second.name):
-                continue
-            with suppress(InputError, NumericalError):  # two that do not go together
-                one = self.screen.proposals_of(plant, first)[:1]
-                proposals = self._proposals_of(plant, second)
-                lefts = thinned.left(one, proposals).tolist()
-                whole = [e for e in zip(lefts, proposals.effects, strict=True) if e[1].is_whole(self.seen)]
-                for left, other in sorted(whole, key=lambda each: each[0])[: len(one)]:
-                    paid = np.log(thinned.time.size) * (self._sizes(first) + self._sizes(second))
-                    both = plant.with_effect(one[0]).with_effect(other)
-                    score = thinned.time.size * np.log(max(left, 1e-300)) + paid
-                    found.append((score, both))
-        best: dict[frozenset[str], Plant] = {}
-        for _, both in sorted(found, key=lambda each: each[0]):
-            if len(best) < most and kind(both.effects) not in best:
-                with suppress(InputError, NumericalError):
-                    solved = self._sized(both)
-                    if all(effect.is_whole(self.seen) and not effect.absent for effect in solved.effects):
-                        best[kind(both.effects)] = solved
-        return list(best.values())
-
-    def _sized(self, plant: Plant) -> Plant:
-        """Return `plant` with gain, damping and sizes that solve the integral equation."""
-        solved, _ = self.screen.solve(plant.effects)
-        return replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
-
-    def _sizes(self, cls: type[Effect]) -> int:
-        """Return the parameters of a force that have no usual value, a wave of each record's own counted for each."""
-        return _needed(cls) + (2 * (self.screen.records - 1) if cls.phase_per_record else 0)
 
     def _proposals_of(self, plant: Plant, cls: type[Effect]) -> Proposals:
         """Return the forces of a class that the integral equation may rank; made once."""
@@ -295,7 +255,7 @@ class Trials:
             alone = plant.with_effect(effect)
             starts.append(alone)
             with suppress(InputError, NumericalError):
-                starts.append(self._sized(alone))
+                starts.append(sized(self.screen, alone))
         return [*starts, *self._standing(plant, cls, starts)]
 
     def _standing(self, plant: Plant, cls: type[Effect], starts: Sequence[Plant]) -> list[Plant]:
@@ -313,16 +273,6 @@ class Trials:
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
-
-
-def _shapes(cls: type[Effect]) -> set[str]:
-    """Return the parameters of a force that bend it and are searched for: all but sizes and the phase of a wave."""
-    return set(regressor(cls).shapes) - set(cls.wave or ())
-
-
-def _needed(cls: type[Effect]) -> int:
-    """Return how many parameters of an effect have no usual value."""
-    return sum(spec.usual is None for spec in cls.parameters())
 
 
 @lru_cache(maxsize=1024)
@@ -379,8 +329,8 @@ def _of_each_shape(starts: Sequence[Start]) -> list[Start]:
     first: dict[tuple[float, ...], Start] = {}
     for start in starts:
         effect = start.plant.effects[-1]
-        shapes = sorted(_shapes(type(effect)))
-        first.setdefault(tuple(getattr(effect, name) for name in shapes), start)
+        shape = tuple(getattr(effect, name) for name in sorted(shapes(type(effect))))
+        first.setdefault(shape, start)
     return [*first.values(), *(start for start in starts if start not in first.values())]
 
 

@@ -133,7 +133,7 @@ class Screen:
         Of proposals that are in order, as pitches are, the best of each peak at first.
         """
         found: list[tuple[float, Effect]] = []
-        places = by_peaks(self._behind(others)[1].left(others, proposals))
+        places = by_peaks(self.left(others, proposals))
         for proposal in (*(proposals.effects[i] for i in places), *([] if also is None else [also])):
             if len(found) >= count and proposal is not also:
                 continue
@@ -145,6 +145,10 @@ class Screen:
                 found.append((error, solved.effects[-1]))
         found.sort(key=lambda pair: pair[0])
         return [effect for _, effect in found[:count]]
+
+    def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
+        """Return the square error that each of the `proposals` leaves beside `others` of a few thousand samples."""
+        return self._behind(others)[1].left(others, proposals)
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
         """Return `effect` and what it proposes itself beside `plant`."""

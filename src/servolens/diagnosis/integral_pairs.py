@@ -1,0 +1,129 @@
+"""Two effects of which neither shows alone: what they leave of the integral equation together."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.diagnosis.ordering import kind
+from servolens.effects import Actuator, TimeShift, catalogue
+from servolens.errors import InputError, NumericalError
+from servolens.identification.regressors import regressor
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from servolens.effects import Effect, Seen
+    from servolens.identification.ranking import Proposals
+    from servolens.identification.starting import Screen
+    from servolens.plant import Plant
+
+    Proposed = Callable[[Plant, type[Effect]], Proposals]
+
+__all__ = ["beside_a_force", "best_pairs", "needed", "shapes", "sized"]
+
+
+def best_pairs(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, most: int) -> list[Plant]:
+    """Return `plant` with two effects that leave least of the integral equation, one pair of each kind, the best first.
+
+    Two forces, one of them without a shape that is searched for, as dry friction or a spring: it hides which the other
+    has, as a pitch. Or such a force and what changes the command on its way, as a dead zone: that the axis is held
+    hides which. In order of the Bayesian information criterion, what is left taken for white.
+
+    Parameters
+    ----------
+    screen : Screen
+        Of the records.
+    seen : Seen
+        What they show.
+    plant : Plant
+        Gain and damping alone.
+    proposed : callable
+        Gives the proposals of a force.
+    most : int
+        How many pairs.
+    """
+    found = sorted(_scored(screen, seen, plant, proposed), key=lambda each: each[0])
+    best: dict[frozenset[str], Plant] = {}
+    for _, both in found:
+        if len(best) < most and kind(both.effects) not in best:
+            with suppress(InputError, NumericalError):
+                solved = sized(screen, both)
+                if all(effect.is_whole(seen) and not effect.absent for effect in solved.effects):
+                    best[kind(both.effects)] = solved
+    return list(best.values())
+
+
+def beside_a_force(screen: Screen, plant: Plant) -> list[Plant]:
+    """Return gain and damping as they are beside one force each in the integral equation, the best first.
+
+    What holds a force, as that of a spring, would else be taken for what moves the axis the other way.
+    """
+    found = []
+    for cls in _plain(plant):
+        with suppress(InputError, NumericalError):
+            for effect in screen.proposals_of(plant, cls)[:1]:
+                solved, left = screen.solve((effect,))
+                if solved.gain > 0.0 and solved.damping >= 0.0:
+                    found.append((left, replace(plant, gain=solved.gain, damping=solved.damping)))
+    return [one for _, one in sorted(found, key=lambda each: each[0])]
+
+
+def sized(screen: Screen, plant: Plant) -> Plant:
+    """Return `plant` with gain, damping and sizes that solve the integral equation.
+
+    Raises
+    ------
+    InputError, NumericalError
+        If they make no plant, or the records do not determine them.
+    """
+    solved, _ = screen.solve(plant.effects)
+    return replace(plant, gain=solved.gain, damping=max(solved.damping, 0.0), effects=solved.effects)
+
+
+def shapes(cls: type[Effect]) -> set[str]:
+    """Return the parameters of a force that bend it and are searched for: all but sizes and the phase of a wave."""
+    return set(regressor(cls).shapes) - set(cls.wave or ())
+
+
+def needed(cls: type[Effect]) -> int:
+    """Return how many parameters of an effect have no usual value."""
+    return sum(spec.usual is None for spec in cls.parameters())
+
+
+def _forces(plant: Plant) -> list[type[Effect]]:
+    """Return the forces whose sizes the integral equation solves for, without last resorts."""
+    forces = [cls for cls in catalogue().values() if regressor(cls).sizes and not cls.is_last_resort]
+    return [cls for cls in forces if plant.length_unit == "rad" or not cls.is_rotary]
+
+
+def _plain(plant: Plant) -> list[type[Effect]]:
+    """Return those of them that have no shape to be searched for."""
+    return [cls for cls in _forces(plant) if not shapes(cls)]
+
+
+def _scored(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed) -> Iterator[tuple[float, Plant]]:
+    """Yield the criterion and `plant` with each pair."""
+    forces, plain, samples = _forces(plant), _plain(plant), screen.thinned.time.size
+    actuators = [cls for cls in catalogue().values() if issubclass(cls, Actuator | TimeShift)]
+    for first, second in (*product(plain, forces), *product(actuators, plain)):
+        if kind([first]) & kind([second]) or (second in plain and first in plain and first.name > second.name):
+            continue
+        starts = screen.proposals_of(plant, first)
+        for one in starts[:1] if first in plain else [start for start in starts if start.is_whole(seen)]:
+            with suppress(InputError, NumericalError):  # two that do not go together
+                proposals = proposed(plant, second)
+                lefts = zip(screen.left((one,), proposals).tolist(), proposals.effects, strict=True)
+                whole = [(left, other) for left, other in lefts if other.is_whole(seen)]
+                for left, other in sorted(whole, key=lambda each: each[0])[:1]:
+                    paid = np.log(samples) * (_sizes(screen, first) + _sizes(screen, second))
+                    yield samples * np.log(max(left, 1e-300)) + paid, plant.with_effect(one).with_effect(other)
+
+
+def _sizes(screen: Screen, cls: type[Effect]) -> int:
+    """Return the parameters that have no usual value, a wave of each record's own counted for each."""
+    return needed(cls) + (2 * (screen.records - 1) if cls.phase_per_record else 0)
