@@ -150,13 +150,13 @@ class Explorer:
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        plants = [*self.trials.pairs(self.effort.fitted)]
-        scores: list[Plant] = []
+        followed, scores = self._followed(self.trials.pairs(self.effort.fitted), base, FEW), []
         if not self.likelihood.simulates:
-            starts = self._followed(self.trials.drives_beside_friction(base.plant), base, 0)
-            plants += [h.plant for h in starts[: self.effort.judged + 2]]
+            for starts in self.trials.hidden_beside_friction(base.plant):  # of each kind, for some take much longer
+                begun = self._followed(starts, base, 0)[: self.effort.judged]
+                followed += self._followed([h.plant for h in begun], base, FEW)
             scores = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
-        proposed = [h for h in self._followed(plants, base, FEW) if not h.noise.is_model_error]
+        proposed = [h for h in followed if not h.noise.is_model_error]
         likelier = best_of_each([h for h in (*proposed, *self._followed(scores, base, FEW)) if h.total < best.total])
         found = self.fitted([(h.plant, h) for h in likelier[: self.effort.judged]])
         return sorted([*found, *self._delayed()], key=by_total) if self.likelihood.simulates else found

@@ -12,7 +12,7 @@ import numpy as np
 
 from servolens.diagnosis.integral_pairs import beside_a_force, best_pairs, needed, shapes, sized
 from servolens.diagnosis.ordering import by_total
-from servolens.effects import CoulombFriction, Drive, DryFriction, catalogue, effect_class
+from servolens.effects import CoulombFriction, Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
@@ -225,16 +225,20 @@ class Trials:
         except (InputError, NumericalError):
             return None
 
-    def drives_beside_friction(self, plant: Plant) -> list[Plant]:
-        """Return `plant` with Coulomb friction and each start of a drive that sets gain and damping by its own loop."""
-        found: list[Plant] = []
+    def hidden_beside_friction(self, plant: Plant) -> list[list[Plant]]:
+        """Return `plant` with Coulomb friction and a drive or a transmission: of each of these where a fit begins.
+
+        A drive sets gain and damping by its own loop, and in a transmission a load moves by itself: friction hides it.
+        """
+        found: list[list[Plant]] = []
         for cls in catalogue().values():
-            if not issubclass(cls, Drive):
+            if not issubclass(cls, Drive | Transmission):
                 continue
             with suppress(InputError, NumericalError):
                 friction = tuple(self.screen.proposals_of(plant, CoulombFriction)[:1])
-                found += self._proposed(sized(self.screen, replace(plant, effects=friction)), cls)
-        return [start for start in found if not self.likelihood.is_too_stiff(start)]
+                starts = self._proposed(sized(self.screen, replace(plant, effects=friction)), cls)
+                found.append([start for start in starts if not self.likelihood.is_too_stiff(start)])
+        return found
 
     def pairs(self, most: int) -> list[Plant]:
         """Return the plants with two effects that leave least of the integral equation, the best first; made once."""
