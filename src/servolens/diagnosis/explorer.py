@@ -25,7 +25,7 @@ from servolens.diagnosis.ordering import (
     with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.effects import Drive, catalogue, effect_class
+from servolens.effects import Drive, Transmission, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
 from servolens.identification.likelihood import FEW, FULL, SOME
@@ -152,9 +152,10 @@ class Explorer:
             return []
         followed, scores = self._followed(self.trials.pairs(self.effort.fitted), base, FEW), []
         if not self.likelihood.simulates:
-            for starts in self.trials.hidden_beside_friction(base.plant):  # of each kind, for some take much longer
-                begun = self._followed(starts, base, 0)[: self.effort.judged]
-                followed += self._followed([h.plant for h in begun], base, FEW)
+            for cls, starts in self.trials.hidden_beside_friction(base.plant).items():
+                if issubclass(cls, Transmission):  # which take long; where a drive's fit begins says little of its end
+                    starts = [h.plant for h in self._followed(starts, base, 0)[: self.effort.judged]]
+                followed += self._followed(starts, base, FEW)
             scores = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
         proposed = [h for h in followed if not h.noise.is_model_error]
         likelier = best_of_each([h for h in (*proposed, *self._followed(scores, base, FEW)) if h.total < best.total])

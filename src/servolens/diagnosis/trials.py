@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Start", "Trials"]
 
+HALF = 0.5
+"""Of the command that the axis withstands at rest, what dry friction may hold beside another force."""
 STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
@@ -225,19 +227,26 @@ class Trials:
         except (InputError, NumericalError):
             return None
 
-    def hidden_beside_friction(self, plant: Plant) -> list[list[Plant]]:
+    def hidden_beside_friction(self, plant: Plant) -> dict[type[Effect], list[Plant]]:
         """Return `plant` with Coulomb friction and a drive or a transmission: of each of these where a fit begins.
 
         A drive sets gain and damping by its own loop, and in a transmission a load moves by itself: friction hides it.
+        Friction that the integral equation does not show beside them begins at half of what holds the axis at rest:
+        from none a fit hardly finds it, for where it holds nothing it has no slope.
         """
-        found: list[list[Plant]] = []
+        found: dict[type[Effect], list[Plant]] = {}
         for cls in catalogue().values():
             if not issubclass(cls, Drive | Transmission):
                 continue
             with suppress(InputError, NumericalError):
-                friction = tuple(self.screen.proposals_of(plant, CoulombFriction)[:1])
-                starts = self._proposed(sized(self.screen, replace(plant, effects=friction)), cls)
-                found.append([start for start in starts if not self.likelihood.is_too_stiff(start)])
+                rubbing = sized(
+                    self.screen, replace(plant, effects=(*self.screen.proposals_of(plant, CoulombFriction),))
+                )
+                if rubbing.effects[-1].absent:
+                    level = HALF * abs(rubbing.gain) * self.standing
+                    rubbing = replace(rubbing, effects=(CoulombFriction(level=level),))
+                starts = self._proposed(rubbing, cls)
+                found[cls] = [start for start in starts if not self.likelihood.is_too_stiff(start)]
         return found
 
     def pairs(self, most: int) -> list[Plant]:
@@ -272,7 +281,7 @@ class Trials:
             return []
         effect = starts[0].effects[-1]
         found = []
-        for share in (1.0, 0.5):
+        for share in (1.0, HALF):
             level = share * abs(plant.gain) * self.standing
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
