@@ -207,7 +207,7 @@ def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
 def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"delay": {"time": 0.03}, "coulomb_friction": {"level": 0.3}})
     sheet = Prior(value=2.4, deviation=0.05)
-    found = diagnose(steps_of(axis, [(40, 0), (80, 0)]), priors={"gain": sheet})
+    found = diagnose(steps_of(axis, [(40, 0), (80, 0)]), priors={"gain": sheet}, effort="quick")
     assert abs(found.linear.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
     assert abs(found.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
 

@@ -111,6 +111,24 @@ def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
     assert abs(width.value - 2.335) < 3.5 * width.stderr < 0.05
 
 
+def test_friction_beside_what_it_hides_begins_where_it_can_be_found():
+    """A free drive leaves the integral equation no friction, and from none a fit hardly finds it."""
+    campaign = lab.hidden_campaign(711_791, effects=["coulomb_friction", "speed_servo"], world="white")
+    trials = Trials(campaign.records, {}, len(catalogue()))
+    hidden = trials.hidden_beside_friction(trials.bare)
+    assert {cls.name for cls in hidden} >= {"speed_servo", "backlash", "flexible_coupling"}
+    for starts in hidden.values():
+        assert all(plant.effect("coulomb_friction").level > 0.0 for plant in starts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "hidden"), [(711_091, "backlash"), (711_791, "speed_servo")])
+@pytest.mark.parametrize("world", ["white", "coloured"])
+def test_friction_and_what_it_hides_are_found_together(seed, hidden, world):
+    campaign = lab.hidden_campaign(seed, effects=["coulomb_friction", hidden], world=world)
+    assert causes_of(campaign) == ("explained", {"coulomb_friction", hidden})
+
+
 def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
     campaign = lab.hidden_campaign(610212, effects=["coulomb_friction", "speed_servo"], world="coloured")
     assert causes_of(campaign) == ("explained", {"coulomb_friction", "speed_servo"})

@@ -143,8 +143,8 @@ class Explorer:
     def paired(self, base: Hypothesis, best: Hypothesis) -> list[Hypothesis]:
         """Return the likeliest pairs of effects, fitted, that are likelier than `best` after a few iterations.
 
-        Pairs that the integral equation proposes are kept only if noise explains what they then leave, those whose
-        scores are highest together always. Where no model is the axis, a search by simulations, all of the former are
+        Pairs that the integral equation proposes, and what friction hides, are kept only if noise explains what they
+        then leave, those whose scores are highest together always. Where no model is the axis, a search by simulations, all of the former are
         kept, and effects are paired with a delay. Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
