@@ -9,12 +9,13 @@ import pytest
 
 from servolens import Plant, diagnose, lab
 from servolens.diagnosis.case import Case
-from servolens.diagnosis.effort import EFFORT
+from servolens.diagnosis.effort import EFFORT, shared, work_for
 from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import beside_shaking, delays, with_lag_for_damping, with_twins
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
+    CATALOGUE,
     ActuatorLag,
     CoulombFriction,
     PendulumGravity,
@@ -109,6 +110,23 @@ def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
     assert (found.verdict, {c.effect for c in found.causes}) == ("explained", {"dead_zone", "return_spring"})
     width = found.model.quantities["dead_zone.width"]
     assert abs(width.value - 2.335) < 3.5 * width.stderr < 0.05
+
+
+def test_work_goes_where_it_is_needed():
+    assert shared(10.0, [1.0, 20.0, 3.0]) == [1.0, 6.0, 3.0]
+    assert shared(9.0, [5.0, 5.0, 5.0]) == [3.0, 3.0, 3.0]
+    assert shared(100.0, [5.0, 20.0]) == [5.0, 20.0]
+    assert shared(1.0, []) == []
+
+
+def test_work_of_a_fit_is_told_beforehand():
+    record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1)
+    trials = Trials([record], {}, len(catalogue()))
+    for effect in (ReturnSpring(stiffness=3.0), CATALOGUE["backlash"](gap=2e-3, load_share=0.3)):
+        plant, likelihood = trials.bare.with_effect(effect), trials.unshaken().likelihood
+        likelihood.tried(plant, likelihood.white, 4)
+        told = work_for(likelihood, plant, 4)
+        assert 0.1 * told < likelihood.work <= told
 
 
 def test_friction_beside_what_it_hides_begins_where_it_can_be_found():

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import TYPE_CHECKING, final
 
-__all__ = ["EFFORT", "Effort"]
+import numpy as np
+
+from servolens.simulation.rates import substeps_for, work_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from servolens.identification.likelihood import Likelihood
+    from servolens.plant import Plant
+
+__all__ = ["EFFORT", "Effort", "shared", "work_for"]
 
 
 @final
@@ -43,3 +53,28 @@ EFFORT = {
 """A hundred million take seven to eleven seconds of one processor, all that goes with simulating them included. A
 search by prediction errors and one by simulations may take so much each, and the former as much again for what it tries
 with and without an observer."""
+
+
+def shared(work: float, needs: Sequence[float]) -> list[float]:
+    """Return how much of the `work` each job may do: what it needs, or else an equal part of what the others leave.
+
+    A transmission takes twenty times the work of a spring.
+
+    Examples
+    --------
+    >>> shared(10.0, [1.0, 20.0, 3.0]), shared(9.0, [5.0, 5.0, 5.0])
+    ([1.0, 6.0, 3.0], [3.0, 3.0, 3.0])
+    """
+    granted = [0.0] * len(needs)
+    for place, i in enumerate(sorted(range(len(needs)), key=lambda i: needs[i])):
+        granted[i] = min(needs[i], work / (len(needs) - place))
+        work -= granted[i]
+    return granted
+
+
+def work_for(likelihood: Likelihood, plant: Plant, iterations: int) -> float:
+    """Return about what so many `iterations` from `plant` simulate: all unknowns are moved, to both sides."""
+    runs = [(signals.time.size, float(np.max(np.diff(signals.time)))) for signals in likelihood.signals]
+    once = sum(work_of(samples, substeps_for(plant, step)) for samples, step in runs)
+    initial = 2  # position and velocity
+    return float(once * (1 + 2 * iterations * (len(plant.values) + initial)))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.diagnosis.effort import shared, work_for
 from servolens.diagnosis.ordering import (
     best_of_each,
     by_total,
@@ -25,6 +26,7 @@ from servolens.diagnosis.ordering import (
     with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
+from servolens.diagnosis.trials import of_these_tried
 from servolens.effects import Drive, Transmission, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
@@ -51,8 +53,6 @@ PROMISING = 0.5
 causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
-STARTED = 2
-"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 SHARE, SPENT = 0.4, 0.25
 """Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
 whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
@@ -144,8 +144,8 @@ class Explorer:
         """Return the likeliest pairs of effects, fitted, that are likelier than `best` after a few iterations.
 
         Pairs that the integral equation proposes, and what friction hides, are kept only if noise explains what they
-        then leave, those whose scores are highest together always. Where no model is the axis, a search by simulations, all of the former are
-        kept, and effects are paired with a delay. Only once in a search.
+        then leave, those whose scores are highest together always. Where no model is the axis, a search by simulations,
+        all of the former are kept, and effects are paired with a delay. Only once in a search.
         """
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
@@ -164,9 +164,10 @@ class Explorer:
 
     def _followed(self, plants: Sequence[Plant], base: Hypothesis, iterations: int) -> list[Hypothesis]:
         """Return where a few iterations beside the noise of `base` lead, the best first."""
-        share = self.allowance(len(plants))
+        shares = shared(SHARE * self.left, [work_for(self.likelihood, plant, iterations) for plant in plants])
         found = in_parallel(
-            lambda plant: self.likelihood.tried(plant, base.noise, iterations, like=base, allowance=share), plants
+            lambda job: self.likelihood.tried(job[0], base.noise, iterations, like=base, allowance=job[1]),
+            [*zip(plants, shares, strict=True)],
         )
         return sorted((h for h in found if h), key=by_total)
 
@@ -229,12 +230,12 @@ class Explorer:
         is_observed = hypothesis.noise.rate > 0.0
         is_enough = bool(hypothesis.causes) and self.is_enough(hypothesis)
         kin = set() if is_observed else set(hypothesis.causes)
-        tried = [
+        asked = [
             name
             for name, cls in catalogue().items()
             if self.with_last_resorts or not cls.is_last_resort or kin & set(cls.generalises)
         ]
-        names = [n for n in tried if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
+        names = [n for n in asked if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
         scored.sort(key=lambda starts: -starts[0].gain)
@@ -255,23 +256,25 @@ class Explorer:
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
             return found
 
-        share_of_work = self.allowance(len(chosen))
-        begun = in_parallel(lambda s: told(self._begun(s, hypothesis, share_of_work)), chosen)
+        tried = [of_these_tried(starts) for starts in chosen]
+        shares = shared(
+            SHARE * self.left, [sum(work_for(self.likelihood, s.plant, FEW) for s in several) for several in tried]
+        )
+        jobs = [*zip(tried, shares, strict=True)]
+        begun = in_parallel(lambda job: told(self._begun(job[0], hypothesis, job[1])), jobs)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
         if is_observed:
             return found
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
-        share_of_work = self.allowance(len(close))
-        further = in_parallel(lambda h: told(self._simulated(h, share_of_work)), close)
+        shares = shared(SHARE * self.left, [work_for(self.likelihood, h.plant, _iterations(h.plant)) for h in close])
+        further = in_parallel(lambda job: told(self._simulated(*job)), [*zip(close, shares, strict=True)])
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
 
-    def _begun(self, starts: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
+    def _begun(self, tried: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where the best starts of one effect beside `hypothesis` lead in a few iterations."""
-        several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
-        tried = [s for place, s in enumerate(starts) if place < several or s.is_guess]
         led = [
             self.likelihood.tried(
                 s.plant,
@@ -287,11 +290,10 @@ class Explorer:
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
-        iterations = SOME * hypothesis.plant.effects[-1].unusual
         return self.likelihood.tried(
             hypothesis.plant,
             self.likelihood.white,
-            iterations,
+            _iterations(hypothesis.plant),
             like=hypothesis,
             unpowered=hypothesis.unpowered,
             allowance=allowance,
@@ -432,3 +434,8 @@ class Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)
+
+
+def _iterations(plant: Plant) -> int:
+    """Return how many iterations the last effect of `plant` needs beside white noise."""
+    return SOME * plant.effects[-1].unusual

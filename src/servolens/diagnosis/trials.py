@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Start", "Trials"]
+__all__ = ["Start", "Trials", "of_these_tried"]
 
 HALF = 0.5
 """Of the command that the axis withstands at rest, what dry friction may hold beside another force."""
@@ -41,6 +41,8 @@ STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
 """Proposals of an effect, ranked in the integral equation, that are simulated."""
+STARTED = 2
+"""Starts of an effect with a shape, from which it is fitted, beside what the effect itself proposes first."""
 STOPS = 2.0
 """Times the motor's largest acceleration from which on dry friction holds the axis: that moves it, and stops it."""
 CONTRADICTS = 4.0
@@ -286,6 +288,12 @@ class Trials:
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
+
+
+def of_these_tried(starts: Sequence[Start]) -> list[Start]:
+    """Return those of the `starts` of one effect that are tried: the best, several if it has a shape, and guesses."""
+    several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
+    return [s for place, s in enumerate(starts) if place < several or s.is_guess]
 
 
 @lru_cache(maxsize=1024)
