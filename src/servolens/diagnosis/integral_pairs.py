@@ -31,8 +31,8 @@ def best_pairs(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, mos
     """Return `plant` with two effects that leave least of the integral equation, one pair of each kind, the best first.
 
     Two forces, one of them without a shape that is searched for, as dry friction or a spring: it hides which the other
-    has, as a pitch. Or such a force and what changes the command on its way, as a dead zone: that the axis is held
-    hides which. In order of the Bayesian information criterion, what is left taken for white.
+    has, as a pitch. Or a force and what changes the command on its way, as a dead zone: the command that holds the axis
+    hides it. In order of the Bayesian information criterion, what is left taken for white.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _scored(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed) -> Ite
     """Yield the criterion and `plant` with each pair."""
     forces, plain, samples = _forces(plant), _plain(plant), screen.thinned.time.size
     actuators = [cls for cls in catalogue().values() if issubclass(cls, Actuator | TimeShift)]
-    for first, second in (*product(plain, forces), *product(actuators, plain)):
+    for first, second in (*product(plain, forces), *product(actuators, forces)):
         if kind([first]) & kind([second]) or (second in plain and first in plain and first.name > second.name):
             continue
         starts = screen.proposals_of(plant, first)
