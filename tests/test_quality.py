@@ -323,6 +323,22 @@ def test_a_spike_of_about_a_turn_is_a_spike(height):
     assert "position_wraps" not in codes(record.with_({"position": position}))
 
 
+@pytest.mark.parametrize("places", [[0], [1], [0, 1], [-2], [-1], [700, 701], [700, 703]], ids=str)
+@pytest.mark.parametrize("height", [6.0, -6.3])
+def test_a_few_disturbed_samples_are_no_turn(places, height):
+    record = turning(3.0, wraps=False)
+    position = record.position.copy()
+    position[places] += height
+    assert "position_wraps" not in codes(record.with_({"position": position}))
+
+
+def test_a_sensor_that_rests_on_the_border_of_its_turn_wraps():
+    record = turning(2.0 * np.pi - 1.0, wraps=True)
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(len(record))
+    wrapped = np.mod(turning(2.0 * np.pi - 1.0, wraps=False).position + 1.0 + noise, 2.0 * np.pi)
+    assert "position_wraps" in codes(record.with_({"position": wrapped}))
+
+
 def test_an_axis_that_turned_once_in_a_gap_has_not_wrapped():
     record = turning(30.0, wraps=False)
     kept = np.delete(np.arange(1500), np.arange(90, 135))

@@ -453,6 +453,7 @@ def test_causes_with_which_the_simulation_diverges_are_told_so(rubbing, error):
     assert told.startswith("with it the simulation diverges; without, the held-out error is ")
     assert re.search(r" is [0-9.]+ mm \(r\.m\.s\.\)\. The noise is [0-9.]+ µm\.$", told)
     both = replace(away, baseline=replace(away.baseline, heldout_rms_error=math.inf))
+    assert verdict_sentence(both).startswith("The cause is Coulomb friction (")
     assert "; but with it the simulation diverges. The noise is " in verdict_sentence(both)
     late = Finding(code="position_shifted", severity="warning", message="shift the column.", record="kp 40")
     loop = verdict_sentence(replace(away, findings=(late,)))

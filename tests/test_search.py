@@ -115,7 +115,7 @@ def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
 def test_work_goes_where_it_is_needed():
     assert shared(10.0, [1.0, 20.0, 3.0]) == [1.0, 6.0, 3.0]
     assert shared(9.0, [5.0, 5.0, 5.0]) == [3.0, 3.0, 3.0]
-    assert shared(100.0, [5.0, 20.0]) == [5.0, 20.0]
+    assert shared(100.0, [5.0, 20.0]) == [20.0, 80.0]
     assert shared(1.0, []) == []
 
 

@@ -153,7 +153,7 @@ def _samples(plant: Plant, spec: PDSpec, loop: Controller, floor: float) -> int:
 def _swing(plant: Plant, loop: Controller, spec: PDSpec, time: NDArray[np.float64], away: float) -> Hunting | None:
     """Return the swing that an axis keeps which sets out so far `away` from the reference; None if it keeps none.
 
-    What was applied before is no matter: only the end of the run is looked at.
+    The voltage before the run does not matter: only its end is examined.
     """
     start = (spec.reference + away, 0.0)
     limit = None if plant.effect(Saturation.name) is not None else np.inf

@@ -85,7 +85,7 @@ def step_response(
     """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0.
 
     Nothing is applied before it: a dead time passes, and a lag begins, with the step. So an axis on which a weight or a
-    spring pulls is let go at the step; that the loop held it is not counted.
+    spring pulls is released at the step: the voltage that held it before is not modelled.
     A loop that is sampled answers to the `noise` of the sensor, if there is some.
     """
     time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)

@@ -58,13 +58,16 @@ with and without an observer."""
 def shared(work: float, needs: Sequence[float]) -> list[float]:
     """Return how much of the `work` each job may do: what it needs, or else an equal part of what the others leave.
 
-    A transmission takes twenty times the work of a spring.
+    A backlash takes ten to twenty times the work of a spring, an end stop up to sixty. Needs are estimates: where there
+    is more work than that, it is shared in proportion.
 
     Examples
     --------
-    >>> shared(10.0, [1.0, 20.0, 3.0]), shared(9.0, [5.0, 5.0, 5.0])
-    ([1.0, 6.0, 3.0], [3.0, 3.0, 3.0])
+    >>> shared(10.0, [1.0, 20.0, 3.0]), shared(9.0, [5.0, 5.0, 5.0]), shared(16.0, [2.0, 6.0])
+    ([1.0, 6.0, 3.0], [3.0, 3.0, 3.0], [4.0, 12.0])
     """
+    if sum(needs) < work:
+        return [need * work / sum(needs) for need in needs]
     granted = [0.0] * len(needs)
     for place, i in enumerate(sorted(range(len(needs)), key=lambda i: needs[i])):
         granted[i] = min(needs[i], work / (len(needs) - place))
@@ -73,8 +76,10 @@ def shared(work: float, needs: Sequence[float]) -> list[float]:
 
 
 def work_for(likelihood: Likelihood, plant: Plant, iterations: int) -> float:
-    """Return about what so many `iterations` from `plant` simulate: all unknowns are moved, to both sides."""
+    """Return an estimate, rather too large, of the work of so many `iterations` from `plant`.
+
+    Each takes central differences in all parameters and two initial states.
+    """
     runs = [(signals.time.size, float(np.max(np.diff(signals.time)))) for signals in likelihood.signals]
     once = sum(work_of(samples, substeps_for(plant, step)) for samples, step in runs)
-    initial = 2  # position and velocity
-    return float(once * (1 + 2 * iterations * (len(plant.values) + initial)))
+    return float(once * (1 + 2 * iterations * (len(plant.values) + 2)))

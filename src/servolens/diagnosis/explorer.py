@@ -26,7 +26,7 @@ from servolens.diagnosis.ordering import (
     with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.diagnosis.trials import of_these_tried
+from servolens.diagnosis.trials import starts_to_fit
 from servolens.effects import Drive, Transmission, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
@@ -150,12 +150,14 @@ class Explorer:
         (test, scored), self._scored = self._scored or (None, []), None
         if test is None:
             return []
-        followed, scores = self._followed(self.trials.pairs(self.effort.fitted), base, FEW), []
+        begun = self._followed(self.trials.pairs(self.effort.fitted), base, 0)[: self.effort.fitted]
+        followed, scores = self._followed([h.plant for h in begun], base, FEW), []
         if not self.likelihood.simulates:
             for cls, starts in self.trials.hidden_beside_friction(base.plant).items():
-                if issubclass(cls, Transmission):  # which take long; where a drive's fit begins says little of its end
-                    starts = [h.plant for h in self._followed(starts, base, 0)[: self.effort.judged]]
-                followed += self._followed(starts, base, FEW)
+                # a transmission takes long; of a drive, the start says little about the end
+                most = self.effort.judged if issubclass(cls, Transmission) else self.effort.fitted
+                begun = self._followed(starts, base, 0)[:most]
+                followed += self._followed([h.plant for h in begun], base, FEW)
             scores = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
         proposed = [h for h in followed if not h.noise.is_model_error]
         likelier = best_of_each([h for h in (*proposed, *self._followed(scores, base, FEW)) if h.total < best.total])
@@ -256,7 +258,7 @@ class Explorer:
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
             return found
 
-        tried = [of_these_tried(starts) for starts in chosen]
+        tried = [starts_to_fit(starts) for starts in chosen]
         shares = shared(
             SHARE * self.left, [sum(work_for(self.likelihood, s.plant, FEW) for s in several) for several in tried]
         )
@@ -437,5 +439,5 @@ class Explorer:
 
 
 def _iterations(plant: Plant) -> int:
-    """Return how many iterations the last effect of `plant` needs beside white noise."""
+    """Return how many iterations the last effect of `plant` is given beside white noise."""
     return SOME * plant.effects[-1].unusual

@@ -15,7 +15,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.regressors import regressor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from servolens.effects import Effect, Seen
     from servolens.identification.ranking import Proposals
@@ -30,9 +30,10 @@ __all__ = ["beside_a_force", "best_pairs", "needed", "shapes", "sized"]
 def best_pairs(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, most: int) -> list[Plant]:
     """Return `plant` with two effects that leave least of the integral equation, one pair of each kind, the best first.
 
-    Two forces, one of them without a shape that is searched for, as dry friction or a spring: it hides which the other
-    has, as a pitch. Or a force and what changes the command on its way, as a dead zone: the command that holds the axis
-    hides it. In order of the Bayesian information criterion, what is left taken for white.
+    Two forces, at least one without a shape parameter, as dry friction or a spring: while it is missing, the shape of
+    the other, such as a pitch, does not show. Or a force together with what changes the command on its way, such as a
+    dead zone, which does not show while the force that the command holds is missing. In order of the Bayesian
+    information criterion, what is left taken for white.
 
     Parameters
     ----------
@@ -45,23 +46,24 @@ def best_pairs(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, mos
     proposed : callable
         Gives the proposals of a force.
     most : int
-        How many pairs.
+        How many pairs of forces, and half as many with an actuator for each of both kinds of forces: a wave takes up a
+        part of whatever is left, and would take the place of others.
     """
-    found = sorted(_scored(screen, seen, plant, proposed), key=lambda each: each[0])
-    best: dict[frozenset[str], Plant] = {}
-    for _, both in found:
-        if len(best) < most and kind(both.effects) not in best:
-            with suppress(InputError, NumericalError):
-                solved = sized(screen, both)
-                if all(effect.is_whole(seen) and not effect.absent for effect in solved.effects):
-                    best[kind(both.effects)] = solved
-    return list(best.values())
+    forces, plain = _forces(plant), _plain(plant)
+    shaped = [cls for cls in forces if cls not in plain]
+    actuators: list[type[Effect]] = [cls for cls in catalogue().values() if issubclass(cls, Actuator | TimeShift)]
+    best: list[Plant] = []
+    for firsts, seconds, count in (plain, forces, most), (actuators, plain, most // 2), (actuators, shaped, most // 2):
+        scored = sorted(_scored(screen, seen, plant, proposed, (firsts, seconds)), key=lambda each: each[0])
+        best += _first_of_each_kind(screen, seen, [both for _, both in scored], count)
+    return best
 
 
 def beside_a_force(screen: Screen, plant: Plant) -> list[Plant]:
     """Return gain and damping as they are beside one force each in the integral equation, the best first.
 
-    What holds a force, as that of a spring, would else be taken for what moves the axis the other way.
+    Otherwise the voltage that holds the axis against a force, such as a spring, looks as if it pushed the axis the
+    other way, and the gain comes out negative.
     """
     found = []
     for cls in _plain(plant):
@@ -86,7 +88,7 @@ def sized(screen: Screen, plant: Plant) -> Plant:
 
 
 def shapes(cls: type[Effect]) -> set[str]:
-    """Return the parameters of a force that bend it and are searched for: all but sizes and the phase of a wave."""
+    """Return the parameters in which a force is not linear, which are searched for; the phase of a wave is none."""
     return set(regressor(cls).shapes) - set(cls.wave or ())
 
 
@@ -106,15 +108,30 @@ def _plain(plant: Plant) -> list[type[Effect]]:
     return [cls for cls in _forces(plant) if not shapes(cls)]
 
 
-def _scored(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed) -> Iterator[tuple[float, Plant]]:
-    """Yield the criterion and `plant` with each pair."""
-    forces, plain, samples = _forces(plant), _plain(plant), screen.thinned.time.size
-    actuators = [cls for cls in catalogue().values() if issubclass(cls, Actuator | TimeShift)]
-    for first, second in (*product(plain, forces), *product(actuators, forces)):
-        if kind([first]) & kind([second]) or (second in plain and first in plain and first.name > second.name):
-            continue
+def _first_of_each_kind(screen: Screen, seen: Seen, pairs: Sequence[Plant], most: int) -> list[Plant]:
+    """Return the first of each kind of pair, solved for, of those that the records may show."""
+    best: dict[frozenset[str], Plant] = {}
+    for both in pairs:
+        if len(best) < most and kind(both.effects) not in best:
+            with suppress(InputError, NumericalError):
+                solved = sized(screen, both)
+                if all(effect.is_whole(seen) and not effect.absent for effect in solved.effects):
+                    best[kind(both.effects)] = solved
+    return list(best.values())
+
+
+def _scored(
+    screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, kinds: tuple[list[type[Effect]], list[type[Effect]]]
+) -> Iterator[tuple[float, Plant]]:
+    """Yield the criterion and `plant` with each pair of an effect of the first kinds and a force of the second."""
+    samples = screen.thinned.time.size
+    for first in kinds[0]:
+        is_force = bool(regressor(first).sizes)
         starts = screen.proposals_of(plant, first)
-        for one in starts[:1] if first in plain else [start for start in starts if start.is_whole(seen)]:
+        starts = starts[:1] if is_force else [start for start in starts if start.is_whole(seen)]
+        for one, second in product(starts, kinds[1]):
+            if kind([first]) & kind([second]) or (second in kinds[0] and first.name > second.name):
+                continue
             with suppress(InputError, NumericalError):  # two that do not go together
                 proposals = proposed(plant, second)
                 lefts = zip(screen.left((one,), proposals).tolist(), proposals.effects, strict=True)

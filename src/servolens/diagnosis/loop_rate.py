@@ -95,8 +95,9 @@ def _shows_each_tick(record: Record) -> bool:
     """Tell whether the logged command is made of differences from sample to sample: then the loop ran at these.
 
     The derivative of a loop twice as fast comes a quarter of a sample sooner, half as much as one over two samples
-    comes later. By as much or more the law would miss such a loop's command: it must miss less than half of that, and
-    where the voltage is rounded too coarsely nothing is told.
+    comes later. The law computed from the samples would miss the command of such a loop by at least that much, so a
+    misfit below half of it shows that the loop ran at the samples. Where the voltage is rounded more coarsely than
+    that, the question stays open.
     """
     loop, voltage = record.controller, record.voltage
     if loop is None or loop.kd == 0.0 or loop.derivative != "position" or voltage is None or record.reference is None:

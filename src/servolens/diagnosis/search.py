@@ -103,7 +103,7 @@ def search(
 
 
 def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
-    """Return `found` after the `base` that an observer tells, where gain and damping alone, its beginning, ran away."""
+    """Return `found` with `base`, as found beside an observer, as its first step if gain and damping alone ran away."""
     is_base = trials.shows_time_constant(found.path[0].plant) or len(found.path) == 1
     return found if is_base else replace(found, path=(base, *found.path[1:]))
 

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Start", "Trials", "of_these_tried"]
+__all__ = ["Start", "Trials", "starts_to_fit"]
 
-HALF = 0.5
-"""Of the command that the axis withstands at rest, what dry friction may hold beside another force."""
+HELD_SHARE = 0.5
+"""Share of the standing command that is a first guess of dry friction where another force acts as well."""
 STANDS = 0.01
 """Share of the top speed below which the axis stands."""
 STARTS = 3
@@ -230,25 +230,30 @@ class Trials:
             return None
 
     def hidden_beside_friction(self, plant: Plant) -> dict[type[Effect], list[Plant]]:
-        """Return `plant` with Coulomb friction and a drive or a transmission: of each of these where a fit begins.
+        """Return an axis like `plant` with Coulomb friction and a drive or a transmission, where fits of each begin.
 
         A drive sets gain and damping by its own loop, and in a transmission a load moves by itself: friction hides it.
         Friction that the integral equation does not show beside them begins at half of what holds the axis at rest:
         from none a fit hardly finds it, for where it holds nothing it has no slope.
         """
+        try:
+            friction = tuple(self.screen.proposals_of(plant, CoulombFriction)[:1])
+            rubbing = sized(self.screen, replace(plant, effects=friction))
+        except (InputError, NumericalError):
+            return {}
+        if rubbing.gain <= 0.0 < plant.gain:  # what holds the axis was taken for what moves it
+            rubbing = replace(rubbing, gain=plant.gain, damping=plant.damping)
+        if rubbing.effects[-1].absent:
+            level = HELD_SHARE * abs(rubbing.gain) * self.standing
+            rubbing = replace(rubbing, effects=(CoulombFriction(level=level),))
+        if rubbing.effects[-1].absent:
+            return {}
         found: dict[type[Effect], list[Plant]] = {}
         for cls in catalogue().values():
-            if not issubclass(cls, Drive | Transmission):
-                continue
-            with suppress(InputError, NumericalError):
-                rubbing = sized(
-                    self.screen, replace(plant, effects=(*self.screen.proposals_of(plant, CoulombFriction),))
-                )
-                if rubbing.effects[-1].absent:
-                    level = HALF * abs(rubbing.gain) * self.standing
-                    rubbing = replace(rubbing, effects=(CoulombFriction(level=level),))
-                starts = self._proposed(rubbing, cls)
-                found[cls] = [start for start in starts if not self.likelihood.is_too_stiff(start)]
+            if issubclass(cls, Drive | Transmission):
+                with suppress(InputError, NumericalError):
+                    starts = self._proposed(rubbing, cls)
+                    found[cls] = [start for start in starts if not self.likelihood.is_too_stiff(start)]
         return found
 
     def pairs(self, most: int) -> list[Plant]:
@@ -283,14 +288,14 @@ class Trials:
             return []
         effect = starts[0].effects[-1]
         found = []
-        for share in (1.0, HALF):
+        for share in (1.0, HELD_SHARE):
             level = share * abs(plant.gain) * self.standing
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
                 found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
 
 
-def of_these_tried(starts: Sequence[Start]) -> list[Start]:
+def starts_to_fit(starts: Sequence[Start]) -> list[Start]:
     """Return those of the `starts` of one effect that are tried: the best, several if it has a shape, and guesses."""
     several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
     return [s for place, s in enumerate(starts) if place < several or s.is_guess]

@@ -262,7 +262,8 @@ class Walk:
     ) -> tuple[list[Hypothesis], list[Hypothesis]]:
         """Return what one more cause makes of the `beam`, the best first, and, of the first cause, pairs."""
         found, pairs = self.explorer.extended(beam, len(path[-1].causes)), []
-        if found and not path[-1].causes:  # what a stiff contact leaves is no second cause
+        if found and not path[-1].causes and found[0].total < path[-1].total:
+            # what a contact that is too stiff leaves would be taken for a second cause
             found = sorted([self.explorer.freed(found[0]), *found[1:]], key=by_total)
         hidden = self.trials.likelihood.simulates  # where no model is the axis, two effects may hide each other
         if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):

@@ -29,7 +29,7 @@ LATE = 3.0
 """Samples by which an axis that rests may answer early or late when it is pushed off."""
 WANDERS = 4.0
 """Times its range in the first half of a rest by which a position may go off by the end of it. Slow noise, simulated as
-a random walk, goes farther once in 700 rests of 24 samples and once in 9 000 of 400; steady creep goes 1.5 times that
+a random walk, goes farther once in 500 rests of 24 samples and once in 10 000 of 400; steady creep goes 1.5 times that
 range."""
 FAST = 0.05
 """Share of the top speed from which on a beginning in motion is worth a warning."""

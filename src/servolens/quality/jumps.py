@@ -11,7 +11,7 @@ from servolens.control_arithmetic import samples_a_tick
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.spikes import without_spikes
+from servolens.quality.spikes import spikes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -68,7 +68,7 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     An axis that moves on has none: an impact changes its speed, not its place. One at rest may have slipped; there only
     the control law tells, whose derivative knows of no jump if the controller has seen what the log lacks.
     """
-    turns = _turns(record)
+    turns = _turns(record, seen)
     if turns.size:
         message = (
             f"the position jumps by a whole turn at {record.time[turns[0] + 1]:g} s"
@@ -99,18 +99,27 @@ def jump_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     yield Finding(code="position_jumps", severity="warning", message=message)
 
 
-def _turns(record: Record) -> NDArray[np.intp]:
+def _turns(record: Record, seen: Sampling) -> NDArray[np.intp]:
     """Return the samples before movements of about a whole turn among others of less than a quarter.
 
-    A sample that sticks out is none, and in a gap the axis may have turned.
+    Disturbed samples are no turn, at the ends of a record and where it is taken back within four samples; but a sensor
+    on the border of its turn goes back and forth. Across a gap in time the axis may really have turned.
     """
-    if record.length_unit != "rad":
+    if record.length_unit != "rad" or len(record) <= 2 * SIDE:
         return np.empty(0, dtype=np.intp)
-    moves, quarter = np.abs(np.diff(without_spikes(record).position)), 0.5 * np.pi
-    is_turn = (np.abs(moves - 2.0 * np.pi) < quarter) & (np.diff(record.time) < 1.5 * record.sample_time)
-    is_fast = np.pad((moves >= quarter) & ~is_turn, SIDE)
-    beside = np.max([is_fast[SIDE + j : SIDE + j + moves.size] for j in OFFSETS], axis=0)
-    return np.flatnonzero(is_turn & ~beside)
+    places, heights = spikes(record, seen)
+    position = record.position.copy()
+    position[places] -= heights
+    moves, quarter = np.diff(position), 0.5 * np.pi
+    is_turn = (np.abs(np.abs(moves) - 2.0 * np.pi) < quarter) & (np.diff(record.time) < 1.5 * record.sample_time)
+    is_fast = np.pad((np.abs(moves) >= quarter) & ~is_turn, SIDE)
+    is_turn[:2] = is_turn[-2:] = False
+    ways = np.pad(np.where(is_turn, np.sign(moves), 0.0), SIDE)
+    beside = [slice(SIDE + j, SIDE + j + moves.size) for j in OFFSETS]
+    is_among_fast = np.any([is_fast[one] for one in beside], axis=0)
+    undone = np.any([ways[one] * np.sign(moves) < 0.0 for one in beside], axis=0) & is_turn
+    few = np.count_nonzero(undone) <= SIDE
+    return np.flatnonzero(is_turn & ~is_among_fast & ~(undone & few))
 
 
 def _jumps(record: Record, seen: Sampling) -> _Jumps:

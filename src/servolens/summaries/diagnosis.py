@@ -241,7 +241,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     causes = [cause_phrase(cause) for cause in diagnosis.causes]
     names, them = (listed(causes), "them") if len(causes) > 1 else (causes[0], "it")
     runs_away = _diverges(diagnosis, after=False) and not _diverges(diagnosis, after=True)
-    where = "" if runs_away else where_phrase(diagnosis.where)
+    where = _where(diagnosis)
     start = f"{where}; " if where else ""
     if diagnosis.verdict == "explained":
         start += f"the cause{'s are' if len(causes) > 1 else ' is'} {names}"
@@ -314,7 +314,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
             return unit(finding.message)
     if not diagnosis.remainder.depends_on_inputs and _has(diagnosis, "bursts"):
         return _healthy(diagnosis)
-    where = where_phrase(diagnosis.where)
+    where = _where(diagnosis)
     start = f"{where}; " if where else ""
     error = length(_error(diagnosis, after=False), diagnosis.plant.length_unit)
     is_off = "diverges" if _diverges(diagnosis, after=False) else f"is {error} (r.m.s.) off"
@@ -384,6 +384,11 @@ def _has(diagnosis: Diagnosis, code: str) -> bool:
 def _error(diagnosis: Diagnosis, *, after: bool) -> float:
     errors = diagnosis.extended if after else diagnosis.baseline
     return errors.rms_error if errors.heldout_rms_error is None else errors.heldout_rms_error
+
+
+def _where(diagnosis: Diagnosis) -> str:
+    """Return where the error of gain and damping arises; nothing where their simulation diverges."""
+    return "" if _diverges(diagnosis, after=False) else where_phrase(diagnosis.where)
 
 
 def _diverges(diagnosis: Diagnosis, *, after: bool) -> bool:
