@@ -470,6 +470,7 @@ def test_model_without_the_cause_that_diverges_is_not_told_as_an_error(rubbing):
     assert " m (r.m.s." not in told
     unknown = replace(away, verdict="unexplained", causes=())
     assert "a model of gain and damping diverges on held-out data, and no effect" in verdict_sentence(unknown)
+    assert verdict_sentence(unknown).startswith("Nothing in the catalogue explains the error")
     assert "diverges" not in verdict_sentence(rubbing)
 
 

@@ -244,10 +244,10 @@ class Trials:
         if rubbing.gain <= 0.0 < plant.gain:  # what holds the axis was taken for what moves it
             rubbing = replace(rubbing, gain=plant.gain, damping=plant.damping)
         if rubbing.effects[-1].absent:
-            level = HELD_SHARE * abs(rubbing.gain) * self.standing
-            rubbing = replace(rubbing, effects=(CoulombFriction(level=level),))
-        if rubbing.effects[-1].absent:
-            return {}
+            standing = self._standing(replace(rubbing, effects=()), CoulombFriction, [rubbing])
+            if not standing:
+                return {}
+            rubbing = standing[-1]
         found: dict[type[Effect], list[Plant]] = {}
         for cls in catalogue().values():
             if issubclass(cls, Drive | Transmission):

@@ -11,7 +11,7 @@ from servolens.control_arithmetic import samples_a_tick
 from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.spikes import spikes
+from servolens.quality.spikes import without_spikes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -107,10 +107,7 @@ def _turns(record: Record, seen: Sampling) -> NDArray[np.intp]:
     """
     if record.length_unit != "rad" or len(record) <= 2 * SIDE:
         return np.empty(0, dtype=np.intp)
-    places, heights = spikes(record, seen)
-    position = record.position.copy()
-    position[places] -= heights
-    moves, quarter = np.diff(position), 0.5 * np.pi
+    moves, quarter = np.diff(without_spikes(record, seen).position), 0.5 * np.pi
     is_turn = (np.abs(np.abs(moves) - 2.0 * np.pi) < quarter) & (np.diff(record.time) < 1.5 * record.sample_time)
     is_fast = np.pad((np.abs(moves) >= quarter) & ~is_turn, SIDE)
     is_turn[:2] = is_turn[-2:] = False

@@ -67,9 +67,9 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     return places + 2, off[places]
 
 
-def without_spikes(record: Record) -> Record:
+def without_spikes(record: Record, seen: Sampling | None = None) -> Record:
     """Return `record` with what lies between its neighbours in the place of each sample that sticks out."""
-    places, heights = spikes(record, measure(record))
+    places, heights = spikes(record, seen or measure(record))
     if not places.size:
         return record
     position = record.position.copy()
