@@ -18,12 +18,15 @@ from servolens.controller import Controller
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
 from servolens.design.cover import Cover
 from servolens.design.program import Loop
+from servolens.design.rest import held_at
 from servolens.design.settle import step_response
 from servolens.effects import (
     ActuatorLag,
+    ConstantForce,
     CoulombFriction,
     Delay,
     Effect,
+    PendulumGravity,
     Saturation,
     SensorLag,
     VelocityDecayDamping,
@@ -72,6 +75,8 @@ def test_feasible_gains_of_the_paper_s_models(name: str) -> None:
         *product(["sampled", "continuous"], [(), (ActuatorLag(time_constant=0.03),), (SensorLag(time_constant=0.02),)]),
         ("sampled", (Delay(time=0.0123),)),
         ("sampled", (Delay(time=0.004), ActuatorLag(time_constant=0.01))),
+        ("sampled", (Delay(time=0.0123), ConstantForce(acceleration=2.0), SensorLag(time_constant=0.02))),
+        ("continuous", (ActuatorLag(time_constant=0.03), PendulumGravity(amplitude=2.0, phase=0.4))),
     ],
 )
 def test_the_nonlinear_program_steps_as_the_loop_does(
@@ -81,7 +86,17 @@ def test_the_nonlinear_program_steps_as_the_loop_does(
     spec, kd, samples = PDSpec(kp=80.0, settling_time=0.5, control=control), 4.0, 600
     late, due = divmod(plant.delay / spec.sample_time, 1.0)
     loop = Loop(plant.structure, control == "continuous", 4, (int(late), due > 0.0))
-    given = [*plant.values, 1e-3, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due, kd]
+    given = [
+        *plant.values,
+        1e-3,
+        *held_at(plant, 0.0),
+        spec.kp,
+        spec.reference,
+        spec.sample_time,
+        spec.derivative_filter,
+        due,
+        kd,
+    ]
     states = np.array(loop.step.mapaccum(samples)(loop.beginning(ca.DM(given)), ca.repmat(ca.DM(given), 1, samples)))
     run = step_response(plant, spec, kd, samples * spec.sample_time)
     np.testing.assert_allclose(states[0], run.position[1 : samples + 1], atol=5e-7)

@@ -17,6 +17,7 @@ from servolens.effects import (
     ActuatorLag,
     AsymmetricDamping,
     Backlash,
+    ConstantForce,
     CoulombFriction,
     Delay,
     Effect,
@@ -60,6 +61,15 @@ def test_a_linear_design_is_proven() -> None:
     assert proven.disagreement is None
     assert proven.intervals == found.intervals
     assert proven.certificate.gap <= 2.0 * found.certificate.gap
+
+
+def test_a_design_of_a_weight_is_proven_from_where_its_loop_holds_it() -> None:
+    """Begun at the reference, the ends of the intervals lie elsewhere by five gaps at least."""
+    plant = LINEAR.with_effect(ConstantForce(acceleration=-0.1))
+    proven = tune(plant, COARSE, certify=True)
+    assert proven.disagreement is None
+    assert proven.intervals == tune(plant, COARSE).intervals
+    assert proven.certificate.gap <= 1.5e-3
 
 
 def test_a_wrong_design_is_contradicted() -> None:

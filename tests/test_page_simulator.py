@@ -207,10 +207,21 @@ def test_script_agrees_on_axes_as_they_may_be(tmp_path):
             assert told["settling"] == pytest.approx(scenario.response(5.0, 1.2).settling_time, abs=1e-6)
 
 
-@pytest.mark.parametrize("control", ["sampled", "continuous"])
-def test_script_steps_back_and_lets_a_lag_begin_with_the_step(control, tmp_path):
-    spec = PDSpec(kp=80.0, settling_time=0.4, control=control, reference=0.1)
+@pytest.mark.parametrize("force", [None, "constant_force", "return_spring", "pendulum_gravity", "hardening_spring"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        {},
+        {"control": "continuous"},
+        {"ki": 300.0, "setpoint_weight": 0.6},
+        {"controller": "cascade", "kp": 14.0},
+        {"controller": "cascade", "kp": 14.0, "kiv": 30.0},
+    ],
+)
+def test_script_steps_back_lets_a_lag_begin_with_the_step_and_holds_the_axis_before_it(force, law, tmp_path):
+    spec = PDSpec(**{"kp": 80.0, "settling_time": 0.4, "reference": 0.1, **law})
     plant = Plant(gain=1.8, damping=6.0, effects=(CATALOGUE["actuator_lag"](time_constant=0.03),))
+    plant = plant if force is None else plant.with_effect(CATALOGUE[force](**EFFECTS[force]))
     scenarios = [Scenario(plant=plant, spec=spec, realised=1.0, back=back) for back in (False, True)]
     axes = [(s.plant, spec, 5.0, s) for s in scenarios]
     for scenario, told in zip(scenarios, asked(axes, tmp_path, duration=1.2), strict=True):

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.design.intervals import IntervalFunction
+from servolens.design.rest import rest_of
 from servolens.design.settle import FEASIBLE, horizon
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.errors import InputError
@@ -89,10 +90,11 @@ class LoopMaps:
         sampled = ca.vertcat(x, 0, new, spec.kp * (spec.reference - shown) - kd * new, kd)
         self.flow, self.third = self._function(first), self._function(third)
         self.move, self.sample = self._map(moved), self._map(sampled)
+        rest = rest_of(plant, spec.loop(0.0), 0.0)
         start = ca.substitute(
-            ca.vertcat(0, 0, beginning),
+            ca.vertcat(d.position, 0, beginning),
             ca.vertcat(d.position, d.command, d.time),
-            ca.DM.zeros(3),
+            ca.DM([rest.position, rest.applied, 0.0]),
         )
         self.start = np.array(ca.evalf(start)).ravel()
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from servolens.design.margins import POINTS, frequencies, plant_responses
 from servolens.design.program import Loop
+from servolens.design.rest import held_at
 from servolens.effects import DryFriction
 from servolens.simulation.rates import substeps_for
 from servolens.solving import NonlinearProgram, minimise
@@ -176,7 +177,7 @@ def _parameters(
     answers = plant_responses(plants, spec, omega)
     for i, plant in enumerate(plants):
         due = divmod(plant.delay / spec.sample_time, 1.0)[1]
-        parts += [np.array([*plant.values, due])]
+        parts += [np.array([*plant.values, due, *held_at(plant, 0.0)])]
         parts += [part for answer in answers[2 * i : 2 * i + 2] for part in (answer.real, answer.imag)]
     return np.concatenate(parts)
 
@@ -216,10 +217,10 @@ def _program(
     control = _controller(kp, kd, filtered, omega, h, continuous)
     for i, (structure, (substeps, late, split)) in enumerate(zip(structures, grids, strict=True)):
         loop = Loop(structure, continuous, substeps, (late, split))
-        values, due = ca.MX.sym(f"values{i}", loop.parameters), ca.MX.sym(f"due{i}")
+        values, due, held = ca.MX.sym(f"values{i}", loop.parameters), ca.MX.sym(f"due{i}"), ca.MX.sym(f"held{i}", 2)
         answers = [(ca.MX.sym(f"re{i}{k}", POINTS), ca.MX.sym(f"im{i}{k}", POINTS)) for k in range(2)]
-        told += [values, due, *(part for answer in answers for part in answer)]
-        settings = ca.vertcat(values, width, kp, reference, h, filtered, due, kd)
+        told += [values, due, held, *(part for answer in answers for part in answer)]
+        settings = ca.vertcat(values, width, held, kp, reference, h, filtered, due, kd)
         first = loop.beginning(settings)
         node = ca.MX.sym(f"node{i}", first.numel(), INTERVALS - 1)
         shoot = loop.step.mapaccum(count)

@@ -177,17 +177,20 @@ class GainsSearch:
         return replace(self.spec, kp=gains["kp"], derivative_filter=share, ki=gains["ki"])
 
     def tried(self, gains: dict[str, float]) -> Candidate | None:
-        """Return the gains if they meet everything when the exact loop is simulated."""
+        """Return the gains if they meet everything when the exact loop is simulated.
+
+        What a free integral gain is worth shows where its integral is empty: on an axis that is released, too.
+        """
         spec, kd = self.spec_of(gains), gains["kd"]
-        glance = GLANCE * spec.settling_time
-        if not all(evaluate(plant, spec, kd, duration=glance).meets for plant in self.plants):
+        glance, begun = GLANCE * spec.settling_time, (True, False) if "ki" in self.free else (True,)
+        if not all(evaluate(p, spec, kd, duration=glance, held=held).meets for held in begun for p in self.plants):
             return None
         if self._seen(spec, kd, glance) is None:
             return None
         margins = self._margins(spec, kd)
         if not keeps(margins, spec):
             return None
-        verified = tuple(evaluate(plant, spec, kd) for plant in self.plants)
+        verified = tuple(evaluate(plant, spec, kd, held=held) for held in begun for plant in self.plants)
         if not all(response.meets for response in verified):
             return None
         seen = self._seen(spec, kd, None)
@@ -199,7 +202,7 @@ class GainsSearch:
             "settling_time": max(response.settling_time or 0.0 for response in (*verified, *seen)),
             "margin": margins.peak_sensitivity,
         }[self.wishes.objective]
-        return Candidate(gains=gains, value=value, verified=verified, margins=margins)
+        return Candidate(gains=gains, value=value, verified=verified[: len(self.plants)], margins=margins)
 
     def _seen(self, spec: PDSpec, kd: float, duration: float | None) -> list[Response] | None:
         """Return the steps of all scenarios; None if one of them misses the spec.

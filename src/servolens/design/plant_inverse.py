@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
-from servolens.effects import Actuator, Drive, DryFriction, Force, Saturation, TimeShift
+from servolens.design.inverse_dynamics import command_for, inverts
+from servolens.design.rest import rest_of
+from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
 from servolens.inputs import as_plant
 from servolens.record_signals import as_numbers
@@ -23,14 +24,11 @@ if TYPE_CHECKING:
     from servolens.controller import Controller
     from servolens.design.scenarios import Scenario
     from servolens.design.spec import PDSpec
-    from servolens.effects import Effect
     from servolens.inputs import Plants
     from servolens.plant import Plant
 
 __all__ = ["Tracking", "feedforward", "smooth_move", "tracking"]
 
-HALVINGS = 60
-"""Of the interval that holds a voltage: its width is then below rounding."""
 AFTER = 0.5
 """Durations of a move for which the axis is watched after it."""
 
@@ -93,9 +91,9 @@ def feedforward(
         r = np.interp(t + plant.delay, t, r)
     place, speed, push = _motion(t, r)
     way = np.sign(speed) if friction else np.zeros(t.size)
-    rigid = replace(plant, effects=tuple(effect for effect in plant.effects if _inverts(effect)))
+    rigid = replace(plant, effects=tuple(effect for effect in plant.effects if inverts(effect)))
     wanted = [place, speed if velocity else 0.0 * speed, way, push if acceleration else 0.0 * push, t]
-    found = _solved(rigid, np.stack(wanted))
+    found = command_for(rigid, np.stack(wanted))
     limit = plant.effect(Saturation.name)
     if isinstance(limit, Saturation):
         found = np.clip(found, -limit.limit, limit.limit)
@@ -139,16 +137,21 @@ def tracking(plant: Plant, spec: PDSpec, gain: float, scenarios: Sequence[Scenar
     time, reference = smooth_move(spec.reference, spec.settling_time, spec.sample_time)
     loop = spec.loop(gain)
     helped = replace(loop, velocity_feedforward=loop.kd) if loop.integral_rate > 0 else loop
-    added = feedforward(plant, time, reference, controller=helped)
+    added, still = (feedforward(plant, time, moved, controller=helped) for moved in (reference, 0.0 * reference))
 
-    def error(axis: Plant, used: Controller, voltage: NDArray[np.float64]) -> float:
+    def error(axis: Plant, used: Controller, share: float) -> float:
+        voltage = share * added
         limit = None if axis.effect(Saturation.name) is not None else np.inf
-        run = simulate_loop(axis, used, time, reference, feedforward=voltage, before=0.0, limit=limit)
+        rest = rest_of(axis, used, 0.0, share * float(still[0]))
+        used, start = replace(used, integral_before=rest.integral), (rest.position, 0.0)
+        run = simulate_loop(
+            axis, used, time, reference, feedforward=voltage, start=start, before=rest.applied, limit=limit
+        )
         return float(np.sqrt(np.mean((run.position - reference) ** 2)))
 
     try:
-        own, without = error(plant, helped, added), error(plant, loop, 0.0 * added)
-        others = [error(s.plant, helped.scaled(s.realised), s.realised * added) for s in scenarios]
+        own, without = error(plant, helped, 1.0), error(plant, loop, 0.0)
+        others = [error(s.plant, helped.scaled(s.realised), s.realised) for s in scenarios]
     except NumericalError:
         return None
     return Tracking(
@@ -179,57 +182,3 @@ def _motion(t: NDArray[np.float64], r: NDArray[np.float64]) -> tuple[NDArray[np.
     middles = 0.5 * (t[1:] + t[:-1])
     bends = np.gradient(slopes, middles)
     return tuple(np.append(x, x[-1]) for x in (0.5 * (r[1:] + r[:-1]), slopes, bends))
-
-
-def _inverts(effect: Effect) -> bool:
-    """Whether an effect has a part in what is solved for the voltage."""
-    if isinstance(effect, Saturation | TimeShift) or effect.absent:
-        return False
-    if isinstance(effect, Actuator):
-        return not effect.states
-    return isinstance(effect, Force | DryFriction | Drive)
-
-
-def _solved(plant: Plant, wanted: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the voltage for each column of [position, velocity, direction, acceleration, time], by halving."""
-    lacking = _lacking(plant.structure)
-    count = wanted.shape[1]
-    values = np.repeat(np.array(plant.values)[:, None], count, axis=1)
-
-    def left(u: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.sign(plant.gain) * np.asarray(lacking(u[None, :], wanted, values)).ravel())
-
-    reach = np.ones(count)
-    for _ in range(HALVINGS):
-        short = (left(reach) < 0.0) | (left(-reach) > 0.0)
-        if not short.any():
-            break
-        reach[short] *= 2.0
-    low, high = -reach, reach
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        enough = left(middle) > 0.0
-        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    return 0.5 * (low + high)
-
-
-@lru_cache(maxsize=64)
-def _lacking(structure: tuple[type[Effect], ...]) -> Any:
-    """Return a CasADi function: how much more acceleration a voltage gives than is wanted.
-
-    What the effects remember has settled at the velocity, a bristle at its full deflection; an integral is empty.
-    """
-    import casadi as ca
-
-    from servolens.dynamics import dynamics
-
-    d = dynamics(structure)
-    settled = []
-    for i, relaxes in enumerate(d.relaxing):
-        begun, slope = ca.substitute(d.rates[i], d.states[i], 0.0), -ca.gradient(d.rates[i], d.states[i])
-        settled.append(ca.if_else(slope > 0, begun / slope, 0.0) if relaxes else ca.SX(0))
-    wanted = ca.SX.sym("wanted")
-    more = d.push - d.level * d.direction - wanted
-    more = ca.substitute(more, d.states, ca.vertcat(*settled)) if settled else more
-    columns = ca.vertcat(d.position, d.velocity, d.direction, wanted, d.time)
-    return ca.Function("lacking", [d.command, columns, d.parameters], [more])

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.design.rest import held_at
 from servolens.design.settle import horizon
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.rates import substeps_for
@@ -44,7 +45,8 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
         (spec.overshoot is not None, spec.voltage_limit is not None),
     )
     width = interval[1] - interval[0]
-    parameters = [*plant.values, FRICTION_WIDTH, spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
+    loop = [spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
+    parameters = [*plant.values, FRICTION_WIDTH, *held_at(plant, 0.0), *loop]
     late = (samples - first) // stride + 1
     lower, upper = [-spec.band * (1.0 - INSIDE)] * late, [spec.band * (1.0 - INSIDE)] * late
     if spec.overshoot is not None:
@@ -94,8 +96,9 @@ class Loop:
     """One sample of the loop as CasADi functions.
 
     The state is [output, asked, last shown, derivative, time, axis, asked before, …]; the settings are the plant's
-    parameters and [width, kp, r, h, filter, due, kd]: `width` is the speed over which dry friction changes sign, `due`
-    the share of a sample that the command is late beyond `late` samples.
+    parameters and [width, held, slope, kp, r, h, filter, due, kd]: `width` is the speed over which dry friction changes
+    sign, `held` and `slope` are those of :class:`servolens.design.rest.Held`, `due` is the share of a sample that the
+    command is late beyond `late` samples.
     """
 
     def __init__(
@@ -113,26 +116,30 @@ class Loop:
         inputs = [self.axis, d.time, d.command, ca.vertcat(d.parameters, width)]
         self._flow = ca.Function("flow", inputs, [flow])
         self._seen = ca.Function("seen", [self.axis, d.parameters], [d.shown, d.output_velocity, d.output])
-        resting = ca.vertcat(0.0, 0.0, ca.substitute(d.beginning, d.position, 0.0))
-        self._resting = ca.Function("resting", [d.time, d.command, d.parameters], [resting])
+        resting = ca.vertcat(d.position, 0.0, d.beginning)
+        self._resting = ca.Function("resting", [d.position, d.time, d.command, d.parameters], [resting])
         self.parameters = d.parameters.numel()
-        self.settings = self.parameters + 7
+        self.settings = self.parameters + 9
         self.step = self._sample()
 
     def beginning(self, settings: Any) -> Any:
-        """Return the state of the loop at rest at 0, nothing applied before its first command."""
+        """Return the state of the loop that holds the axis at 0, before its first command."""
         import casadi as ca
 
-        asked = settings[self.parameters + 1] * settings[self.parameters + 2]
-        axis = self._resting(0.0, 0.0, settings[: self.parameters])
-        return ca.vertcat(0.0, asked, 0.0, 0.0, 0.0, axis, ca.DM.zeros(self._late + 1, 1))
+        p = settings[: self.parameters]
+        held, slope, kp, reference = (settings[self.parameters + 1 + k] for k in range(4))
+        at = -held / (kp + slope)
+        axis = self._resting(at, 0.0, -kp * at, p)
+        shown, _, output = self._seen(axis, p)
+        asked = kp * (reference - shown)
+        return ca.vertcat(output, asked, shown, 0.0, 0.0, axis, ca.repmat(-kp * at, self._late + 1, 1))
 
     def _sample(self) -> Any:
         import casadi as ca
 
         size = self.axis.numel()
         state, settings = ca.SX.sym("state", 5 + size + self._late + 1), ca.SX.sym("settings", self.settings)
-        _, kp, reference, h, share, due, kd = ca.vertsplit(settings[self.parameters :])
+        _, _, _, kp, reference, h, share, due, kd = ca.vertsplit(settings[self.parameters :])
         p, axis, before = settings[: self.parameters], state[5 : 5 + size], state[5 + size :]
         shown, velocity, _ = self._seen(axis, p)
         slope = state[3] + share * ((shown - state[2]) / h - state[3])

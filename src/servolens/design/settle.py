@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from math import ceil
 from typing import TYPE_CHECKING, NamedTuple
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servolens.design.response import Response
+from servolens.design.rest import Rest, rest_of
 from servolens.effects import Saturation
 from servolens.errors import NumericalError
 from servolens.simulation import Simulation, simulate_continuous
@@ -80,23 +82,35 @@ class SensorNoise(NamedTuple):
 
 
 def step_response(
-    plant: Plant, spec: PDSpec, kd: float, duration: float, *, back: bool = False, noise: SensorNoise | None = None
+    plant: Plant,
+    spec: PDSpec,
+    kd: float,
+    duration: float,
+    *,
+    back: bool = False,
+    noise: SensorNoise | None = None,
+    held: bool = True,
 ) -> Simulation:
     """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0.
 
-    Nothing is applied before it: a dead time passes, and a lag begins, with the step. So an axis on which a weight or a
-    spring pulls is released at the step: the voltage that held it before is not modelled.
+    Before it the loop holds the axis still (see :func:`servolens.design.rest.rest_of`): against a weight or a spring
+    with a voltage that is applied for as long as the dead time lasts, and that a lag begins with. Without an integral
+    that needs an error of position, with which the step begins. An axis that is not `held` begins at the reference,
+    and nothing is applied before: it is released with the step, and an integral begins empty.
     A loop that is sampled answers to the `noise` of the sensor, if there is some.
     """
     time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)
     begin, end = (spec.reference, 0.0) if back else (0.0, spec.reference)
-    reference, start = np.full(time.size, end), (begin, 0.0)
+    reference, loop = np.full(time.size, end), spec.loop(kd)
+    rest = rest_of(plant, loop, begin) if held else Rest(begin, 0.0, 0.0)
+    start = (rest.position, 0.0)
     if spec.control == "continuous":
         return simulate_continuous(plant, spec.kp, kd, time, reference, start=start, reference_before=begin)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
     error = None if noise is None else noise.drawn(time.size)
-    loop = spec.loop(kd)
-    trial = closed_trial(loop, time, reference, before=0.0, limit=limit, sensor_error=error, patience=RUNS_AWAY)
+    loop = replace(loop, integral_before=rest.integral)
+    before = rest.applied
+    trial = closed_trial(loop, time, reference, before=before, limit=limit, sensor_error=error, patience=RUNS_AWAY)
     return trial.simulated(plant, start, substeps_for(plant, spec.sample_time))
 
 
@@ -116,6 +130,7 @@ def evaluate(
     back: bool = False,
     duration: float | None = None,
     noise: SensorNoise | None = None,
+    held: bool = True,
 ) -> Response:
     """Simulate the step and measure it against the spec.
 
@@ -133,9 +148,11 @@ def evaluate(
         How long the step is watched [s]; None for as long as :func:`horizon` tells.
     noise : SensorNoise, optional
         Of the position that the loop measures; it is the axis itself that has to settle.
+    held : bool
+        Whether the loop holds the axis before the step; else it is released with it.
     """
     try:
-        run = step_response(plant, spec, kd, duration or horizon(plant, spec), back=back, noise=noise)
+        run = step_response(plant, spec, kd, duration or horizon(plant, spec), back=back, noise=noise, held=held)
     except NumericalError:
         nothing = {"overshoot": np.inf, "peak_voltage": np.inf, "peak_speed": np.inf, "final_error": np.inf}
         return Response(kd=kd, settling_time=None, meets=False, stable=False, **nothing)
@@ -174,11 +191,10 @@ def closed_loop_gain(plant: Plant, spec: PDSpec, kd: float, frequency: NDArray[n
     NumericalError
         If the loop is unstable.
     """
-    run = step_response(plant, spec, kd, horizon(plant, spec))
-    drive = spec.reference * spec.loop(kd).reference_path(frequency, spec.sample_time)
-    found: NDArray[np.float64] = np.abs(
-        1.0 - _spectrum(np.diff(run.voltage, prepend=0.0), frequency * spec.sample_time) / drive
-    )
+    run, loop = step_response(plant, spec, kd, horizon(plant, spec)), spec.loop(kd)
+    changes = np.diff(run.voltage, prepend=rest_of(plant, loop, 0.0).applied)
+    drive = spec.reference * loop.reference_path(frequency, spec.sample_time)
+    found: NDArray[np.float64] = np.abs(1.0 - _spectrum(changes, frequency * spec.sample_time) / drive)
     return found
 
 

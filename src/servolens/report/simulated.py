@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servolens.design.rest import held_at
 from servolens.design.settle import FEASIBLE
 from servolens.effects import Saturation
 from servolens.simulation.javascript import ERF, plant_script
@@ -82,21 +83,23 @@ def axis_json(name: str, plant: Plant, spec: PDSpec, scenario: Scenario | None =
     A scenario has a plant of its own, and gains that are realised as well as they can be.
     """
     saturation = plant.effect(Saturation.name)
+    back = False if scenario is None else scenario.back
     return {
         "plant": name,
         "values": list(plant.values),
+        "held": list(held_at(plant, spec.reference if back else 0.0)),
         "gain": plant.gain,
         "delay": plant.delay,
         "limit": saturation.limit if isinstance(saturation, Saturation) else None,
         "rate": rate_of(plant) if spec.control == "continuous" else 0.0,
         "substeps": substeps_for(plant, spec.sample_time),
         "realised": 1.0 if scenario is None else scenario.realised,
-        "back": False if scenario is None else scenario.back,
+        "back": back,
     }
 
 
 def _settings(spec: PDSpec, plant: Plant) -> list[float]:
-    """Return what the rule is told of the loop, its gains aside; nothing is applied before its step."""
+    """Return what the rule is told of the loop, its gains aside, and how the axis is held before its step."""
     still = [ANY_NUMBER, *known(0.0), *NO_OBSERVER]
     if spec.control == "continuous":
         return [*OPEN_LOOP, *still, *NO_LAW]

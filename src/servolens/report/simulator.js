@@ -44,15 +44,31 @@ const servolensSimulator = (rule, plants) => {
     return Math.min(Math.max(Math.min(fine, rules.few), coarse, 1), rules.most);
   };
 
+  /* servolens.design.rest.rest_of: where the axis rests; what is applied, and the integral, are written into the loop */
+  const rest = (design, axis, loop, reference) => {
+    const place = design.places, [held, slope] = axis.held;
+    if (held === 0) return reference;
+    const kp = loop[place.KP], ahead = kp * (loop[place.WEIGHT] - 1) * reference;
+    if (loop[place.KI] !== 0 || loop[place.INTEGRAL_RATE] !== 0) {
+      loop[place.BEFORE] = held;
+      loop[place.INTEGRAL_BEFORE] = held - ahead;
+      return reference;
+    }
+    const stiffness = kp + slope, away = stiffness > 0 ? (ahead - held) / stiffness : 0;
+    loop[place.BEFORE] = ahead - kp * away;
+    return reference + away;
+  };
+
   /* servolens.design.settle.step_response; a loop that leaves all bounds has fewer samples than asked for */
   const step = (design, axis, gains, duration) => {
     const n = Math.ceil(duration / design.sample) + 1, realised = axis.realised;
     const begin = axis.back ? design.reference : 0, end = axis.back ? 0 : design.reference;
     const time = Float64Array.from({length: n}, (_, k) => design.sample * k);
-    const reference = new Float64Array(n).fill(end), start = Float64Array.from([begin, 0]);
+    const reference = new Float64Array(n).fill(end);
     const held = design.continuous ? reference : new Float64Array(n);
     const own = design.continuous ? [realised * gains.kp, realised * gains.free] : [];
     const values = Float64Array.from([...axis.values, ...own]), loop = loopOf(design, axis, gains);
+    const start = Float64Array.from([rest(design, axis, loop, begin), 0]);
     if (design.continuous) for (const name of ["KP", "KD", "IS_PD"]) loop[design.places[name]] = +(name === "IS_PD");
     if (design.continuous) loop[design.places.BEFORE] = begin;
     const results = new Float64Array(3 * n), measured = new Float64Array(n), none = new Float64Array(3);
