@@ -175,15 +175,15 @@ def _gains(found: Study) -> dict[str, float]:
 
 
 def _tried(campaign: HiddenCampaign, spec: PDSpec, kd: float) -> Run:
-    """Step up and back on the true axis, without sensor noise."""
+    """Step up and back on the true axis, which its loop has brought to rest before, without sensor noise."""
+    levels = (0.0, spec.reference, 0.0)
     try:
-        run = campaign.tried(spec.loop(kd), (spec.reference, 0.0), WATCHED * spec.settling_time, spec.sample_time)
+        run = campaign.tried(spec.loop(kd), levels, WATCHED * spec.settling_time, spec.sample_time)
     except ServolensError:
         return Run(kd, (None, None), meets=False)
-    half = run.position.size // 2
-    time_of = spec.sample_time * np.arange(half, dtype=np.float64)
-    parts = ((spec.reference, run.position[:half]), (0.0, run.position[half : 2 * half]))
-    errors = [(target - position) / abs(spec.reference) for target, position in parts]
+    parts = np.split(run.position, len(levels))
+    time_of = spec.sample_time * np.arange(parts[0].size, dtype=np.float64)
+    errors = [(target - part) / abs(spec.reference) for target, part in zip(levels[1:], parts[1:], strict=True)]
     up, back = (settling_time(time_of, error, spec.band) for error in errors)
     meets = all(time is not None and time <= spec.settling_time for time in (up, back))
     return Run(kd, (up, back), meets=meets)

@@ -172,7 +172,7 @@ def test_advice_on_what_shakes_the_axis_is_given_where_it_matters(shaking, says)
     setup = lab.Setup(surroundings=lab.Surroundings(noise=lab.SensorNoise(deviation=1e-5), shaking=shaking))
     axis = lab.Truth(gain=1.9, damping=6.0)
     runs = [lab.step_record(axis, kp, encoder=0.0, seed=kp, duration=2.0, setup=setup) for kp in (40, 60)]
-    diagnosis = diagnose(runs)
+    diagnosis = diagnose(runs, effort="quick")
     (told,) = [finding.message for finding in diagnosis.findings if finding.code == "shaken_axis"]
     assert told.endswith(says)
     assert ("sensor's noise" in told) == (diagnosis.remainder.rms < diagnosis.noise_floor)
@@ -335,6 +335,7 @@ def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     assert cause.quantities["level_negative"].value == pytest.approx(0.25, rel=0.01)
 
 
+@pytest.mark.slow
 def test_friction_map_is_no_wave_of_friction_beside_cogging():
     campaign = lab.hidden_campaign(901200, effects=["friction_map"], world="coloured")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -354,7 +355,7 @@ def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
 
 def test_dead_zone_of_a_shaken_axis_need_not_foretell_where_it_rests_in_one_record():
     campaign = lab.hidden_campaign(700767, effects=["dead_zone"], world="shaken")
-    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout, effort="quick")
     assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["dead_zone"])
 
 
@@ -705,7 +706,7 @@ def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     sticky = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     other = lab.Truth(gain=1.2, damping=4.0)
     records = [lab.step_record(axis, kp=kp, noise=1e-5, seed=kp) for axis in (sticky, other) for kp in (40, 60)]
-    diagnosis = diagnose(records)
+    diagnosis = diagnose(records, effort="quick")
     assert diagnosis.verdict == "unexplained"
     assert "records_contradict" in [finding.code for finding in diagnosis.findings]
 
@@ -724,6 +725,7 @@ def test_two_axes_contradict_each_other_though_one_of_them_has_a_lag():
     assert "with a gain of 90 m/s²/V in kp 4, kd 0.05 and of 120 in kp 3, kd 0.02" in told.replace("m/s^2", "m/s²")
 
 
+@pytest.mark.slow
 def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     axis = lab.Truth(gain=21.5, damping=16.9, effects={"actuator_lag": {"time_constant": 2e-4}})
     runs = [(8, 0.0, 0.0), (30, 1.4, 0.1)]
@@ -864,7 +866,7 @@ def test_two_large_causes_are_found_though_neither_explains_much_alone():
     first, *others = likeliest_pairs(test, scored, 3, case.likelihood.price)
     assert {effect.name for effect in first.effects} == {"coulomb_friction", "quadratic_drag"}
     assert len(others) == 2
-    found = diagnose(campaign.records, heldout=campaign.heldout)
+    found = diagnose(campaign.records, heldout=campaign.heldout, effort="quick")
     assert found.verdict == "explained"
     assert {cause.effect for cause in found.causes} == {"coulomb_friction", "quadratic_drag"}
     alone, both = sorted(found.causes, key=lambda cause: -cause.train[1])

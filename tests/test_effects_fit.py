@@ -358,6 +358,7 @@ def test_error_bars_hold_the_local_minima_that_explain_as_much():
         assert 0.3 < again.model.quantities[name].stderr / quantity.stderr < 3.0, name
 
 
+@pytest.mark.slow
 def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     hidden = hidden_campaign(72, effects=["backlash"], visibility=8.9, records=2)
     truth = plant_of(hidden.truth)

@@ -83,6 +83,7 @@ def test_draws_miss_on_average_what_the_records_of_the_axis_miss(noise):
     assert np.mean(kept) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.slow
 def test_what_rounding_does_to_estimates_is_taken_off_them():
     fits = [fit((), [stage(1e-6, seed)]).quantities["damping"] for seed in range(20, 36)]
     errors = np.array([found.value - 6.0 for found in fits])

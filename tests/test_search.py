@@ -34,8 +34,8 @@ HUNG = Seen(
 )  # fmt: skip
 
 
-def causes_of(campaign):
-    found = diagnose(campaign.records, heldout=campaign.heldout)
+def causes_of(campaign, effort="normal"):
+    found = diagnose(campaign.records, heldout=campaign.heldout, effort=effort)
     return found.verdict, {cause.effect for cause in found.causes}
 
 
@@ -53,7 +53,7 @@ def test_rounding_of_a_coarse_encoder_is_no_friction():
 
 def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     campaign = lab.hidden_campaign(711280, effects=["coulomb_friction", "return_spring"], world="shaken")
-    assert causes_of(campaign) == ("explained", {"coulomb_friction", "return_spring"})
+    assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "return_spring"})
 
 
 def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
@@ -70,7 +70,7 @@ def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
 
 def test_friction_and_cogging_beside_slow_noise_are_found_together():
     campaign = lab.hidden_campaign(910977, effects=["coulomb_friction", "cogging"], world="coloured")
-    assert causes_of(campaign) == ("explained", {"coulomb_friction", "cogging"})
+    assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "cogging"})
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +149,7 @@ def test_friction_and_what_it_hides_are_found_together(seed, hidden, world):
 
 def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
     campaign = lab.hidden_campaign(610212, effects=["coulomb_friction", "speed_servo"], world="coloured")
-    assert causes_of(campaign) == ("explained", {"coulomb_friction", "speed_servo"})
+    assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "speed_servo"})
 
 
 def test_dead_zone_and_delay_that_hide_each_other_in_a_loop_are_looked_for_together():

@@ -271,6 +271,7 @@ def test_spike_of_a_slow_log_is_told():
     assert "position_spikes" in {finding.code for finding in found.findings}
 
 
+@pytest.mark.slow
 def test_only_the_slow_ones_of_several_logs_have_a_faster_loop():
     slow = [logged(AXIS, kp, 0, count=5, rest=0.1, seed=kp) for kp in (60, 40)]
     slow = [replace(run, controller=replace(run.controller, control_period=None)) for run in slow]
