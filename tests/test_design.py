@@ -18,7 +18,7 @@ from servolens.controller import Controller
 from servolens.design import PDSpec, compare, evaluate, settling_time, tune
 from servolens.design.cover import Cover
 from servolens.design.program import Loop
-from servolens.design.rest import held_at
+from servolens.design.rest import held_by
 from servolens.design.settle import step_response
 from servolens.effects import (
     ActuatorLag,
@@ -89,7 +89,7 @@ def test_the_nonlinear_program_steps_as_the_loop_does(
     given = [
         *plant.values,
         1e-3,
-        *held_at(plant, 0.0),
+        *held_by(plant, spec.loop(0.0), 0.0),
         spec.kp,
         spec.reference,
         spec.sample_time,

@@ -112,7 +112,7 @@ def asked(axes: list[tuple[Plant, PDSpec, float, Any]], folder: Path, *, duratio
     jobs = [
         {
             "design": design_json(spec, plant),
-            "axis": axis_json(names[plant.structure, spec.control], plant, spec, scenario),
+            "axis": axis_json(names[plant.structure, spec.control], plant, spec, gain, scenario),
             "gains": {"kp": spec.kp, "free": gain, "integral": spec.kiv if spec.controller == "cascade" else spec.ki},
             "duration": duration or horizon(plant, spec),
         }
@@ -219,14 +219,16 @@ def test_script_agrees_on_axes_as_they_may_be(tmp_path):
     ],
 )
 def test_script_steps_back_lets_a_lag_begin_with_the_step_and_holds_the_axis_before_it(force, law, tmp_path):
+    """To a ten millionth of the step: where the balance is off by one bit, the first step begins with a reversal."""
     spec = PDSpec(**{"kp": 80.0, "settling_time": 0.4, "reference": 0.1, **law})
     plant = Plant(gain=1.8, damping=6.0, effects=(CATALOGUE["actuator_lag"](time_constant=0.03),))
     plant = plant if force is None else plant.with_effect(CATALOGUE[force](**EFFECTS[force]))
-    scenarios = [Scenario(plant=plant, spec=spec, realised=1.0, back=back) for back in (False, True)]
+    realised = [(1.0, False), (1.0, True), (0.9, True)]
+    scenarios = [Scenario(plant=plant, spec=spec.scaled(r), realised=r, back=back) for r, back in realised]
     axes = [(s.plant, spec, 5.0, s) for s in scenarios]
     for scenario, told in zip(scenarios, asked(axes, tmp_path, duration=1.2), strict=True):
-        run = step_response(plant, spec, 5.0, 1.2, back=scenario.back)
-        assert np.abs(np.array(told["position"]) - run.position).max() < 1e-10
+        run = step_response(plant, scenario.spec, 5.0 * scenario.realised, 1.2, back=scenario.back)
+        assert np.abs(np.array(told["position"]) - run.position).max() < 1e-8
         assert told["settling"] == pytest.approx(scenario.response(5.0, 1.2).settling_time, abs=1e-6)
 
 

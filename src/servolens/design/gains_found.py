@@ -30,7 +30,8 @@ class GainsFound:
     value : float or None
         Of the objective.
     verified : tuple of Response
-        Exact simulation with these gains, a model each.
+        Exact simulation with these gains, a model each; again on released axes where an integral gain is free and
+        something pulls.
     margins : LoopMargins or None
         Of the linearised loop, the worst of models and scenarios.
     probability : float or None

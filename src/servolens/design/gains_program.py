@@ -16,7 +16,7 @@ import numpy as np
 
 from servolens.design.margins import POINTS, frequencies, plant_responses
 from servolens.design.program import Loop
-from servolens.design.rest import held_at
+from servolens.design.rest import NOT_HELD, held_by
 from servolens.effects import DryFriction
 from servolens.simulation.rates import substeps_for
 from servolens.solving import NonlinearProgram, minimise
@@ -177,7 +177,7 @@ def _parameters(
     answers = plant_responses(plants, spec, omega)
     for i, plant in enumerate(plants):
         due = divmod(plant.delay / spec.sample_time, 1.0)[1]
-        parts += [np.array([*plant.values, due, *held_at(plant, 0.0)])]
+        parts += [np.array([*plant.values, due, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD)])]
         parts += [part for answer in answers[2 * i : 2 * i + 2] for part in (answer.real, answer.imag)]
     return np.concatenate(parts)
 

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.controller import Controller
 from servolens.design.cover import SPARE, gain_scale, last_gain
 from servolens.design.gain_plane import LEAST_KP, MOST_KP
 from servolens.design.gains_found import GainsFound
 from servolens.design.gains_program import GAINS, WATCHED, Limits, local_gains
 from servolens.design.linear_limits import keeps
 from servolens.design.margins import LinearLoops
+from servolens.design.rest import rest_of
 from servolens.design.scenarios import counted, drawn, without_force
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
@@ -101,6 +103,8 @@ class GainsSearch:
         self.tightest: list[Plant] = []
         self.scenarios = tuple(drawn(models, [self.spec], wishes.scenarios, np.random.default_rng([SEED, 0])))
         self.in_turn = self.scenarios
+        pulled = any(rest_of(plant, Controller(kp=1.0, ki=1.0), 0.0).applied for plant in self.plants)
+        self._begins_released = "ki" in self.free and pulled
         self._loops: dict[float, LinearLoops] = {}
         self._own: dict[float, LinearLoops] = {}
 
@@ -179,10 +183,11 @@ class GainsSearch:
     def tried(self, gains: dict[str, float]) -> Candidate | None:
         """Return the gains if they meet everything when the exact loop is simulated.
 
-        What a free integral gain is worth shows where its integral is empty: on an axis that is released, too.
+        What a free integral gain is worth shows where its integral is empty: the models, not the scenarios, have to
+        meet the spec also when what pulls is let go with the step.
         """
         spec, kd = self.spec_of(gains), gains["kd"]
-        glance, begun = GLANCE * spec.settling_time, (True, False) if "ki" in self.free else (True,)
+        glance, begun = GLANCE * spec.settling_time, (True, False) if self._begins_released else (True,)
         if not all(evaluate(p, spec, kd, duration=glance, held=held).meets for held in begun for p in self.plants):
             return None
         if self._seen(spec, kd, glance) is None:
@@ -202,7 +207,7 @@ class GainsSearch:
             "settling_time": max(response.settling_time or 0.0 for response in (*verified, *seen)),
             "margin": margins.peak_sensitivity,
         }[self.wishes.objective]
-        return Candidate(gains=gains, value=value, verified=verified[: len(self.plants)], margins=margins)
+        return Candidate(gains=gains, value=value, verified=verified, margins=margins)
 
     def _seen(self, spec: PDSpec, kd: float, duration: float | None) -> list[Response] | None:
         """Return the steps of all scenarios; None if one of them misses the spec.
@@ -292,6 +297,7 @@ class GainsSearch:
             ]
             count = len(self.scenarios)
             where = f" on the model and in {count} scenarios of what may be otherwise" if count else ""
+            where += ", also when the axis is let go with the step" if self._begins_released else ""
             reason = f"no gains were found that meet everything{where}, with {' and '.join(ranges)}; ask for less"
             return GainsFound(spec=self.spec, wishes=self.wishes, kd=None, reason=reason)
         gain, spec = best.margins.noise_gain, self.spec_of(best.gains)

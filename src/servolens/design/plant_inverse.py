@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
-from servolens.design.inverse_dynamics import command_for, inverts
+from servolens.design.inverse_dynamics import command_for, inverts, without_swings
 from servolens.design.rest import rest_of
 from servolens.effects import Saturation
 from servolens.errors import InputError, NumericalError
@@ -137,7 +137,8 @@ def tracking(plant: Plant, spec: PDSpec, gain: float, scenarios: Sequence[Scenar
     time, reference = smooth_move(spec.reference, spec.settling_time, spec.sample_time)
     loop = spec.loop(gain)
     helped = replace(loop, velocity_feedforward=loop.kd) if loop.integral_rate > 0 else loop
-    added, still = (feedforward(plant, time, moved, controller=helped) for moved in (reference, 0.0 * reference))
+    added = feedforward(plant, time, reference, controller=helped)
+    still = feedforward(without_swings(plant), time, 0.0 * reference, controller=helped)
 
     def error(axis: Plant, used: Controller, share: float) -> float:
         voltage = share * added

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.design.rest import held_at
+from servolens.design.rest import NOT_HELD, held_by
 from servolens.design.settle import horizon
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.simulation.rates import substeps_for
@@ -46,7 +46,7 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     )
     width = interval[1] - interval[0]
     loop = [spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
-    parameters = [*plant.values, FRICTION_WIDTH, *held_at(plant, 0.0), *loop]
+    parameters = [*plant.values, FRICTION_WIDTH, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD), *loop]
     late = (samples - first) // stride + 1
     lower, upper = [-spec.band * (1.0 - INSIDE)] * late, [spec.band * (1.0 - INSIDE)] * late
     if spec.overshoot is not None:
@@ -123,7 +123,7 @@ class Loop:
         self.step = self._sample()
 
     def beginning(self, settings: Any) -> Any:
-        """Return the state of the loop that holds the axis at 0, before its first command."""
+        """Return the state of the loop that holds the axis at 0, before its first command; see :mod:`.rest`."""
         import casadi as ca
 
         p = settings[: self.parameters]

@@ -91,12 +91,10 @@ def step_response(
     noise: SensorNoise | None = None,
     held: bool = True,
 ) -> Simulation:
-    """Simulate the step of `spec` from rest for `duration` seconds; with `back`, from the reference back to 0.
+    """Simulate the step of `spec` for `duration` seconds; with `back`, from the reference back to 0.
 
-    Before it the loop holds the axis still (see :func:`servolens.design.rest.rest_of`): against a weight or a spring
-    with a voltage that is applied for as long as the dead time lasts, and that a lag begins with. Without an integral
-    that needs an error of position, with which the step begins. An axis that is not `held` begins at the reference,
-    and nothing is applied before: it is released with the step, and an integral begins empty.
+    Before it the loop holds the axis still: see :func:`servolens.design.rest.rest_of`. An axis that is not `held`
+    begins at the reference without a voltage and with an empty integral: what pulls it is let go with the step.
     A loop that is sampled answers to the `noise` of the sensor, if there is some.
     """
     time = _instants(spec.sample_time, ceil(duration / spec.sample_time) + 1)

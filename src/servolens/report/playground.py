@@ -228,10 +228,10 @@ def _data(
     ]
     if integral:
         sliders.append(_slider("integral", names.integral, names.integral_unit, integral, 0.0, 3.0 * integral))
-    own = [axis_json(structures[s.plant.structure], s.plant, s.spec, s) for s in scenarios]
+    own = [axis_json(structures[s.plant.structure], s.plant, s.spec, shown, s) for s in scenarios]
     return {
         "design": design_json(spec, plant),
-        "nominal": axis_json(structures[plant.structure], plant, spec),
+        "nominal": axis_json(structures[plant.structure], plant, spec, shown),
         "scenarios": own,
         "sliders": sliders,
         "lengthUnit": plant.length_unit,

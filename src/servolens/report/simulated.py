@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from servolens.design.rest import held_at
+from servolens.design.rest import held_by
 from servolens.design.settle import FEASIBLE
 from servolens.effects import Saturation
 from servolens.simulation.javascript import ERF, plant_script
@@ -77,29 +77,31 @@ def design_json(spec: PDSpec, plant: Plant) -> dict[str, Any]:
     }
 
 
-def axis_json(name: str, plant: Plant, spec: PDSpec, scenario: Scenario | None = None) -> dict[str, Any]:
+def axis_json(name: str, plant: Plant, spec: PDSpec, gain: float, scenario: Scenario | None = None) -> dict[str, Any]:
     """Return what it has to know of an axis whose equations of motion are called `name`.
 
-    A scenario has a plant of its own, and gains that are realised as well as they can be.
+    A scenario has a plant of its own, and gains that are realised as well as they can be. What holds the axis before
+    its step is worked out for the loop of the spec with `gain`; for others it is a straight line through that.
     """
     saturation = plant.effect(Saturation.name)
-    back = False if scenario is None else scenario.back
+    realised, back = (1.0, False) if scenario is None else (scenario.realised, scenario.back)
+    loop = (spec if scenario is None else scenario.spec).loop(realised * gain)
     return {
         "plant": name,
         "values": list(plant.values),
-        "held": list(held_at(plant, spec.reference if back else 0.0)),
+        "held": held_by(plant, loop, spec.reference if back else 0.0),
         "gain": plant.gain,
         "delay": plant.delay,
         "limit": saturation.limit if isinstance(saturation, Saturation) else None,
         "rate": rate_of(plant) if spec.control == "continuous" else 0.0,
         "substeps": substeps_for(plant, spec.sample_time),
-        "realised": 1.0 if scenario is None else scenario.realised,
+        "realised": realised,
         "back": back,
     }
 
 
 def _settings(spec: PDSpec, plant: Plant) -> list[float]:
-    """Return what the rule is told of the loop, its gains aside, and how the axis is held before its step."""
+    """Return what the rule is told of the loop, its gains and what holds the axis before its step aside."""
     still = [ANY_NUMBER, *known(0.0), *NO_OBSERVER]
     if spec.control == "continuous":
         return [*OPEN_LOOP, *still, *NO_LAW]

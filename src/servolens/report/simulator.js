@@ -46,15 +46,16 @@ const servolensSimulator = (rule, plants) => {
 
   /* servolens.design.rest.rest_of: where the axis rests; what is applied, and the integral, are written into the loop */
   const rest = (design, axis, loop, reference) => {
+    if (axis.held === null) return reference;
     const place = design.places, [held, slope] = axis.held;
-    if (held === 0) return reference;
     const kp = loop[place.KP], ahead = kp * (loop[place.WEIGHT] - 1) * reference;
     if (loop[place.KI] !== 0 || loop[place.INTEGRAL_RATE] !== 0) {
       loop[place.BEFORE] = held;
       loop[place.INTEGRAL_BEFORE] = held - ahead;
       return reference;
     }
-    const stiffness = kp + slope, away = stiffness > 0 ? (ahead - held) / stiffness : 0;
+    if (!(kp > 0)) return reference;
+    const away = (ahead - held) / (kp + slope);
     loop[place.BEFORE] = ahead - kp * away;
     return reference + away;
   };
