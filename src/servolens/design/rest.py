@@ -101,7 +101,7 @@ def _held(plant: Plant, kp: float | None, reference: float, ahead: float) -> Hel
     found, way = (float(low), -1.0) if ahead < low else (float(high), 1.0)
     if kp is None:
         return Held(found, _slope(still, reference, way)) if low <= high and np.isfinite(found) else None
-    place = _place(still, kp, reference, ahead, way)
+    place = _place(still, kp, reference, ahead, found)
     if place is None:
         return None
     slope = _slope(still, place, way)
@@ -115,11 +115,10 @@ def _slope(still: Plant, place: float, way: float) -> float:
     return max(float(above - below) / (2.0 * near), 0.0)
 
 
-def _place(still: Plant, kp: float, reference: float, ahead: float, way: float) -> float | None:
-    """Return the nearest place in direction `way` where a loop holds it that applies `ahead` at the reference."""
-    low, high = _ends(still, np.array([reference]))
-    lacks = float(low[0] - ahead if way < 0.0 else ahead - high[0])
-    near, far = 0.0, REACH * lacks / kp if np.isfinite(lacks) else abs(reference)
+def _place(still: Plant, kp: float, reference: float, ahead: float, wanted: float) -> float | None:
+    """Return the nearest place where a loop holds it that applies `ahead` at the reference, where `wanted` does."""
+    way, reach = (-1.0 if ahead < wanted else 1.0), REACH * abs(wanted - ahead) / kp
+    near, far = 0.0, reach if np.isfinite(reach) else abs(reference)
     side = way * np.sign(still.gain)
     for _ in range(REFINED):
         away = np.linspace(near, far, PLACES)
