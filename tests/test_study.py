@@ -497,7 +497,8 @@ def test_tune_reads_the_records_that_it_is_given_as_files_folders_or_tables(tmp_
     (record,), spec = steps(CART, 80), replace(SPEC, kp=80.0)
     wanted = tune(record, spec, effort="quick")
     as_frame(record).to_csv(tmp_path / "run.csv", index=False)
-    for name, source in {"text": str(tmp_path / "run.csv"), "folder": tmp_path, "several": [as_frame(record)]}.items():
+    sources = {"file": tmp_path / "run.csv", "text": str(tmp_path / "run.csv"), "folder": tmp_path}
+    for name, source in {**sources, "table": as_frame(record), "several": [as_frame(record)]}.items():
         found = tune(source, spec, effort="quick", kp=80.0, kd=0.0)
         assert found.kd == pytest.approx(wanted.kd, rel=1e-3), name
         assert found.recommended.kp == spec.kp, name

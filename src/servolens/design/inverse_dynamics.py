@@ -61,7 +61,8 @@ def command_ends(plant: Plant, wanted: NDArray[np.float64]) -> tuple[NDArray[np.
     left, count = excess_of(plant, wanted), wanted.shape[1]
     none, one = left(np.zeros(count)), left(np.ones(count))
     if not any(isinstance(effect, Actuator | Drive | MotorForce) for effect in plant.effects):  # it is proportional
-        return none / (none - one), none / (none - one)
+        found = none / (none - one)
+        return found, found
     least = ROUNDING * np.maximum(np.abs(none), np.abs(one))
     return _edge(lambda u: left(u) >= -least, count), _edge(lambda u: left(u) > least, count)
 
