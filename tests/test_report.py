@@ -400,7 +400,7 @@ def test_report_of_a_linear_axis_finds_no_dependence_on_speed(tmp_path):
 
 
 def test_long_record_makes_a_small_page(tmp_path):
-    record = lab.step_record(lab.NLM1, kp=60, reference=(0.1, 0.0) * 12, noise=1e-5, seed=2)
+    record = lab.step_record(lab.NLM1, kp=60, reference=(0.1, 0.0) * 12, duration=0.6, noise=1e-5, seed=2)
     page = tmp_path / "report.html"
     write_report(page, [record], effort="quick")
     assert "the first 3 are drawn" in page.read_text(encoding="utf-8")
@@ -408,9 +408,9 @@ def test_long_record_makes_a_small_page(tmp_path):
     assert page.stat().st_size < 1_000_000
 
 
-def test_report_that_cannot_be_written_leaves_nothing(runs, tmp_path):
-    with pytest.raises(InputError, match="cannot be written"):
-        write_report(tmp_path / "missing" / "report.html", runs[:1])
+def test_report_that_cannot_be_written_is_refused_before_anything_is_computed(tmp_path):
+    with pytest.raises(InputError, match=r"missing does not exist; create it first"):
+        write_report(tmp_path / "missing" / "report.html", [])
     assert list(tmp_path.iterdir()) == []
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from servolens.findings import Finding
 
-__all__ = ["STANDARD_OUTPUT", "envelope", "to_finite", "to_text", "write_atomically", "write_json"]
+__all__ = ["STANDARD_OUTPUT", "check_writable", "envelope", "to_finite", "to_text", "write_atomically", "write_json"]
 
 STANDARD_OUTPUT = "-"
 
@@ -98,6 +98,20 @@ def to_finite(value: Any) -> Any:
     if hasattr(value, "tolist"):  # NumPy's arrays and scalars
         return to_finite(value.tolist())
     raise TypeError(f"{type(value).__name__} has no place in a result")
+
+
+def check_writable(path: Path) -> None:
+    """Refuse, before anything is computed for it, a file that cannot be written.
+
+    Raises
+    ------
+    InputError
+        If its folder does not exist, or file or folder must not be written.
+    """
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist; create it first")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise InputError(f"{path}: cannot be written (permission denied)")
 
 
 def write_atomically(path: Path, content: bytes, *, durable: bool = False) -> None:

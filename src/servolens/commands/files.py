@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from servolens.errors import InputError, ServolensError
-from servolens.results import STANDARD_OUTPUT
+from servolens.results import STANDARD_OUTPUT, check_writable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -220,9 +219,4 @@ def _check_output(option: str, name: str) -> None:
     path = Path(name)
     if not name.strip() or path.is_dir():
         raise InputError(f"{name or option}: {option} needs the name of a file, this is a folder")
-    folder = path.parent
-    if not folder.is_dir():
-        raise InputError(f"{name}: the folder {folder} does not exist; create it first")
-    target = path if path.exists() else folder
-    if not os.access(target, os.W_OK):
-        raise InputError(f"{name}: cannot be written (permission denied)")
+    check_writable(path)

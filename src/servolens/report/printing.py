@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from servolens.errors import InputError
+from servolens.results import check_writable
 
 __all__ = ["checked_page", "chromium", "printed"]
 
@@ -40,7 +41,8 @@ def checked_page(path: Path) -> None:
     Raises
     ------
     InputError
-        If the name ends neither in .html nor in .pdf, or in .pdf and there is no browser to print it.
+        If the name ends neither in .html nor in .pdf, or in .pdf and there is no browser to print it; or if the file
+        cannot be written.
     """
     kind = path.suffix.lower()
     if kind == PDF:
@@ -51,6 +53,7 @@ def checked_page(path: Path) -> None:
             )
     elif kind not in PAGE_ENDINGS:
         raise InputError(f"{path}: a page is written as .html or .pdf; name such a file")
+    check_writable(path)
 
 
 def chromium() -> str | None:
