@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.identification.error_problem import Known
 from servolens.identification.fit_findings import findings_of, is_beyond
+from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
@@ -66,6 +67,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         known=Known(hypothesis.starts, hypothesis.local),
         allowance=allowance,
     )
+    refined = counting_late_inputs(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     refined = counting_all_spectra(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     held = likelihood.options(plant).held
     return Fitted(model_of(refined, likelihood.records, held), refined, findings_of(refined))

@@ -10,6 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Known
+from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
@@ -136,6 +137,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         with suppress(NumericalError):
             if not is_shaken:
                 return _closed(records, [h.plant for h in found], options)
+    refined = counting_late_inputs(likelihood, refined, noise)
     return replace(observed, refinement=counting_all_spectra(likelihood, refined, noise))
 
 

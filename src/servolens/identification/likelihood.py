@@ -367,13 +367,12 @@ class Likelihood:
         Compared are a simulation; one whose sampling instants move as much as its residual shows; and observers of an
         axis that is shaken, from the rate of `like`, beside which `starts` were fitted, or from all rates.
         """
-        first = replace(self.white, gain=plants[0].gain, damping=max(plants[0].damping, 0.0))
         trials = NoiseTrials(self, plants, starts, like, unpowered=unpowered)
         if self.simulates:
             closed = all(s.record.has_loop for s in self.signals)
-            trials.look(first if closed else trials.shaken(first, SLOW_RATE))
+            trials.look(trials.first if closed else trials.shaken(trials.first, SLOW_RATE))
         else:
-            trials.search(first, () if is_screened else self._rates)
+            trials.search(trials.first, () if is_screened else self._rates)
         return trials.best
 
     def whitened_well(self, hypothesis: Hypothesis) -> Hypothesis:

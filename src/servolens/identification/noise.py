@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.late_inputs import instants
 from servolens.identification.slow_noise import slow_filters
 
 if TYPE_CHECKING:
@@ -21,12 +22,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["MOST_ORDER", "TOLD_APART", "NoiseModel", "Whitener", "burg", "instants"]
+    from servolens.plant import Plant
 
-SEEN = 5.0
-"""Standard errors from which on a jitter is one: overlapping differences are worth about a third as many."""
-REWEIGHTED, LEAST = 8, 1e-4
-"""Times that the regression of squares is weighed by what it found, and share of their mean that the sensor's is."""
+__all__ = ["MOST_ORDER", "TOLD_APART", "NoiseModel", "Whitener", "burg"]
+
 WANDERS = 12.0
 """Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
 constant is 290 samples."""
@@ -72,6 +71,8 @@ class NoiseModel:
     gain, damping : float
         Of the axis, about: with them its velocity errs after a late input, and forgets it. A gain of 0 where the input
         is on time, and the reading alone late.
+    pushed : Plant or None
+        The axis, of the effects by which a voltage pushes it otherwise than in proportion; None where there are none.
     discount : float
         Samples that count as one. Errors of a model that is not the axis are no noise: they go on for as long as the
         loop remembers, and the likelihood is tempered by it (Miller and Dunson 2019,
@@ -101,6 +102,7 @@ class NoiseModel:
     corner: float = 0.0
     gain: float = 0.0
     damping: float = 0.0
+    pushed: Plant | None = None
     discount: float = 1.0
     parameters: int = 0
     lines: tuple[float, ...] = ()
@@ -389,27 +391,6 @@ def _spanned(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return an orthonormal basis of what `columns` span: in less than a period two lines look the same."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, singular > DISTINCT * singular[0]])
-
-
-def instants(residuals: Sequence[NDArray[np.float64]], speeds: Sequence[NDArray[np.float64]]) -> tuple[float, float]:
-    """Return the standard deviation of the sampling instants [s] that the residuals show, and of the sensor's noise.
-
-    The first is 0 where it may be chance. Third differences, to which what is smooth adds nothing, grow with the speed:
-    their squares are regressed on its, each in units of what is expected of it.
-    """
-    third = np.concatenate([np.diff(r, 3) ** 2 / 20.0 for r in residuals])
-    squares = np.concatenate([v[1:-2] ** 2 for v in speeds])
-    level, slope, error = float(third.mean()), 0.0, np.inf
-    for _ in range(REWEIGHTED):
-        weight = 1.0 / (level + slope * squares) ** 2
-        centred = squares - float(weight @ squares) / float(weight.sum())
-        energy = float(weight @ centred**2)
-        if not energy > 0.0:
-            break
-        slope = max(float((weight * centred) @ third) / energy, 0.0)
-        level = max(float(weight @ (third - slope * squares)) / float(weight.sum()), LEAST * float(third.mean()))
-        error = float(np.sqrt(np.sum((weight * centred * (third - level - slope * squares)) ** 2))) / energy
-    return (float(np.sqrt(slope)) if slope > SEEN * error else 0.0), float(np.sqrt(level))
 
 
 def burg(

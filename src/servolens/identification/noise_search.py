@@ -9,7 +9,8 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.hypothesis import NO_BETTER
-from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel, instants
+from servolens.identification.late_inputs import about, instants
+from servolens.identification.noise import MOST_ORDER, NEGLIGIBLE, NoiseModel
 from servolens.identification.parabola import Parabola
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
@@ -61,7 +62,7 @@ class NoiseTrials:
         unpowered: bool,
     ) -> None:
         self.likelihood, self.plants, self.starts, self.like = likelihood, plants, starts, like
-        self.unpowered = unpowered
+        self.unpowered, self.first = unpowered, about(likelihood.white, plants[0])
         self.best: tuple[NoiseModel, float] | None = None
         self._left: list[NDArray[np.float64]] | None = None
         self._seen: dict[tuple[float, ...], float] = {}

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
+from servolens.identification.late_inputs import jumps_of
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
 from servolens.identification.runs import ClosedLoop, rest
@@ -210,8 +211,8 @@ def clock_error(noise: NoiseModel, signals: Signals) -> float:
     controller = signals.record.controller
     if controller is None or noise.jitter == 0.0 or noise.gain == 0.0:
         return float(np.sqrt(read))
-    kicks = (noise.jitter * noise.gain) ** 2 * float(np.sum(np.diff(signals.voltage) ** 2))
-    density = kicks / float(signals.time[-1] - signals.time[0])
+    jumps = jumps_of(noise, signals.time, signals.speed_on_grid, signals.voltage)
+    density = noise.jitter**2 * float(np.sum(jumps**2)) / float(signals.time[-1] - signals.time[0])
     stiffness, damping = noise.gain * controller.kp, noise.damping + noise.gain * controller.kd
     if not stiffness * damping > 0.0:  # nothing calls it back
         return float(np.sqrt(read))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.late_inputs import jumps_of
 from servolens.simulation.kalman import NEVER
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def observer_of(
     kept, power = noise.shaking(h)
     model = np.array([left, given, kept, 0.5 * given * h, given, power])
     size = noise.jitter / max(noise.floor, 1e-300)
-    late, kick = size * speed, size * noise.gain * np.diff(voltage, prepend=voltage[0])
+    late, kick = size * speed, size * jumps_of(noise, time, speed, voltage)
     if mistimed is not None:
         kick = np.where(mistimed > 0.0, mistimed / max(noise.floor, 1e-300), kick)
     if corrects is not None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servolens.identification.error_problem import Problem
+from servolens.identification.error_problem import COARSE, Problem
 from servolens.identification.noise import MOST_ORDER, NoiseModel
 from servolens.identification.slow_noise import FREQUENCIES, LONGEST, filters_of, spectra
 
@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from servolens.identification.error_problem import Point
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
+    from servolens.identification.refine import Refinement
 
-__all__ = ["Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_of"]
+__all__ = ["Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_at", "parts_of"]
 
 TIMES = 14
 """Time constants of slow noise that are compared, evenly in their logarithms."""
@@ -93,6 +94,27 @@ def parts_of(problem: Problem, point: Point, widths: NDArray[np.float64] | None 
         own[:, states[i] : states[i + 1]] = initial[: run.samples]
         parts.append(Part(residual[: run.samples], np.hstack([jacobian[: run.samples], own])))
     return parts
+
+
+def parts_at(problem: Problem, refined: Refinement) -> tuple[Point, list[Part]]:
+    """Return the optimum that was `refined` as a point of `problem`, and its parts there.
+
+    Raises
+    ------
+    NumericalError
+        If the plant cannot be simulated.
+    """
+    point = problem.at(refined.starts, refined.local)
+    problem.choose_substeps(point)
+    return point, parts_of(problem, point, _widths(problem, point, refined))
+
+
+def _widths(problem: Problem, point: Point, refined: Refinement) -> NDArray[np.float64]:
+    """Return how far to look for slopes, as for the error bars: dry friction and contacts leave small ones rough."""
+    errors = np.nan_to_num(np.sqrt(np.diag(refined.covariance))[problem.free])
+    narrow = np.minimum(errors, 0.1 * np.abs(point.values))
+    is_rough = problem.touched if not refined.is_smooth else np.zeros_like(problem.touched)
+    return np.where(is_rough, problem.share_of(point, COARSE), narrow)
 
 
 def mean_spectrum(parts: Sequence[Part], frequencies: int) -> tuple[NDArray[np.float64], float]:

@@ -15,16 +15,15 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servolens.errors import NumericalError
-from servolens.identification.error_problem import COARSE, Problem
+from servolens.identification.error_problem import Problem
 from servolens.identification.noise_search import CORNERS
-from servolens.identification.restricted import Part, estimated, parts_of
+from servolens.identification.restricted import Part, estimated, parts_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.error_problem import Point
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.noise import NoiseModel
     from servolens.identification.refine import Refinement
@@ -124,9 +123,7 @@ def _beside(problem: Problem, refined: Refinement, determinant: float) -> _Besid
     NumericalError
         If the plant cannot be simulated.
     """
-    point = problem.at(refined.starts, refined.local)
-    problem.choose_substeps(point)
-    parts, k = parts_of(problem, point, _widths(problem, point, refined)), problem.free.size
+    (point, parts), k = parts_at(problem, refined), problem.free.size
     if sum(part.left.size for part in parts) <= parts[0].sensitivity.shape[1]:
         raise NumericalError("there are no more samples than unknowns")
     free = np.ones(parts[0].sensitivity.shape[1])
@@ -138,14 +135,6 @@ def _beside(problem: Problem, refined: Refinement, determinant: float) -> _Besid
         parts.append(Part(np.array([(point.values[index] - prior.value) / prior.deviation]), said))
     found = estimated(parts, determinant)
     return _Beside(found.misfit, found.change[:k], found.variances[:k])
-
-
-def _widths(problem: Problem, point: Point, refined: Refinement) -> NDArray[np.float64]:
-    """Return how far to look for slopes, as for the error bars: dry friction and contacts leave small ones rough."""
-    errors = np.nan_to_num(np.sqrt(np.diag(refined.covariance))[problem.free])
-    narrow = np.minimum(errors, 0.1 * np.abs(point.values))
-    is_rough = problem.touched if not refined.is_smooth else np.zeros_like(problem.touched)
-    return np.where(is_rough, problem.share_of(point, COARSE), narrow)
 
 
 def _widened(found: Sequence[_Beside]) -> NDArray[np.float64]:
