@@ -75,6 +75,7 @@ def test_what_comes_in_bursts_is_told_and_neither_healthy_nor_explained():
     assert "in bursts" in str(found.summary())
 
 
+@pytest.mark.slow
 def test_no_cause_is_named_that_makes_simulations_miss_more_where_knocks_remain():
     campaign = lab.hidden_campaign(741961, foreign="random_knocks")
     found = diagnose(campaign.records, heldout=campaign.heldout)
@@ -97,6 +98,7 @@ def test_slow_noise_has_to_be_as_strong_all_the_time(in_bursts):
     ] * in_bursts
 
 
+@pytest.mark.slow
 def test_counts_that_an_encoder_loses_are_no_noise():
     campaign = lab.hidden_campaign(741395, foreign="missed_counts", world="white")
     found = diagnose(campaign.records, heldout=campaign.heldout, effort="quick")

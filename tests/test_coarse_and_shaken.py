@@ -30,6 +30,7 @@ def test_shaking_is_seen_beside_a_coarse_encoder():
     assert noise.rate == pytest.approx(power**0.25, rel=0.15)
 
 
+@pytest.mark.slow
 def test_causes_are_named_beside_a_coarse_encoder_and_shaking():
     truth = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
     *training, heldout = campaign(truth, 720_741)

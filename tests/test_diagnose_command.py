@@ -396,6 +396,7 @@ def test_commands_of_different_units_are_not_mixed(bench, tmp_path):
     assert " V" in refused(run("diagnose", bench / "rub40.csv", "--heldout", tmp_path / "amps.csv"))
 
 
+@pytest.mark.slow
 def test_two_axes_in_one_campaign_contradict_each_other(bench, tmp_path):
     other = write(step(OTHER, 60), tmp_path / "other.csv")
     body = result("diagnosis", "diagnose", bench / "plain40.csv", other, "--effort", "quick")

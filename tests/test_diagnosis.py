@@ -164,6 +164,7 @@ def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
             lab.Shaking(deviation=9e-2, correlation_time=0.05),
             "Look for vibration, cables or a machine nearby.",
             id="material",
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -204,6 +205,7 @@ def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
     assert not diagnosis.remainder.material  # 0.2 % of the travel: none of the causes that would take most of it
 
 
+@pytest.mark.slow
 def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"delay": {"time": 0.03}, "coulomb_friction": {"level": 0.3}})
     sheet = Prior(value=2.4, deviation=0.05)
@@ -212,6 +214,7 @@ def test_prior_is_a_range_that_what_a_model_lacks_cannot_outvote():
     assert abs(found.plant.gain - sheet.value) <= 4.0 * sheet.deviation * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_knocks_that_know_no_input_are_no_cause_and_told_with_their_size():
     campaign = lab.hidden_campaign(SEED + 3, foreign="random_knocks", visibility=30.0, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -323,6 +326,7 @@ def steps_of(axis, gains, reference=0.1, duration=1.5):
     ]
 
 
+@pytest.mark.slow
 def test_dry_friction_beside_a_constant_force_is_one_asymmetric_friction():
     axis = lab.Truth(
         gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}, "constant_force": {"acceleration": 0.15}}
@@ -345,6 +349,7 @@ def test_friction_map_is_no_wave_of_friction_beside_cogging():
     assert found["positive_1"].value == pytest.approx(truth["positive_1"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
     campaign = lab.hidden_campaign(900010, effects=["actuator_lag"], world="coloured")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -353,6 +358,7 @@ def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
     assert diagnosis.extended.heldout_rms_error < diagnosis.baseline.heldout_rms_error
 
 
+@pytest.mark.slow
 def test_dead_zone_of_a_shaken_axis_need_not_foretell_where_it_rests_in_one_record():
     campaign = lab.hidden_campaign(700767, effects=["dead_zone"], world="shaken")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout, effort="quick")
@@ -437,6 +443,7 @@ def unlooped(run, position):
     return replace(run, position=position, controller=None)
 
 
+@pytest.mark.slow
 def test_command_that_does_not_move_the_axis_explains_nothing():
     """As of an unsigned current, or a column that was taken for another."""
     random = np.random.default_rng(4)
@@ -619,6 +626,7 @@ def test_cause_that_held_out_records_do_not_bear_out_is_part_of_the_truth_at_mos
     assert "heldout_contradicts" in {finding.code for finding in diagnosis.findings}
 
 
+@pytest.mark.slow
 def test_an_axis_that_the_sensors_noise_shakes_before_its_step_is_healthy():
     """The log begins while the loop works: what moves the axis before its step is in no voltage that was logged."""
     cart = lab.Truth(gain=0.55, damping=7.3)
@@ -702,6 +710,7 @@ def test_plants_too_stiff_to_be_fitted_are_not_tried():
     assert not trials.likelihood.is_too_stiff(soft)
 
 
+@pytest.mark.slow
 def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     sticky = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}})
     other = lab.Truth(gain=1.2, damping=4.0)
@@ -711,6 +720,7 @@ def test_two_axes_contradict_each_other_though_one_of_them_has_friction():
     assert "records_contradict" in [finding.code for finding in diagnosis.findings]
 
 
+@pytest.mark.slow
 def test_two_axes_contradict_each_other_though_one_of_them_has_a_lag():
     """Two causes in part explained what was another motor, with an amplifier of its own."""
     quick = lab.Truth(gain=120.0, damping=8.0)
@@ -795,6 +805,7 @@ def test_cause_within_its_error_bar_is_not_trusted(value, stderr, sure, is_nothi
     assert may_be_nothing(plant, "coulomb_friction", level) == is_nothing
 
 
+@pytest.mark.slow
 def test_prior_that_the_records_contradict_is_named_beside_the_causes():
     cart = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
     runs = [lab.step_record(cart, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]
@@ -827,6 +838,7 @@ def test_fit_goes_on_from_where_it_ended():
     assert again.plant.values == pytest.approx(found.plant.values, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_stop_that_is_reached_on_one_side_is_no_stop_on_the_other():
     stop = lab.Truth(gain=2.0, damping=8.0, effects={"end_stop": {"low": -1.0, "high": 0.07}})
     trained = [
@@ -856,6 +868,7 @@ def test_friction_that_grows_with_speed_is_among_the_starts():
     assert any(start.plant.effects[-1].static_excess < 0.0 for start in starts)
 
 
+@pytest.mark.slow
 def test_two_large_causes_are_found_though_neither_explains_much_alone():
     """Beside gain and damping alone a wave in time comes first; the score of both together knows better."""
     campaign = lab.hidden_campaign(711591, effects=["coulomb_friction", "quadratic_drag"], world="coloured")

@@ -159,6 +159,7 @@ def test_limit_that_is_reached_all_the_time_is_not_said_to_be_unseen():
     assert "the data do not determine saturation.limit" in codes(fit)["not_determined"]
 
 
+@pytest.mark.slow
 def test_contact_that_was_given_stays_within_its_bounds():
     """Where the first start does not reach the noise, others have the usual contact, which no bound holds."""
     truth = axis(end_stop={"low": -0.5, "high": 0.09, "contact_damping": 0.3}, coulomb_friction={"level": 0.4})
@@ -282,6 +283,7 @@ def test_two_effects_are_found_together(names):
     assert_at_noise(fit)
 
 
+@pytest.mark.slow
 def test_backlash_and_friction_are_found_together():
     """To two percent: contacts give the error many minima, and the search may end beside the lowest."""
     truth = axis(backlash=TRUTHS["backlash"], coulomb_friction=TRUTHS["coulomb_friction"])

@@ -173,6 +173,7 @@ def test_second_run_on_one_folder_is_refused_and_a_dead_one_holds_nothing(axes, 
     assert results(out) == undisturbed
 
 
+@pytest.mark.slow
 def test_file_size_limit_stops_the_run_with_a_sentence_and_leaves_whole_files_only(axes, undisturbed, tmp_path):
     out = tmp_path / "out"
     small = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (8192, resource.RLIM_INFINITY))  # noqa: E731 - one line
@@ -287,6 +288,7 @@ def cluster():
     found.end()
 
 
+@pytest.mark.slow
 def test_dask_worker_that_dies_loses_nothing(axes, undisturbed, cluster, tmp_path):
     out = tmp_path / "out"
     cluster.scheduler()

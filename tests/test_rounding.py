@@ -123,6 +123,7 @@ def test_a_stop_that_an_axis_rests_against_is_known_no_better_than_the_encoders_
         assert 0.02 * 2e-5 < found.stderr < 2e-5
 
 
+@pytest.mark.slow
 def test_a_stop_that_is_one_for_all_records_is_known_no_better_from_many():
     """Its place within an encoder's step is the same in each of them, and does not average out."""
     stopped = lab.Truth(gain=1.9, damping=6.0, effects={"end_stop": {"low": -1.0, "high": 0.0960052}})

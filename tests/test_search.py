@@ -39,6 +39,7 @@ def causes_of(campaign, effort="normal"):
     return found.verdict, {cause.effect for cause in found.causes}
 
 
+@pytest.mark.slow
 def test_friction_that_is_likelier_for_the_noise_beside_it_alone_is_no_cause():
     campaign = lab.hidden_campaign(941872, foreign="random_drift")
     verdict, causes = causes_of(campaign)
@@ -51,6 +52,7 @@ def test_rounding_of_a_coarse_encoder_is_no_friction():
     assert causes_of(campaign) == ("healthy", set())
 
 
+@pytest.mark.slow
 def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     campaign = lab.hidden_campaign(711280, effects=["coulomb_friction", "return_spring"], world="shaken")
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "return_spring"})
@@ -103,6 +105,7 @@ def test_gain_and_damping_that_ran_away_are_taken_as_an_observer_tells_them(spru
     assert unshaken.observed(found) is found
 
 
+@pytest.mark.slow
 def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
     trials = Trials(sprung, {}, len(catalogue()))
     assert {"dead_zone", "return_spring"} in [{e.name for e in plant.effects} for plant in trials.pairs(10)]
@@ -147,6 +150,7 @@ def test_friction_and_what_it_hides_are_found_together(seed, hidden, world):
     assert causes_of(campaign) == ("explained", {"coulomb_friction", hidden})
 
 
+@pytest.mark.slow
 def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
     campaign = lab.hidden_campaign(610212, effects=["coulomb_friction", "speed_servo"], world="coloured")
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "speed_servo"})
@@ -244,6 +248,7 @@ def test_two_lags_are_not_exchanged():
     assert not list(with_twins(Plant(gain=2.0, damping=5.0, effects=lags)))
 
 
+@pytest.mark.slow
 def test_search_as_if_nothing_shook_the_axis_ends_where_shaking_explains_the_rest():
     campaign = lab.hidden_campaign(720462, effects=["return_spring"], world="shaken")
     case = Case(campaign.records, campaign.heldout, {}, len(catalogue()))

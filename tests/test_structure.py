@@ -131,8 +131,7 @@ def test_a_shaken_loop_shows_a_force_to_the_instrument_that_is_made_for_it(kind,
 @pytest.mark.parametrize(
     ("law", "seed"),
     [
-        ("growing_friction", 740863),
-        pytest.param("growing_friction", 740864, marks=pytest.mark.slow),
+        *(pytest.param("growing_friction", seed, marks=pytest.mark.slow) for seed in (740863, 740864)),
         pytest.param("changing_damping", 740161, marks=pytest.mark.slow),
         pytest.param("hanging_load", 740961, marks=pytest.mark.slow),
         ("hanging_load", 740995),  # among fifty modes only the one that rings shows it

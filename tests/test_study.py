@@ -56,12 +56,12 @@ def cart():
 
 
 HIDDEN = [
-    ("stribeck_friction", 4),
     ("delay", 2),
     *(
         pytest.param(name, seed, marks=pytest.mark.slow)
         for name, seed in (
             ("backlash", 3),
+            ("stribeck_friction", 4),
             ("coulomb_friction", 5),
             ("flexible_coupling", 6),
             ("constant_force", 7),
@@ -194,6 +194,7 @@ def test_gain_for_a_loop_that_the_logs_contradict_is_in_doubt(stated):
     assert found.design.recommended is not None
 
 
+@pytest.mark.slow
 def test_gain_from_logs_with_a_late_column_is_in_doubt():
     runs = [lab.step_record(CART, kp, 0.5, noise=1e-5, seed=kp) for kp in (60, 80)]
     late = [run.with_({"voltage": np.concatenate([np.zeros(2), run.voltage[:-2]])}) for run in runs]
