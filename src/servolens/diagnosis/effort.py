@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
-import numpy as np
-
 from servolens.simulation.rates import substeps_for, work_of
 
 if TYPE_CHECKING:
@@ -80,6 +78,6 @@ def work_for(likelihood: Likelihood, plant: Plant, iterations: int) -> float:
 
     Each takes central differences in all parameters and two initial states.
     """
-    runs = [(signals.time.size, float(np.max(np.diff(signals.time)))) for signals in likelihood.signals]
+    runs = [(signals.time.size, signals.longest_step) for signals in likelihood.signals]
     once = sum(work_of(samples, substeps_for(plant, step)) for samples, step in runs)
     return float(once * (1 + 2 * iterations * (len(plant.values) + 2)))

@@ -93,7 +93,7 @@ class Likelihood:
         self.samples = sum(signals.measured.size for signals in self.signals)
         rounding = max(record.encoder_resolution or 0.0 for record in records)
         self.white = replace(NoiseModel.white(self.floor, rounding), least=TOLD_APART * self.travel)
-        longest = 1e3 * max(float(np.max(np.diff(s.time))) for s in self.signals)
+        longest = 1e3 * max(signals.longest_step for signals in self.signals)
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(signals.may_be_unpowered for signals in self.signals)
         self.knows_beginning, self.simulates = True, False
@@ -441,7 +441,7 @@ class Likelihood:
 
     def is_too_stiff(self, plant: Plant) -> bool:
         """Tell whether `plant` would not be fitted, so that its simulation, which may take long, is for nothing."""
-        return any(substeps_for(plant, float(np.max(np.diff(s.time)))) > self.most_substeps for s in self.signals)
+        return any(substeps_for(plant, signals.longest_step) > self.most_substeps for signals in self.signals)
 
 
 def found_last(plant: Plant) -> list[str]:

@@ -137,6 +137,11 @@ class Signals:
         return self.ticks.time
 
     @property
+    def longest_step(self) -> float:
+        """From one tick to the next [s]."""
+        return float(np.max(np.diff(self.time)))
+
+    @property
     def speed(self) -> NDArray[np.float64]:
         """Of the axis at the samples that were measured [m/s or rad/s]."""
         return self.speed_on_grid if self.index is None else self.speed_on_grid[self.index]
@@ -244,7 +249,7 @@ class ObservedRun:
             weight = weight[signals.index]
         self.whiten = Whitener(signals.measured, signals.speed, noise, weight, time=signals.instants)
         self.samples, self.simulated, self.instants = signals.measured.size, signals.time.size, signals.instants
-        self.sample_time = float(np.max(np.diff(signals.time)))
+        self.sample_time = signals.longest_step
         self.start = signals.initial.mean
         self._usual: NDArray[np.float64] | float = 0.0
         travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
