@@ -104,3 +104,12 @@ def test_error_bars_of_a_drive_allow_for_what_its_integral_remembers():
     campaign = lab.hidden_campaign(902479, effects=["speed_servo"], world="jittered")
     assert not campaign.surroundings.jitter.stated
     assert np.abs(away("speed_servo", campaign.truth, campaign.records)).max() < 2.5
+
+
+def test_a_parameter_that_no_record_shows_has_no_error_bar_beside_late_jumps_either():
+    truth = lab.Truth(gain=2.0, damping=6.0, effects={"end_stop": {"low": -0.04, "high": 0.3}})
+    setup = lab.Setup(surroundings=LATE)
+    runs = [lab.step_record(truth, kp, reference=(0.1, -0.1), seed=kp, setup=setup) for kp in (40, 60)]
+    found = fit([Plant.effect_from("end_stop", truth.effects["end_stop"])], runs).quantities
+    assert found["end_stop.high"].stderr is None
+    assert found["end_stop.low"].value == pytest.approx(-0.04, abs=5 * found["end_stop.low"].stderr)

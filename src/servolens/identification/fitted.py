@@ -12,6 +12,7 @@ from servolens.identification.fit_findings import findings_of, is_beyond
 from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.shaking_spectra import counting_all_spectra
+from servolens.identification.unsteady import counting_unsteadiness
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         known=Known(hypothesis.starts, hypothesis.local),
         allowance=allowance,
     )
+    refined = counting_unsteadiness(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     refined = counting_late_inputs(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     refined = counting_all_spectra(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     held = likelihood.options(plant).held

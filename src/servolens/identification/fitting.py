@@ -21,6 +21,7 @@ from servolens.identification.segments import begins_with_its_step, noise_level,
 from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import depends_on_inputs, is_shaking
+from servolens.identification.unsteady import counting_unsteadiness
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -137,6 +138,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         with suppress(NumericalError):
             if not is_shaken:
                 return _closed(records, [h.plant for h in found], options)
+    refined = counting_unsteadiness(likelihood, refined, noise)
     refined = counting_late_inputs(likelihood, refined, noise)
     return replace(observed, refinement=counting_all_spectra(likelihood, refined, noise))
 

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 __all__ = ["counting_late_inputs"]
 
+UNSEEN = 1e-9
+"""Ratio of singular values below which the records do not tell parameters apart."""
 COUNTED, MOST = 0.999, 48
 """Share of the squared jumps of a record that are simulated, the largest first, and how many at most."""
 
@@ -58,29 +60,33 @@ def counting_late_inputs(
     problem = Problem(
         refined.plant, likelihood.runs(noise, unpowered=unpowered), likelihood.options(refined.plant), None
     )
-    more = np.zeros((problem.free.size, problem.free.size))
+    errors = np.nan_to_num(np.sqrt(np.diag(refined.covariance)))[problem.free]
+    more = np.zeros((errors.size, errors.size))
     with suppress(InputError, NumericalError):
-        for moved, believed in _moved(problem, refined, noise):
+        for moved, believed in _moved(problem, refined, noise, errors):
             values, vectors = np.linalg.eigh(np.outer(moved, moved) - np.outer(believed, believed))
             more += (vectors * np.maximum(values, 0.0)) @ vectors.T
     likelihood.count(problem.simulated)
     covariance = refined.covariance.copy()
     columns = problem.free[::-1]  # of parameters of the records' own the first
-    covariance[np.ix_(columns, columns)] += more[::-1, ::-1]
+    covariance[np.ix_(columns, columns)] += (np.outer(errors, errors) * more)[::-1, ::-1]
     return replace(refined, covariance=covariance)
 
 
 def _moved(
-    problem: Problem, refined: Refinement, noise: NoiseModel
+    problem: Problem, refined: Refinement, noise: NoiseModel, errors: NDArray[np.float64]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Yield by how much the free parameters move, shape (k,), for each jump that comes a standard deviation late.
 
-    As the plant answers to it, and as the observer believes.
+    In their `errors`; those without one are not moved. As the plant answers to it, and as the observer believes.
     """
     point, parts = parts_at(problem, refined)
-    sensitivity = np.vstack([part.sensitivity for part in parts])
-    scale = np.maximum(np.linalg.norm(sensitivity, axis=0), 1e-300)
-    answers = np.linalg.pinv(sensitivity / scale, rcond=1e-9) / scale[:, None]
+    units = np.ones(parts[0].sensitivity.shape[1])
+    units[: errors.size] = errors
+    sensitivity = np.vstack([part.sensitivity for part in parts]) * units
+    lengths = np.linalg.norm(sensitivity, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    answers = np.linalg.pinv(sensitivity / lengths, rcond=UNSEEN) / lengths[:, None]
     ends = np.cumsum([0, *(part.left.size for part in parts)])
     believed = Plant(gain=noise.gain, damping=noise.damping)
     for i, run in enumerate(problem.runs):
