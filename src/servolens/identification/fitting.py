@@ -178,7 +178,7 @@ def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -
         middle = float(np.median(np.abs(np.concatenate(refined.residuals))))
         noise = NoiseModel.white(1.4826 * middle, noise.rounding)  # 1.4826: of a normal distribution
         refined = _observed(likelihood, refined.plant, noise)
-    return FinalFit(refined, noise, records, "voltage")
+    return FinalFit(counting_unsteadiness(likelihood, refined, noise), noise, records, "voltage")
 
 
 def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOptions) -> FinalFit:

@@ -1,10 +1,10 @@
 """Error bars where instants are not those stated, which allow for what a late voltage does to the whole axis.
 
-An observer believes that a voltage which comes late changes the velocity and nothing else, and that the damping alone
-lets that fade. A flexible coupling rings for it and a drive's integral remembers it: what is missed is then no longer
-white, and the few jumps of the voltage that matter are taken up by parameters and initial states, so that the residual
-does not show it. It is therefore simulated: each of the large jumps a sample later, with the plant and with what the
-observer believes of it.
+The observer assumes that a voltage which comes late changes the velocity and nothing else, and that the damping alone
+lets that fade. But a flexible coupling rings for it, a drive's integral remembers it, and behind a delay or a lag it
+comes later. What is missed is then no longer white; and as only a few jumps of the voltage are large, parameters and
+initial states take it up, so that no residual shows it. Each of the large jumps is therefore simulated a sample later,
+with the plant and with the plant that the observer assumes.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def counting_late_inputs(
     errors = np.nan_to_num(np.sqrt(np.diag(refined.covariance)))[problem.free]
     more = np.zeros((errors.size, errors.size))
     with suppress(InputError, NumericalError):
-        for moved, believed in _moved(problem, refined, noise, errors):
-            values, vectors = np.linalg.eigh(np.outer(moved, moved) - np.outer(believed, believed))
+        for moved, assumed in _moved(problem, refined, noise, errors):
+            values, vectors = np.linalg.eigh(np.outer(moved, moved) - np.outer(assumed, assumed))
             more += (vectors * np.maximum(values, 0.0)) @ vectors.T
     likelihood.count(problem.simulated)
     covariance = refined.covariance.copy()
@@ -78,7 +78,8 @@ def _moved(
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Yield by how much the free parameters move, shape (k,), for each jump that comes a standard deviation late.
 
-    In their `errors`; those without one are not moved. As the plant answers to it, and as the observer believes.
+    In units of their `errors`; those without one are not moved. First as the plant answers to it, then as the observer
+    assumes.
     """
     point, parts = parts_at(problem, refined)
     units = np.ones(parts[0].sensitivity.shape[1])
@@ -88,15 +89,15 @@ def _moved(
     lengths[lengths == 0.0] = 1.0
     answers = np.linalg.pinv(sensitivity / lengths, rcond=UNSEEN) / lengths[:, None]
     ends = np.cumsum([0, *(part.left.size for part in parts)])
-    believed = Plant(gain=noise.gain, damping=noise.damping)
+    assumed = Plant(gain=noise.gain, damping=noise.damping)
     for i, run in enumerate(problem.runs):
         if not isinstance(run, ObservedRun):
             continue
         own = answers[: problem.free.size, ends[i] : ends[i + 1]]
         plant, start, substeps = problem.plant_at(point.values, i), point.starts[i], problem.substeps[i]
-        as_is = [run.missed(one, start, substeps) for one in (plant, believed)]
-        for push, as_believed, share in _late_jumps(run, noise):
-            pushed = [run.missed(one, start, substeps, push=by) for one, by in ((plant, push), (believed, as_believed))]
+        as_is = [run.missed(one, start, substeps) for one in (plant, assumed)]
+        for push, as_assumed, share in _late_jumps(run, noise):
+            pushed = [run.missed(one, start, substeps, push=by) for one, by in ((plant, push), (assumed, as_assumed))]
             problem.simulated += 2 * run.simulated
             moved, thought = (own @ run.whiten(share * (late - same)) for late, same in zip(pushed, as_is, strict=True))
             yield moved, thought

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from servolens.errors import NumericalError
 from servolens.identification.error_problem import COARSE, Problem
 from servolens.identification.noise import MOST_ORDER, NoiseModel
 from servolens.identification.slow_noise import FREQUENCIES, LONGEST, filters_of, spectra
@@ -97,16 +98,28 @@ def parts_of(problem: Problem, point: Point, widths: NDArray[np.float64] | None 
 
 
 def parts_at(problem: Problem, refined: Refinement) -> tuple[Point, list[Part]]:
-    """Return the optimum that was `refined` as a point of `problem`, and its parts there.
+    """Return the optimum that was `refined` as a point of `problem`, and its parts there, priors after the records.
+
+    Parameters at the end of their range do not answer.
 
     Raises
     ------
     NumericalError
-        If the plant cannot be simulated.
+        If the plant cannot be simulated, or there are no more samples than unknowns.
     """
     point = problem.at(refined.starts, refined.local)
     problem.choose_substeps(point)
-    return point, parts_of(problem, point, _widths(problem, point, refined))
+    parts, k = parts_of(problem, point, _widths(problem, point, refined)), problem.free.size
+    free = np.ones(parts[0].sensitivity.shape[1])
+    if sum(part.left.size for part in parts) <= free.size:
+        raise NumericalError("there are no more samples than unknowns")
+    free[:k] = (point.values > problem.low) & (point.values < problem.high)
+    parts = [part._replace(sensitivity=part.sensitivity * free) for part in parts]
+    for index, prior in problem.priors:
+        said = np.zeros((1, free.size))
+        said[0, index] = free[index] / prior.deviation
+        parts.append(Part(np.array([(point.values[index] - prior.value) / prior.deviation]), said))
+    return point, parts
 
 
 def _widths(problem: Problem, point: Point, refined: Refinement) -> NDArray[np.float64]:

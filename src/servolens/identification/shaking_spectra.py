@@ -17,7 +17,7 @@ import numpy as np
 from servolens.errors import NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.noise_search import CORNERS
-from servolens.identification.restricted import Part, estimated, parts_at
+from servolens.identification.restricted import estimated, parts_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -123,16 +123,8 @@ def _beside(problem: Problem, refined: Refinement, determinant: float) -> _Besid
     NumericalError
         If the plant cannot be simulated.
     """
-    (point, parts), k = parts_at(problem, refined), problem.free.size
-    if sum(part.left.size for part in parts) <= parts[0].sensitivity.shape[1]:
-        raise NumericalError("there are no more samples than unknowns")
-    free = np.ones(parts[0].sensitivity.shape[1])
-    free[:k] = (point.values > problem.low) & (point.values < problem.high)
-    parts = [part._replace(sensitivity=part.sensitivity * free) for part in parts]
-    for index, prior in problem.priors:
-        said = np.zeros((1, free.size))
-        said[0, index] = free[index] / prior.deviation
-        parts.append(Part(np.array([(point.values[index] - prior.value) / prior.deviation]), said))
+    _, parts = parts_at(problem, refined)
+    k = problem.free.size
     found = estimated(parts, determinant)
     return _Beside(found.misfit, found.change[:k], found.variances[:k])
 
