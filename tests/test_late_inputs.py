@@ -175,3 +175,11 @@ def test_a_record_of_few_samples_tells_nothing_of_the_instants(samples):
     stream, speed = np.random.default_rng(1), moving()
     left = 1.3e-6 * stream.standard_normal(TIME.size) + 4e-5 * speed * stream.standard_normal(TIME.size)
     assert instants([left, np.zeros(samples)], [speed, np.ones(samples)]) == instants([left], [speed])
+
+
+def test_what_reaches_an_axis_is_known_of_a_fit_that_was_read_from_a_file():
+    fitted = fit([Saturation(limit=3.0)], runs_of("saturation"))
+    again = type(fitted).from_json(fitted.to_json())
+    assert again.noise_model.jitter == fitted.noise_model.jitter > 0.0
+    (effect,) = again.noise_model.pushed.effects
+    assert effect.limit == pytest.approx(fitted.noise_model.pushed.effects[0].limit, rel=1e-6)

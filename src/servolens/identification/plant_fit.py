@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
 
 import numpy as np
@@ -15,6 +15,7 @@ from servolens.identification.candidates import Candidates
 from servolens.identification.fit_findings import above_noise, findings_of
 from servolens.identification.fitted import model_of
 from servolens.identification.fitting import check_loops, final_fit, level_of, likelihood_of, simulation_error
+from servolens.identification.late_inputs import about
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions, Prior, wanted
 from servolens.identification.refine import AT_NOISE, Refinement
@@ -120,7 +121,7 @@ class Fit(Result):
             "noise": self.noise,
             "rms_error": self.rms_error,
             "at_noise": self.at_noise,
-            "noise_model": encoded(self.noise_model),
+            "noise_model": encoded(replace(self.noise_model, pushed=None)),  # which the model tells
             "refinement": {
                 "parameters": list(self.plant.parameters),
                 **{name: encoded(getattr(self.refinement, name)) for name in SUMMED_UP},
@@ -133,16 +134,17 @@ class Fit(Result):
         model = Model.from_json(data.get("model") or {})
         size = len(model.plant.values)
         covariance = np.full((size, size), np.nan) if model.covariance is None else model.covariance
-        known = {"Prior": Prior}
+        known = {"Prior": Prior, "Plant": Plant}
         told = data.get("refinement") or {}
         ended = fields_of(Refinement, told, SUMMED_UP)
         names = decoded(tuple[str, ...] | None, told.get("parameters"), "parameters")
         ended |= {name: placed(model.plant, ended[name], names, name) for name in OF_PARAMETERS}
+        noise = read_fields(NoiseModel, data.get("noise_model"), known)
         return cls(
             model=model,
             refinement=Refinement(plant=model.plant, covariance=covariance, residuals=(), starts=(), **ended),
             driven=str(data.get("driven")),
-            noise_model=read_fields(NoiseModel, data.get("noise_model"), known),
+            noise_model=replace(noise, pushed=about(noise, model.plant).pushed),
             noise=decoded(float, data.get("noise"), "noise"),
             findings=findings_in(data),
             records=(),
