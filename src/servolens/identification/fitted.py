@@ -21,10 +21,11 @@ if TYPE_CHECKING:
     from servolens.findings import Finding
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
+    from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["AT_BOUND", "GIVEN", "Fitted", "fitted", "model_of"]
+__all__ = ["AT_BOUND", "GIVEN", "Fitted", "fitted", "model_of", "with_error_bars"]
 
 AT_BOUND, GIVEN = "it ended at the end of its range", "given, not estimated"
 """Why a parameter has no standard error."""
@@ -68,11 +69,21 @@ def fitted(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float = np
         known=Known(hypothesis.starts, hypothesis.local),
         allowance=allowance,
     )
-    refined = counting_unsteadiness(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
-    refined = counting_late_inputs(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
-    refined = counting_all_spectra(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
+    refined = with_error_bars(likelihood, refined, hypothesis.noise, unpowered=hypothesis.unpowered)
     held = likelihood.options(plant).held
     return Fitted(model_of(refined, likelihood.records, held), refined, findings_of(refined))
+
+
+def with_error_bars(
+    likelihood: Likelihood, refined: Refinement, noise: NoiseModel, *, unpowered: bool = False
+) -> Refinement:
+    """Return what was `refined` beside `noise`, with error bars that allow for what its residual does not show.
+
+    An axis that slides off by itself, late jumps of the voltage, and all spectra that may shake it.
+    """
+    for counting in (counting_unsteadiness, counting_late_inputs, counting_all_spectra):
+        refined = counting(likelihood, refined, noise, unpowered=unpowered)
+    return refined
 
 
 def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]) -> Model:

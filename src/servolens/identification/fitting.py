@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Known
-from servolens.identification.late_errors import counting_late_inputs
+from servolens.identification.fitted import with_error_bars
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.refine import AT_NOISE, DOWN_TO_NOISE, Refinement, followed, minimise_error
@@ -18,10 +18,8 @@ from servolens.identification.restricted import counting_followed
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
-from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import depends_on_inputs, is_shaking
-from servolens.identification.unsteady import counting_unsteadiness
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -138,9 +136,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         with suppress(NumericalError):
             if not is_shaken:
                 return _closed(records, [h.plant for h in found], options)
-    refined = counting_unsteadiness(likelihood, refined, noise)
-    refined = counting_late_inputs(likelihood, refined, noise)
-    return replace(observed, refinement=counting_all_spectra(likelihood, refined, noise))
+    return replace(observed, refinement=with_error_bars(likelihood, refined, noise))
 
 
 def _is_independent(likelihood: Likelihood, best: Hypothesis) -> bool:
@@ -178,7 +174,7 @@ def _robust(likelihood: Likelihood, plant: Plant, records: tuple[Record, ...]) -
         middle = float(np.median(np.abs(np.concatenate(refined.residuals))))
         noise = NoiseModel.white(1.4826 * middle, noise.rounding)  # 1.4826: of a normal distribution
         refined = _observed(likelihood, refined.plant, noise)
-    return FinalFit(counting_unsteadiness(likelihood, refined, noise), noise, records, "voltage")
+    return FinalFit(with_error_bars(likelihood, refined, noise), noise, records, "voltage")
 
 
 def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOptions) -> FinalFit:
