@@ -80,6 +80,17 @@ def with_error_bars(
     """Return what was `refined` beside `noise`, with error bars that allow for what its residual does not show.
 
     An axis that slides off by itself, late jumps of the voltage, and all spectra that may shake it.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the records.
+    refined : Refinement
+        The optimum.
+    noise : NoiseModel
+        Beside which it is one.
+    unpowered : bool
+        Whether nothing was applied before records that begin with their step.
     """
     for counting in (counting_unsteadiness, counting_late_inputs, counting_all_spectra):
         refined = counting(likelihood, refined, noise, unpowered=unpowered)

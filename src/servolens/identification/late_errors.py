@@ -19,7 +19,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.late_inputs import jumps_of
 from servolens.identification.observed import ObservedRun
-from servolens.identification.restricted import parts_at
+from servolens.identification.restricted import SEEN, parts_at
 from servolens.plant import Plant
 
 if TYPE_CHECKING:
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 __all__ = ["counting_late_inputs"]
 
-UNSEEN = 1e-9
-"""Ratio of singular values below which the records do not tell parameters apart."""
 COUNTED, MOST = 0.999, 48
 """Share of the squared jumps of a record that are simulated, the largest first, and how many at most."""
 
@@ -44,16 +42,8 @@ def counting_late_inputs(
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with error bars that allow for late jumps of the voltage.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the records.
-    refined : Refinement
-        The optimum.
-    noise : NoiseModel
-        Where its instants are those stated, or the input is on time, nothing changes.
-    unpowered : bool
-        Whether nothing was applied before records that begin with their step.
+    Where the instants of the noise are those stated, or its input is on time, nothing changes. Parameters and result
+    are those of :func:`~servolens.identification.fitted.with_error_bars`.
     """
     if noise.jitter == 0.0 or noise.gain == 0.0:
         return refined
@@ -87,7 +77,7 @@ def _moved(
     sensitivity = np.vstack([part.sensitivity for part in parts]) * units
     lengths = np.linalg.norm(sensitivity, axis=0)
     lengths[lengths == 0.0] = 1.0
-    answers = np.linalg.pinv(sensitivity / lengths, rcond=UNSEEN) / lengths[:, None]
+    answers = np.linalg.pinv(sensitivity / lengths, rcond=SEEN**0.5) / lengths[:, None]
     ends = np.cumsum([0, *(part.left.size for part in parts)])
     assumed = Plant(gain=noise.gain, damping=noise.damping)
     for i, run in enumerate(problem.runs):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Likelihood
     from servolens.identification.refine import Refinement
 
-__all__ = ["Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_at", "parts_of"]
+__all__ = ["SEEN", "Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_at", "parts_of"]
 
 TIMES = 14
 """Time constants of slow noise that are compared, evenly in their logarithms."""

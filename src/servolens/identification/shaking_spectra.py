@@ -56,16 +56,8 @@ def counting_all_spectra(
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with error bars of all spectra that may shake the axis.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the records.
-    refined : Refinement
-        The optimum.
-    noise : NoiseModel
-        Where it does not shake the axis, nothing changes.
-    unpowered : bool
-        Whether nothing was applied before records that begin with their step.
+    Where the noise does not shake the axis, nothing changes. Parameters and result are those of
+    :func:`~servolens.identification.fitted.with_error_bars`.
     """
     if noise.rate == 0.0:
         return refined

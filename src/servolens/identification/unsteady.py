@@ -51,16 +51,8 @@ def counting_unsteadiness(
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with the error bars of an observer where a simulation runs away.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the records.
-    refined : Refinement
-        The optimum.
-    noise : NoiseModel
-        Where the observer that it asks for forgets its errors, nothing changes; nor where none does.
-    unpowered : bool
-        Whether nothing was applied before records that begin with their step.
+    Where the observer that the noise asks for forgets its errors, nothing changes; nor where none does. Parameters and
+    result are those of :func:`~servolens.identification.fitted.with_error_bars`.
     """
     plant = refined.plant
     if not _may_fall(plant.structure):
