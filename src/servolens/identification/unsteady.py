@@ -2,7 +2,7 @@
 
 Between the teeth of a motor, or upright, a position loop holds what would fall. Driven by the logged voltage alone the
 simulation then leaves the axis, exponentially: a hundred-thousandth of an amplitude decides whether it is a tooth off,
-and the sensitivities there say that the records know the amplitude a thousand times better than they do. What is
+and the sensitivities there say that the records know the amplitude far better than they do. What is
 predicted has to forget its errors (L. Ljung, *System Identification*, 1999, section 4.3), so that such error bars are
 those of a fit with an observer. They are rather too wide than too narrow, for an observer forgets more than it has to.
 """
