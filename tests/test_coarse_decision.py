@@ -11,7 +11,7 @@ from servolens.effects import CoulombFriction, ReturnSpring, catalogue
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
-from servolens.identification.rounding import is_coarse, own_spectrum
+from servolens.identification.rounding import is_coarse, own_spectra
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import statistics
 
@@ -80,7 +80,7 @@ def test_rounding_of_an_axis_that_rests_looks_larger_than_it_is():
     (record, _), plant = held_by_friction(1)
     resting = replace(NoiseModel.white(0.45 * STEP, STEP), floor=0.45 * STEP)
     run = ObservedRun(Signals.of(record, 1e-6, plant, 10.0), 0, NoiseModel.white(0.0, STEP))
-    spectrum = own_spectrum([run], [plant], [np.array([record.position[0], 0.0])])
+    spectrum = own_spectra([run], [plant], [np.array([record.position[0], 0.0])])
     assert not is_coarse(resting)
     assert is_coarse(resting, spectrum)
 

@@ -11,7 +11,7 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.rounding import DRAWS, has_mean, own_spectrum, parted, rounded
+from servolens.identification.rounding import DRAWS, has_mean, own_spectra, parted, rounded
 from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import settled_steps
 from servolens.identification.uncertainty import robust_covariance
@@ -324,7 +324,7 @@ def _less_rounding(problem: Problem, begun: Point) -> tuple[Point, _Rounding]:
     point, before = begun, begun.values
     for _ in range(CORRECTED):
         before, plants = point.values, [problem.plant_at(point.values, i) for i in range(len(runs))]
-        draws = rounded(runs, plants, point.starts, own_spectrum(runs, plants, point.starts))
+        draws = rounded(runs, plants, point.starts, own_spectra(runs, plants, point.starts))
         means, drawn = zip(*map(parted, runs, draws), strict=True)
         problem.runs = [run.less(mean) for run, mean in zip(runs, means, strict=True)]
         point = replace(point, cost=problem.cost(point))

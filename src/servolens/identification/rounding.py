@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,7 +37,7 @@ __all__ = [
     "is_coarse",
     "is_rounded",
     "limit_of",
-    "own_spectrum",
+    "own_spectra",
     "parted",
     "rounded",
     "spectrum_of",
@@ -49,11 +50,11 @@ DRAWS = 40
 """Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
 FREQUENCIES, BAND = 1024, 5
 """Frequencies of a spectrum; of them, those over which one of draws is smoothed."""
-FEW_DRAWS, HALVINGS = 8, 6
-"""Draws of each size of the noise that is looked at, and sizes, of which each halves the interval it is sought in."""
-SHARES = 0.01, 1.0
-"""Least and largest standard deviation of quick noise, in steps of the encoder."""
-LOOPS = DRAWS + (HALVINGS + 1) * FEW_DRAWS
+FEW_DRAWS = 8
+"""Draws of each size of quick noise that is looked at."""
+SHARES, FINER = (0.0, *(10.0**exponent for exponent in (-2.0, -1.5, -1.0, -0.5, 0.0))), (10.0**0.25, 10.0**0.125)
+"""Standard deviations of quick noise, in steps of the encoder, and factors by which the likeliest one is changed."""
+LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
 """Loops that are simulated in all, of each record."""
 
 
@@ -78,19 +79,22 @@ def is_coarse(noise: NoiseModel, unrounded: NDArray[np.float64] | None = None) -
 
 
 def has_mean(noise: NoiseModel) -> bool:
-    """Tell whether rounding leaves something of simulations on average: of a loop that seeks one side of a step."""
-    return is_rounded(noise) and dominates(noise) and not noise.is_model_error
+    """Tell whether rounding may leave much of simulations on average: of a loop that seeks one side of a step.
+
+    An axis that rests there is half a step away all the time: thrice the mean square of one that moves.
+    """
+    return is_rounded(noise) and 3.0 * noise.share > DOMINATES and not noise.is_model_error
 
 
 def rounded(
     runs: Sequence[ObservedRun | SimulatedRun],
     plants: Sequence[Plant],
     starts: Sequence[NDArray[np.float64]],
-    spectrum: NDArray[np.float64],
+    spectra: NDArray[np.float64],
 ) -> list[NDArray[np.float64]]:
-    """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
+    """Return draws of each run's whitened residual if its plant is the axis, shape (n, DRAWS).
 
-    The position, with noise of this `spectrum`, rounded as the encoder does. In closed loop the position is that of a
+    The position, with noise of these `spectra`, rounded as the encoder does. In closed loop the position is that of a
     loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
     which is where the encoder shows the next step, and so at one side of it. While it rests against a stop, the encoder
     shows one value: where the stop lies within that step is unknown, and drawn. Else the position is the run's own, and
@@ -102,12 +106,12 @@ def rounded(
         Without an observer's correction.
     plants, starts : sequence
         The plant of each run and its initial state.
-    spectrum : ndarray, shape (m,)
-        See :func:`own_spectrum`.
+    spectra : ndarray, shape (DRAWS, m)
+        See :func:`own_spectra`.
     """
     stream = np.random.default_rng(0)
     return [
-        np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectrum, stream)])
+        np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectra, stream)])
         for run, plant, position in zip(runs, plants, _whole(runs, plants, starts), strict=True)
     ]
 
@@ -133,50 +137,89 @@ def parted(run: ObservedRun | SimulatedRun, drawn: NDArray[np.float64]) -> tuple
     return mean, (drawn - mean[:, None]) * np.sqrt((count + 1.0) / (count - 1.0))
 
 
-def own_spectrum(
+def own_spectra(
     runs: Sequence[ObservedRun | SimulatedRun], plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return the spectrum of the sensor's noise before the encoder rounds it, at even frequencies up to half.
+    """Return spectra of the sensor's noise before the encoder rounds it, of each draw, at even frequencies up to half.
 
-    Its quick part is white and as large as makes draws turn back as often as the records do: an encoder shows noise
-    far smaller than its step only where the axis is between two steps. What the records have more of in all is slow,
-    with the spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+    Their quick part is white. How large it is, each record tells by how often it turns back and how quickly its error
+    changes: an encoder shows noise far smaller than its step only where the axis is between two steps, and a loop may
+    go to and fro over a step by itself, less so beside some noise. Draws have each size as often as it is likely
+    (synthetic likelihood: Wood 2010, doi:10.1038/nature09319). What the records have more of in all is slow, with the
+    spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
 
     Parameters
     ----------
     runs, plants, starts
         As of :func:`rounded`.
+
+    Returns
+    -------
+    ndarray, shape (DRAWS, m)
+        In variance a sample.
     """
-    noise, positions = runs[0].noise, _whole(runs, plants, starts)
-    shown = spectrum_of(noise)
-    turned = sum(_turns(run.whiten.position, noise.rounding) for run in runs)
+    positions, shown = _whole(runs, plants, starts), spectrum_of(runs[0].noise)
+    step, samples = runs[0].noise.rounding, sum(position.size for position in positions)
 
+    @cache
     def looked(share: float) -> tuple[float, NDArray[np.float64]]:
-        own, stream = np.full(shown.size, (share * noise.rounding) ** 2), np.random.default_rng(1)
-        turns, power, samples = 0.0, np.zeros(shown.size), 0
+        """Return how likely the records are beside white noise of so many steps, and the spectrum that it leaves."""
+        own, stream = np.full(shown.size, (share * step) ** 2), np.random.default_rng(1)
+        chance, power = 0.0, np.zeros(shown.size)
         for run, plant, position in zip(runs, plants, positions, strict=True):
-            for whiten, error in _drawn(run, plant, position, own, stream, FEW_DRAWS):
-                turns += _turns(whiten.position, noise.rounding) / FEW_DRAWS
-                power += _power(error)
-                samples += error.size
-        return turns, power / samples
+            drawn = [*_drawn(run, plant, position, own, stream, FEW_DRAWS)]
+            power += sum(_power(error) for _, error in drawn) / samples / FEW_DRAWS
+            seen = _quickness(run.whiten.position, position - run.whiten.position, step)
+            chance += _chance(seen, np.array([_quickness(w.position, error, step) for w, error in drawn]))
+        return chance, power
 
-    low, high = SHARES
-    for _ in range(HALVINGS):
-        middle = float(np.sqrt(low * high))
-        low, high = (middle, high) if looked(middle)[0] < turned else (low, middle)
-    share = 0.0 if low == SHARES[0] else float(np.sqrt(low * high))  # less than the least is none
-    _, drawn = looked(share)
-    slow = np.maximum(shown - drawn, 0.0)
-    lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
-    return (share * noise.rounding) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300)
+    seen, likeliest = [*SHARES], max(SHARES, key=lambda share: looked(share)[0])
+    for finer in FINER:
+        seen += [likeliest / finer, likeliest * finer] if likeliest else []
+        likeliest = max(seen, key=lambda share: looked(share)[0])
+    seen.sort()
+    spectra = []
+    for share in (seen[i] for i in _likely(seen, [looked(share)[0] for share in seen])):
+        _, drawn = looked(share)
+        slow = np.maximum(shown - drawn, 0.0)
+        lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
+        spectra.append((share * step) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300))
+    return np.array(spectra)
 
 
-def _turns(position: NDArray[np.float64], step: float) -> int:
-    """Return how often a rounded `position`, shape (n,), turns back from one change to the next."""
+def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.intp]:
+    """Return which of the sorted `shares` each draw has, as often as these log-likelihoods say, shape (DRAWS,).
+
+    Beforehand all magnitudes are alike; none at all is one coarse step below the least.
+    """
+    magnitudes = np.log10([shares[1] ** 2 / shares[2], *shares[1:]])
+    widths = np.gradient(magnitudes)
+    likely = np.cumsum(np.exp(np.array(chances) - max(chances)) * widths)
+    return np.asarray(np.searchsorted(likely, (np.arange(DRAWS) + 0.5) / DRAWS * likely[-1]))
+
+
+def _chance(seen: NDArray[np.float64], drawn: NDArray[np.float64]) -> float:
+    """Return the log density of what was `seen`, shape (k,), if it is one more of those `drawn`, shape (draws, k).
+
+    Student's, without its constant. Counts are whole numbers, which adds a twelfth to their variance (Sheppard).
+    """
+    draws, kinds = drawn.shape
+    covariance = (1.0 + 1.0 / draws) * (np.cov(drawn, rowvar=False) + np.eye(kinds) / 12.0)
+    away = seen - np.mean(drawn, axis=0)
+    missed = float(away @ np.linalg.solve(covariance, away)) / (draws - 1)
+    size = float(np.linalg.slogdet(covariance)[1])
+    return -0.5 * (size + draws * float(np.log1p(missed)))
+
+
+def _quickness(position: NDArray[np.float64], error: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """Return how often a rounded `position` turns back from one change to the next, and how quick its `error` is.
+
+    The latter by squared third differences, in units of what one change by one step leaves of them.
+    """
     changes = np.sign(np.rint(np.diff(position) / step))
     changes = changes[changes != 0.0]
-    return int(np.count_nonzero(changes[1:] != changes[:-1]))
+    turns = np.count_nonzero(changes[1:] != changes[:-1])
+    return np.array([turns, np.sum(np.diff(error / step, 3) ** 2) / 20.0])
 
 
 def _drawn(
@@ -233,14 +276,20 @@ def spectrum_of(noise: NoiseModel) -> NDArray[np.float64]:
 def drawn_noise(
     spectrum: NDArray[np.float64], samples: int, stream: np.random.Generator, draws: int = DRAWS
 ) -> NDArray[np.float64]:
-    """Return draws of noise of a `spectrum` at even frequencies, shape (samples, draws)."""
+    """Return draws of noise of a `spectrum`, shape (m,), or one each, shape (draws, m), at even frequencies.
+
+    Returns
+    -------
+    ndarray, shape (samples, draws)
+    """
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = next_fast_len(2 * samples, real=True)
-    at = np.linspace(0.0, spectrum.size - 1.0, size // 2 + 1)
-    response = np.sqrt(np.interp(at, np.arange(spectrum.size), spectrum))
+    at = np.linspace(0.0, spectrum.shape[-1] - 1.0, size // 2 + 1)
+    even = [np.interp(at, np.arange(one.size), one) for one in np.atleast_2d(spectrum)]
+    response = np.sqrt(np.column_stack(even))
     waves = rfft(stream.standard_normal((size, draws)), axis=0)
-    return np.asarray(irfft(response[:, None] * waves, size, axis=0)[:samples])
+    return np.asarray(irfft(response * waves, size, axis=0)[:samples])
 
 
 def _power(signal: NDArray[np.float64]) -> NDArray[np.float64]:

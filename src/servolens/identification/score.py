@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
 from servolens.identification.phases import own_phases
 from servolens.identification.restricted import parts_of
-from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectrum, parted, rounded
+from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectra, parted, rounded
 from servolens.identification.shaken import shaken
 from servolens.simulation.rates import substeps_for
 
@@ -85,7 +85,7 @@ class ScoreTest:
         if not is_rounded(self.hypothesis.noise):
             return None
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        return own_spectrum(self.runs, plants, self.hypothesis.starts)
+        return own_spectra(self.runs, plants, self.hypothesis.starts)
 
     @property
     def drawn(self) -> NDArray[np.float64]:
