@@ -195,7 +195,7 @@ def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.int
     magnitudes = np.log10([shares[1] ** 2 / shares[2], *shares[1:]])
     widths = np.gradient(magnitudes)
     likely = np.cumsum(np.exp(np.array(chances) - max(chances)) * widths)
-    return np.asarray(np.searchsorted(likely, (np.arange(DRAWS) + 0.5) / DRAWS * likely[-1]))
+    return np.asarray(np.searchsorted(likely, (np.arange(DRAWS) + 0.5) / DRAWS * likely[-1]), dtype=np.intp)
 
 
 def _chance(seen: NDArray[np.float64], drawn: NDArray[np.float64]) -> float:
@@ -207,8 +207,8 @@ def _chance(seen: NDArray[np.float64], drawn: NDArray[np.float64]) -> float:
     covariance = (1.0 + 1.0 / draws) * (np.cov(drawn, rowvar=False) + np.eye(kinds) / 12.0)
     away = seen - np.mean(drawn, axis=0)
     missed = float(away @ np.linalg.solve(covariance, away)) / (draws - 1)
-    size = float(np.linalg.slogdet(covariance)[1])
-    return -0.5 * (size + draws * float(np.log1p(missed)))
+    size = np.linalg.slogdet(covariance)[1]
+    return float(-0.5 * (size + draws * np.log1p(missed)))
 
 
 def _quickness(position: NDArray[np.float64], error: NDArray[np.float64], step: float) -> NDArray[np.float64]:
