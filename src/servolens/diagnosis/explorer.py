@@ -85,6 +85,7 @@ class Explorer:
         self.with_last_resorts = False
         self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
+        self._freed_in_vain: set[tuple[frozenset[str], float, int, float]] = set()
         self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
     @property
@@ -357,12 +358,18 @@ class Explorer:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
         What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
-        nothing seems left: then it is freed in any case. A fit that goes far goes on as long as it gets likelier.
+        nothing seems left: then it is freed in any case. A fit that goes far goes on as long as it gets likelier. What
+        was freed in vain is not freed again.
         """
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
         if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):
             return hypothesis
+        key = frozenset(hypothesis.causes), noise.rate, noise.order, hypothesis.total
+        if key in self._freed_in_vain:
+            return hypothesis
         further = self.fitted([(plant, hypothesis) for plant in plants])
+        if not further or further[0].total >= hypothesis.total - NO_BETTER:
+            self._freed_in_vain.add(key)
         while further and further[0].total < hypothesis.total - NO_BETTER:
             hypothesis = further[0]
             further = self.fitted([(hypothesis.plant, hypothesis)]) if self.left > 0.0 else []

@@ -239,16 +239,30 @@ class ScoreTest:
     def _missed_least(self, plant: Plant, missed: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what is `missed` of each run from the hypothesis' initial state, or less from the run's own guess."""
         found = np.split(missed, self._ends[1:-1])
-        with suppress(InputError, NumericalError):
-            others = self._parts(plant, [run.start for run in self.runs])
-            found = [a if float(a @ a) <= float(b @ b) else b for a, b in zip(found, others, strict=True)]
+        for i in self._begun_elsewhere:
+            with suppress(InputError, NumericalError):
+                other = self._part(plant, i, self.runs[i].start)
+                found[i] = found[i] if float(found[i] @ found[i]) <= float(other @ other) else other
         return np.concatenate(found)
 
+    @cached_property
+    def _begun_elsewhere(self) -> list[int]:
+        """Which runs the hypothesis begins elsewhere than their first samples show, by more than chance."""
+        from scipy.stats import chi2
+
+        far = []
+        for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
+            away = (start - run.start) / run.signals.initial.deviation if run.start.size else np.zeros(0)
+            far += [i] if away.size and float(away @ away) > chi2.isf(FALSE_ALARM, away.size) else []
+        return far
+
     def _parts(self, plant: Plant, starts: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-        return [
-            run.whiten(run.missed(self._of_record(plant, i), start, substeps_for(plant, run.sample_time)))
-            for i, (run, start) in enumerate(zip(self.runs, starts, strict=True))
-        ]
+        return [self._part(plant, i, start) for i, start in enumerate(starts)]
+
+    def _part(self, plant: Plant, i: int, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what `plant` misses of a run that begins at `start`, whitened."""
+        run = self.runs[i]
+        return run.whiten(run.missed(self._of_record(plant, i), start, substeps_for(plant, run.sample_time)))
 
     def _missed(self, plant: Plant) -> NDArray[np.float64]:
         found = np.concatenate(self._parts(plant, self.hypothesis.starts))
