@@ -56,6 +56,7 @@ def test_knock_is_found_in_its_record_at_its_time(seed):
     assert burst_in([shaken_loop(seed), shaken_loop(seed + 100, knock=12.0)]) == Burst(1, pytest.approx(KNOCK, abs=0.1))
 
 
+@pytest.mark.slow
 def test_steady_noise_is_a_burst_no_more_often_than_is_stated():
     stream, alarms, trials = np.random.default_rng(5), 0, 1500
     for _ in range(trials):

@@ -326,6 +326,7 @@ def test_report_is_one_page(bench, here):
     assert set(finite((here / "report.json").read_text(encoding="utf-8"))) >= HEADER
 
 
+@pytest.mark.slow
 def test_demo_writes_a_page_and_its_numbers(here):
     done = run("demo", "--out", "out")
     assert done.exit_code == 0, done.output

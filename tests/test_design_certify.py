@@ -86,7 +86,7 @@ def test_a_wrong_design_is_contradicted() -> None:
     "plant",
     [
         PAPER,
-        LINEAR.with_effect(SensorLag(time_constant=0.02)),
+        pytest.param(LINEAR.with_effect(SensorLag(time_constant=0.02)), marks=pytest.mark.slow),
         LINEAR.with_effect(ActuatorLag(time_constant=0.02)),
     ],
     ids=["damping law", "sensor lag", "actuator lag"],

@@ -103,6 +103,7 @@ def test_remainder_of_what_is_explained_is_immaterial(rubbing):
     assert rest.acceleration_rms < 0.1 * campaign.truth.effects["coulomb_friction"]["level"]
 
 
+@pytest.mark.slow
 def test_what_noise_does_to_an_axis_with_a_dead_zone_is_no_unexplained_force():
     axis = lab.Truth(gain=0.67, damping=3.2, effects={"dead_zone": {"width": 1.0}})
     runs = [
@@ -123,14 +124,19 @@ def test_simpler_effect_is_preferred_to_those_that_contain_it(rubbing):
     assert max(single, key=single.get) == "coulomb_friction"
 
 
-@pytest.mark.parametrize("world", list(lab.WORLDS))
+def worlds(*slow):
+    """Return all worlds of the laboratory; those that are `slow` take long, and others show the same."""
+    return [pytest.param(world, marks=pytest.mark.slow) if world in slow else world for world in lab.WORLDS]
+
+
+@pytest.mark.parametrize("world", worlds("coloured", "hum", "repeated"))
 def test_friction_is_explained_in_every_world(world):
     campaign = lab.hidden_campaign(7103, effects=["coulomb_friction"], world=world, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
     assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["coulomb_friction"])
 
 
-@pytest.mark.parametrize("seed", [7101, 7102])
+@pytest.mark.parametrize("seed", [7101, pytest.param(7102, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("world", list(lab.WORLDS))
 def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
     campaign = lab.hidden_campaign(seed, world=world, records=2, heldout=1)
@@ -159,7 +165,12 @@ def test_healthy_axis_is_called_healthy_in_every_world(world, seed):
             "most: it moves the axis by less than the sensor's noise, and nothing need be done.",
             id="hidden",
         ),
-        pytest.param(lab.Shaking(deviation=2e-2, correlation_time=0.05), "most: nothing need be done.", id="seen"),
+        pytest.param(
+            lab.Shaking(deviation=2e-2, correlation_time=0.05),
+            "most: nothing need be done.",
+            id="seen",
+            marks=pytest.mark.slow,
+        ),
         pytest.param(
             lab.Shaking(deviation=9e-2, correlation_time=0.05),
             "Look for vibration, cables or a machine nearby.",
@@ -194,6 +205,7 @@ def test_longer_search_is_proposed_where_something_is_left_to_be_found(effects):
     assert ("effort_spent" in {finding.code for finding in found}) == bool(effects)
 
 
+@pytest.mark.slow
 def test_foreign_law_that_leaves_many_times_the_noise_is_never_healthy():
     campaign = lab.hidden_campaign(SEED + 3, foreign="even_gain", visibility=30.0, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
@@ -288,7 +300,13 @@ def test_hidden_pair_is_named(effects):
 
 
 @pytest.mark.parametrize(
-    "lacking", [{"records": 1, "heldout": 1}, {"log_voltage": False}, {"log_reference": False}], ids=str
+    "lacking",
+    [
+        {"records": 1, "heldout": 1},
+        {"log_voltage": False},
+        pytest.param({"log_reference": False}, marks=pytest.mark.slow),
+    ],
+    ids=str,
 )
 def test_little_is_logged_and_friction_is_named_all_the_same(lacking):
     few = {"records": 2, "heldout": 1, **lacking}
@@ -305,6 +323,7 @@ def test_without_held_out_records_each_record_is_left_out_in_turn():
     assert all(gain.after < gain.before for gain in heldout)
 
 
+@pytest.mark.slow
 def test_records_of_two_axes_are_said_to_contradict_each_other():
     light, heavy = (lab.Truth(gain=gain, damping=6.0) for gain in (1.9, 3.8))
     records = [
@@ -510,6 +529,7 @@ def test_readings_that_are_late_while_the_input_is_on_time_are_noise():
     assert found.noise_floor > 10.0 * campaign.floor
 
 
+@pytest.mark.slow
 def test_another_phase_does_not_speak_against_a_record_held_out():
     campaign = lab.hidden_campaign(701721, effects=["periodic_disturbance"], world="white")
     found = diagnose(campaign.records, heldout=campaign.heldout)
@@ -529,6 +549,7 @@ def test_held_out_record_of_another_axis_is_no_sign_of_health():
     assert "Records that were held out are much farther off" in " ".join(diagnosis_summary(diagnosis).sentences)
 
 
+@pytest.mark.slow
 def test_single_samples_that_stick_out_are_said_and_spoil_nothing():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
     sound = steps_of(axis, [(40, 0), (60, 0), (80, 0)])
@@ -653,6 +674,7 @@ def test_records_cut_out_of_a_motion_are_followed_from_where_they_begin():
     assert diagnose([run.slice(0.34, 2.0) for run in runs]).verdict == "healthy"
 
 
+@pytest.mark.slow
 def test_late_start_is_no_motion_backward():
     """Cubics through the first samples of a record that begins at its step, some of a sample late, see a velocity."""
     axis = lab.Truth(gain=1.4, damping=1.1, effects={"delay": {"time": 0.0013}})
@@ -748,6 +770,7 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
     assert cause.quantities["time_constant"].value == pytest.approx(2e-4, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", [pytest.param("flexible_coupling", marks=pytest.mark.slow), "speed_servo"])
 def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
     campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True, records=2, heldout=1)
@@ -765,6 +788,7 @@ def test_weight_within_a_small_angle_is_no_candidate_unless_it_stands():
         assert weight.is_whole(trials_of(*records).seen) == is_candidate
 
 
+@pytest.mark.slow
 def test_arm_that_stands_upright_is_found_in_a_small_travel():
     arm = lab.Truth(gain=20.0, damping=6.0, effects={"pendulum_gravity": {"amplitude": 8.0, "phase": 2.9}})
     stated = {"reference": [0.06], "noise": 1e-5, "setup": lab.Setup(length_unit="rad")}

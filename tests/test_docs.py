@@ -38,7 +38,13 @@ def test_examples_in_docstrings_run(name, tmp_path, monkeypatch):
     assert result.failed == 0
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+LONG = {"python.md", "diagnosis.md", "howto-teaching.md"}
+"""Pages whose examples take half a minute each."""
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=page.name) for page in PAGES]
+)
 def test_python_on_the_pages_runs(page, tmp_path):
     script = "\n".join(map(textwrap.dedent, PYTHON_BLOCK.findall(page.read_text(encoding="utf-8"))))
     done = subprocess.run(

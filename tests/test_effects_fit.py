@@ -124,7 +124,7 @@ def assert_at_noise(fit: Fit) -> None:
     assert fit.at_noise
 
 
-@pytest.mark.parametrize("name", TRUTHS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "backlash" else n for n in TRUTHS])
 def test_effect_is_found_from_values_half_as_large_again(name):
     truth = axis(**{name: TRUTHS[name]})
     fit = servolens.fit(effects_of(truth, 1.5), campaign(truth))
@@ -168,6 +168,7 @@ def test_contact_that_was_given_stays_within_its_bounds():
     assert 0.2 <= fit.plant.effects[0].contact_damping <= 0.5
 
 
+@pytest.mark.slow
 def test_stop_that_bounces_is_fitted_with_its_contact():
     truth = axis(end_stop={"low": -0.5, "high": 0.09, "contact_damping": 0.3})
     fit = servolens.fit([EndStop(low=-0.5, high=0.093)], campaign(truth))
@@ -244,6 +245,7 @@ def test_error_bars_allow_for_slow_noise_of_the_sensor(driven):
     assert fit.at_noise
 
 
+@pytest.mark.slow
 def test_sticking_and_delay_are_found_though_the_linear_gain_is_far_off():
     """An arm whose friction holds it on the way passes for one of several times the inertia."""
     arm = Truth(gain=45.0, damping=23.0, effects={"coulomb_friction": {"level": 22.0}, "delay": {"time": 0.03}})
@@ -374,6 +376,7 @@ def test_rattle_in_closed_loop_does_not_lead_the_fit_away_from_its_start():
     assert misses(fit, hidden.truth) == {}
 
 
+@pytest.mark.slow
 def test_large_clean_play_is_not_said_to_make_the_error_non_smooth():
     truth = axis(backlash={"gap": 0.01, "load_share": 0.35})
     records = [logged(truth, kp, 2.0, reference=[0.1, 0.0], duration=0.6, seed=int(kp)) for kp in (20.0, 30.0)]
@@ -451,6 +454,7 @@ def test_phase_may_differ_between_records():
     assert np.abs((found - PHASES + np.pi) % (2 * np.pi) - np.pi).max() < FAR * width
 
 
+@pytest.mark.slow
 def test_one_phase_for_records_that_differ_does_not_reach_the_noise():
     fit = servolens.fit([PeriodicDisturbance(amplitude=0.45, frequency=3.3, phase=0.4)], disturbed())
     assert not fit.at_noise

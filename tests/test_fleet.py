@@ -451,7 +451,9 @@ def test_trend_with_true_error_bars_is_that_of_weighted_least_squares():
     assert found.stderr == pytest.approx(np.sqrt(np.linalg.inv(information)[1, 1]), rel=1e-9)
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.03, 0.3], ids=["none", "some", "most"])
+@pytest.mark.parametrize(
+    "scatter", [0.0, 0.03, pytest.param(0.3, marks=pytest.mark.slow)], ids=["none", "some", "most"]
+)
 def test_trend_raises_no_more_false_alarms_than_it_says(scatter):
     rng, count = np.random.default_rng(7), 3000
     time = np.arange(8.0) * 30.0

@@ -117,6 +117,7 @@ def test_worker_that_is_killed_once_is_replaced_and_its_axis_studied(axes, undis
     assert results(tmp_path / "out") == undisturbed
 
 
+@pytest.mark.slow
 def test_worker_that_hangs_is_ended_and_its_axis_is_a_row(axes, timed, tmp_path):
     undisturbed, took = timed
     limit = math.ceil(1.5 * took)  # one axis takes less than half of the run
@@ -141,6 +142,7 @@ def test_worker_that_takes_too_much_memory_is_ended_and_its_axis_is_a_row(axes, 
     assert all("more than the memory limit of 120 MiB" in found[f"axis{i}.json"] for i in range(3))
 
 
+@pytest.mark.slow
 def test_interruption_leaves_a_state_from_which_the_same_command_goes_on(axes, undisturbed, tmp_path):
     out = tmp_path / "out"
     run = start(axes, out, "--cores", "1")

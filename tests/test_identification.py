@@ -267,6 +267,7 @@ def test_varying_damping_needs_no_reference_and_survives_lost_samples() -> None:
     assert gapped.gain == pytest.approx(whole.gain, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_friction_and_an_unknown_limit_leave_a_passive_law() -> None:
     truth = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.4}, "saturation": {"limit": 4.0}})
     for dwell in (0.25, 1.5):
@@ -407,7 +408,9 @@ FEWEST = int(binom.ppf(1e-3, REPEATS, 0.9))
 """Intervals that hold the truth, at least, if nine of ten do; fewer in one of a thousand tests."""
 
 
-@pytest.mark.parametrize("world", list(WORLDS))
+@pytest.mark.parametrize(
+    "world", [pytest.param(w, marks=pytest.mark.slow) if w in ("hum", "repeated") else w for w in WORLDS]
+)
 def test_intervals_hold_the_truth_in_every_world(world: str) -> None:
     rate = float(np.sqrt(LM1.gain * 60.0))
     true = np.array([LM1.gain, LM1.damping])
@@ -434,6 +437,7 @@ def test_intervals_of_the_pieces_hold_a_constant_damping(world: str) -> None:
     assert np.mean(shares) >= FEWEST / REPEATS
 
 
+@pytest.mark.slow
 def test_intervals_of_the_pieces_are_about_what_the_fit_gives_without_noise() -> None:
     usual = {"duration": 1.0, "encoder": 0.0}
     clean = fit_varying(motion_segments([step_record(NLM1, 60.0, **usual)]), duration=0.15)

@@ -357,9 +357,9 @@ def runs():
     [
         ({}, "There is one record"),
         ({"name": HOSTILE}, "&lt;script&gt;"),
-        ({"length_unit": "rad"}, "V s/rad"),
+        pytest.param({"length_unit": "rad"}, "V s/rad", marks=pytest.mark.slow),
         ({"reference": None, "controller": None}, "No gain was sought"),
-        ({"voltage": None}, "no voltage is logged"),
+        pytest.param({"voltage": None}, "no voltage is logged", marks=pytest.mark.slow),
     ],
     ids=["one record", "hostile name", "radians", "voltage only", "reference only"],
 )
@@ -374,6 +374,7 @@ def test_report_takes_any_single_record(runs, tmp_path, change, tells):
     json.dumps(body, allow_nan=False)
 
 
+@pytest.mark.slow
 def test_report_holds_every_record_out_once(runs, tmp_path):
     page = tmp_path / "report.html"
     body = write_report(page, runs[4:7], spec=PDSpec(kp=100, settling_time=0.5))
@@ -384,6 +385,7 @@ def test_report_holds_every_record_out_once(runs, tmp_path):
     assert_self_contained(page.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_report_on_an_infeasible_spec_says_so(runs, tmp_path):
     page = tmp_path / "report.html"
     body = write_report(page, runs[:1], spec=PDSpec(kp=100, settling_time=0.05), effort="quick")
@@ -399,6 +401,7 @@ def test_report_of_a_linear_axis_finds_no_dependence_on_speed(tmp_path):
     assert "does not depend on speed" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_long_record_makes_a_small_page(tmp_path):
     record = lab.step_record(lab.NLM1, kp=60, reference=(0.1, 0.0) * 12, duration=0.6, noise=1e-5, seed=2)
     page = tmp_path / "report.html"
@@ -414,6 +417,7 @@ def test_report_that_cannot_be_written_is_refused_before_anything_is_computed(tm
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force", [False, True], ids=["refused", "forced"])
 def test_page_of_records_with_a_wrong_sign_is_written(tmp_path, force):
     runs = [

@@ -119,6 +119,7 @@ def test_variance_of_estimates_is_not_understated_on_average():
     assert np.median(naive) < 0.5  # what the residual shows by itself
 
 
+@pytest.mark.slow
 def test_intervals_of_the_velocity_law_hold_in_slow_noise():
     deviations = []
     for seed in range(720_000, 720_012):

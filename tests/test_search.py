@@ -70,6 +70,7 @@ def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
     assert cogging.amplitude == pytest.approx(truth["cogging"]["amplitude"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_friction_and_cogging_beside_slow_noise_are_found_together():
     campaign = lab.hidden_campaign(910977, effects=["coulomb_friction", "cogging"], world="coloured")
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "cogging"})
@@ -156,6 +157,7 @@ def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "speed_servo"})
 
 
+@pytest.mark.slow
 def test_dead_zone_and_delay_that_hide_each_other_in_a_loop_are_looked_for_together():
     axis = lab.Truth(gain=45.0, damping=23.0, effects={"dead_zone": {"width": 0.5}, "delay": {"time": 0.05}})
     runs = tuple(lab.step_record(axis, kp=kp, reference=0.3, noise=3e-4, seed=int(kp)) for kp in (7.0, 8.0, 9.0))
@@ -291,7 +293,8 @@ def test_what_was_found_as_if_nothing_shook_the_axis_is_tried_beside_both_noises
     assert [*beside_shaking([still], still.noise)] == [still]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_two_causes_whose_true_pair_is_not_the_likeliest_beside_an_observer_are_found(seed):
     """Beside slow noise an axis seems shaken, and of what an observer helps an impostor is likelier."""
     around = lab.Surroundings(noise=lab.SensorNoise(deviation=2e-5, autoregression=(0.9,)), encoder=0.0)

@@ -229,6 +229,7 @@ def test_gains_chosen_over_scenarios_hold_in_others_and_leave_room_for_the_gain_
     assert np.mean([margin.peak_sensitivity <= 1.4 for margin in margins]) >= 0.9
 
 
+@pytest.mark.slow
 def test_an_integral_is_a_gain_too_where_a_load_keeps_pd_from_the_band():
     loaded = LINEAR.with_effect(ConstantForce(acceleration=4.0))
     spec = replace(SPEC, kp=100.0, settling_time=1.0, band=0.02)

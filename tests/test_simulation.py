@@ -293,6 +293,7 @@ print(repr(float(run.position[-1])))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", ["shared", pytest.param("unwritable", marks=pytest.mark.slow)])
 def test_kernel_cache_is_safe_with_many_processes_and_needs_no_writable_folder(tmp_path, folder: str) -> None:
     cache = tmp_path / "cache"
@@ -310,6 +311,7 @@ def test_kernel_cache_is_safe_with_many_processes_and_needs_no_writable_folder(t
     assert float(answers.pop()) == pytest.approx(a / c * (t - (1 - np.exp(-c * t)) / c), abs=1e-11)
 
 
+@pytest.mark.slow
 def test_a_damaged_cache_is_replaced(tmp_path) -> None:
     environment = {**os.environ, "SERVOLENS_CACHE": str(tmp_path)}
     command = [sys.executable, "-c", PROGRAM]

@@ -294,6 +294,7 @@ def test_stated_loop_is_diagnosed_at_its_ticks(late):
     assert found.model.quantities["gain"].value == pytest.approx(1.9, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_loop_that_ran_faster_than_a_log_is_found():
     runs = [logged(AXIS, kp, kd, count=5, rest=0.103, seed=20 + kp) for kp, kd in ((60, 0), (100, 3))]
     held = [replace(run, controller=replace(run.controller, control_period=None)) for run in runs]

@@ -135,7 +135,7 @@ def test_a_shaken_loop_shows_a_force_to_the_instrument_that_is_made_for_it(kind,
         pytest.param("changing_damping", 740161, marks=pytest.mark.slow),
         pytest.param("hanging_load", 740961, marks=pytest.mark.slow),
         ("hanging_load", 740995),  # among fifty modes only the one that rings shows it
-        ("switching_friction", 742796),  # with a phase of its own in each record
+        pytest.param("switching_friction", 742796, marks=pytest.mark.slow),  # with a phase of its own in each record
     ],
 )
 def test_a_law_of_no_effect_is_not_taken_for_shaking(law, seed):

@@ -167,6 +167,7 @@ def test_result_is_json_with_the_fields_of_a_tuning(cart):
     assert "reason" not in body
 
 
+@pytest.mark.slow
 def test_wrong_sign_leaves_no_gain():
     (record,) = steps(CART, 60)
     found = study_records(record.with_({"position": -record.position}), SPEC, effort="quick")
@@ -178,7 +179,11 @@ def test_wrong_sign_leaves_no_gain():
     assert body["reason"]
 
 
-@pytest.mark.parametrize("stated", [{"derivative_filter": 1.0}, {"kd": 0.6}], ids=["filter", "gain"])
+@pytest.mark.parametrize(
+    "stated",
+    [pytest.param({"derivative_filter": 1.0}, marks=pytest.mark.slow), {"kd": 0.6}],
+    ids=["filter", "gain"],
+)
 def test_gain_for_a_loop_that_the_logs_contradict_is_in_doubt(stated):
     """The gain was green beside logs that fit another derivative filter than the one it was computed for."""
     setups = [lab.Setup(controller=Controller(kp=kp, kd=0.5, derivative_filter=0.25)) for kp in (60, 80)]
@@ -233,6 +238,7 @@ def test_causes_are_sought_in_wrong_data_by_force_alone(cart, monkeypatch, force
     assert found.why_undiagnosed == ("" if force else "the data are wrong")
 
 
+@pytest.mark.slow
 def test_one_record_with_a_wrong_sign_among_right_ones_withholds_the_gain():
     first, second, third = steps(CART, 60, 80, 100)
     found = study_records([first, second, third.with_({"voltage": -third.voltage})], SPEC, effort="quick")
@@ -319,6 +325,7 @@ def test_nothing_is_found_where_every_record_stands_still():
         tune(still, SPEC)
 
 
+@pytest.mark.slow
 def test_limit_of_the_amplifier_that_the_records_state_is_part_of_the_design():
     records = steps(CART, 60, 80, setup=lab.Setup(voltage_limit=4.0))
     found = study_records(records, SPEC, effort="quick")
@@ -329,6 +336,7 @@ def test_limit_of_the_amplifier_that_the_records_state_is_part_of_the_design():
     assert on_the_truth(CART, SPEC, kd, setup=lab.Setup(voltage_limit=4.0)) <= 0.5
 
 
+@pytest.mark.slow
 def test_stated_limit_of_the_amplifier_is_contradicted_by_a_lower_one_that_the_records_show():
     """Told nothing, its owner went on stating 12 V, of an amplifier that gives 4."""
     truth = lab.Truth(gain=1.9, damping=6.0, effects={"saturation": {"limit": 4.0}})
@@ -494,12 +502,11 @@ def as_frame(record):
     return pd.DataFrame({"time [s]": record.time, "position [m]": record.position, "reference [m]": record.reference})
 
 
-def test_tune_reads_the_records_that_it_is_given_as_files_folders_or_tables(tmp_path, cart):
+def test_tune_reads_the_records_that_it_is_given_as_folders_or_tables(tmp_path, cart):
     (record,), spec = steps(CART, 80), replace(SPEC, kp=80.0)
     wanted = tune(record, spec, effort="quick")
     as_frame(record).to_csv(tmp_path / "run.csv", index=False)
-    sources = {"file": tmp_path / "run.csv", "text": str(tmp_path / "run.csv"), "folder": tmp_path}
-    for name, source in {**sources, "table": as_frame(record), "several": [as_frame(record)]}.items():
+    for name, source in {"folder": str(tmp_path), "several": [as_frame(record)]}.items():
         found = tune(source, spec, effort="quick", kp=80.0, kd=0.0)
         assert found.kd == pytest.approx(wanted.kd, rel=1e-3), name
         assert found.recommended.kp == spec.kp, name
@@ -575,6 +582,7 @@ def test_models_and_diagnosis_of_a_coarse_encoder_do_not_wait_for_each_other():
     assert child.stdout.split() == ["healthy"], child.stderr
 
 
+@pytest.mark.slow
 def test_prior_that_only_gain_and_damping_alone_contradict_is_no_warning_beside_the_causes():
     axis = lab.Truth(gain=1.9, damping=6.0, effects={"dead_zone": {"width": 0.5}})
     runs = [lab.step_record(axis, kp=kp, noise=1e-5, seed=kp) for kp in (40, 80)]

@@ -101,6 +101,7 @@ def records(tmp_path_factory):
     return paths
 
 
+@pytest.mark.slow
 def test_results_are_the_same_bytes_on_one_processor_and_on_two(records):
     alone = study(records, processors=1)
     assert alone.count(b"\n") > 100

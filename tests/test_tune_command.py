@@ -104,6 +104,7 @@ def test_page_shows_the_lights_and_the_three_models(green):
     assert "http" not in page
 
 
+@pytest.mark.slow
 def test_withheld_gain_exits_1_and_writes_everything(bench, tmp_path):
     page, file = tmp_path / "page.html", tmp_path / "tuning.json"
     paths = (bench / "kp60.csv", bench / "kp80.csv", "--heldout", bench / "other.csv")
