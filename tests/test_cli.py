@@ -318,6 +318,7 @@ def test_compare_exits_with_1_where_no_gain_meets_the_spec(bench):
     assert body["nonlinear"]["feasible"] is False
 
 
+@pytest.mark.slow
 def test_report_is_one_page(bench, here):
     done = run("report", bench / "kp100.csv", "--out", "report.html", "--json", "report.json")
     assert done.exit_code == 0, done.output

@@ -38,7 +38,7 @@ def test_examples_in_docstrings_run(name, tmp_path, monkeypatch):
     assert result.failed == 0
 
 
-LONG = {"python.md", "diagnosis.md", "howto-teaching.md"}
+LONG = {"python.md", "quickstart.md", "diagnosis.md", "howto-teaching.md"}
 """Pages whose examples take half a minute each."""
 
 

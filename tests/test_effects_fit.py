@@ -277,7 +277,13 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize("names", PAIRS.values(), ids=PAIRS)
+LONG = {"Stribeck and cogging", "cogging and spring"}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(names, marks=pytest.mark.slow if pair in LONG else (), id=pair) for pair, names in PAIRS.items()],
+)
 def test_two_effects_are_found_together(names):
     truth = axis(**{name: TRUTHS[name] for name in names})
     fit = servolens.fit(effects_of(truth, 1.5), campaign(truth))

@@ -110,6 +110,7 @@ def test_kills_at_random_moments_lose_nothing_and_double_nothing(axes, timed, tm
     assert results(out) == undisturbed
 
 
+@pytest.mark.slow
 def test_worker_that_is_killed_once_is_replaced_and_its_axis_studied(axes, undisturbed, tmp_path):
     run = start(axes, tmp_path / "out", "--cores", "1")
     os.kill(worker_of(run), signal.SIGKILL)
@@ -211,6 +212,7 @@ def mounts():
         pytest.skip("no file systems can be mounted here")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("mounts")
 def test_full_disk_stops_the_run_with_a_sentence_and_it_goes_on_when_there_is_room(axes, undisturbed, tmp_path):
     out, kept = tmp_path / "out", tmp_path / "kept"

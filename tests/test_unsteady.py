@@ -15,7 +15,7 @@ def away(truth, runs, **options):
 
 
 @pytest.mark.parametrize("options", [{}, {"loss": "huber"}], ids=["squares", "huber"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_error_bars_of_an_arm_that_is_held_upright_hold_the_truth(seed, options):
     """Of its simulation, which falls over, they were many times too small."""
     arm = lab.Truth(gain=6.8, damping=3.0, effects={"pendulum_gravity": {"amplitude": 40.0, "phase": 3.0}})
