@@ -134,21 +134,37 @@ class _Race:
     """Gains in a race for the fewest scenarios that fail: one that has lost is watched no further."""
 
     def __init__(self, scenarios: Sequence[Scenario], settling_times: float | None) -> None:
-        self._scenarios, self._settling_times = scenarios, settling_times
+        self._scenarios, self._settling_times = [*scenarios], settling_times
         self._fewest = len(scenarios)
 
+    def rows(self, gains: Sequence[float]) -> list[tuple[float, NDArray[np.float64]]]:
+        """Return how many scenarios fail with each gain, infinitely many if it has lost, and the overshoot in each.
+
+        The first gain is asked first, and the others in those scenarios first that are hardest with it: so who loses
+        does soon.
+        """
+        first = in_parallel(lambda scenario: self._response(gains[0], scenario), self._scenarios)
+        hardest = sorted(range(len(first)), key=lambda i: (first[i].meets, *(-part for part in _slowness(first[i]))))
+        self._scenarios = [self._scenarios[i] for i in hardest]
+        self._fewest = sum(not response.meets for response in first)
+        overshoots = np.array([response.overshoot for response in first])
+        return [(self._fewest, overshoots), *in_parallel(self.row, gains[1:])]
+
     def row(self, kd: float) -> tuple[float, NDArray[np.float64]]:
-        """Return how many scenarios fail, infinitely many for one that has lost, and the overshoot in each."""
+        """Return the row of one gain beside those that were asked before."""
         failures, overshoots = 0, []
         for scenario in self._scenarios:
-            times = self._settling_times
-            response = scenario.response(kd, None if times is None else times * scenario.spec.settling_time)
+            response = self._response(kd, scenario)
             overshoots.append(response.overshoot)
             failures += not response.meets
             if failures > self._fewest:
                 return np.inf, np.full(len(self._scenarios), np.inf)
         self._fewest = min(self._fewest, failures)
         return failures, np.array(overshoots)
+
+    def _response(self, kd: float, scenario: Scenario) -> Response:
+        times = self._settling_times
+        return scenario.response(kd, None if times is None else times * scenario.spec.settling_time)
 
 
 def _chosen(models: Sequence[Model], design: Design, scenarios: Sequence[Scenario], limit: float | None) -> Choice:
@@ -177,7 +193,7 @@ def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit
     """Return the gain of those that fail in the fewest scenarios that is farthest from the others."""
     gains = np.concatenate(grids)
     order = np.argsort(-_margins(grids, np.ones(gains.size, dtype=bool), scale), kind="stable")
-    rows = dict(zip(order, in_parallel(race.row, [float(kd) for kd in gains[order]]), strict=True))
+    rows = dict(zip(order, race.rows([float(kd) for kd in gains[order]]), strict=True))
     failures = np.array([rows[i][0] for i in range(gains.size)])
     overshoots = np.array([rows[i][1] for i in range(gains.size)])
     safest = failures == failures.min()
