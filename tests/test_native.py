@@ -156,6 +156,18 @@ def test_joined_code_on_disk_is_used_at_once_and_gives_the_same_bits(forms, fold
     assert found == forms[combination][1]
 
 
+def test_damaged_code_on_disk_is_made_anew_and_gives_the_same_bits(forms, folder: Path, tmp_path: Path) -> None:
+    """But for the rule's text, which takes long and is read as the others are."""
+    combination, damaged = "presliding", 0
+    for path in folder.iterdir():
+        whole, is_text = path.read_bytes(), path.name.startswith("stepping-")
+        (tmp_path / path.name).write_bytes(whole if is_text else whole[:40])
+        damaged += not is_text
+    assert damaged >= 4
+    _, found = in_new_process(both_forms, tmp_path, combination)  # type: ignore[misc]
+    assert found == forms[combination][1]
+
+
 @pytest.fixture
 def no_plant(forms, folder: Path, tmp_path: Path) -> Path:
     """Return a folder with the rule's text and object only."""

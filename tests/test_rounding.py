@@ -60,10 +60,10 @@ def quick_noise_of(speed, share):
     return np.sqrt(own_spectra([run], [AXIS], [np.array([begun, velocity])]).min(axis=1)) / STEP
 
 
+@pytest.mark.parametrize(("share", "tolerance"), [(0.1, 0.25), (0.3, 0.12)])
 @pytest.mark.parametrize("speed", [0.0, 0.00173, 0.0173, 0.173, 1.73])
-@pytest.mark.parametrize("share", [0.1, 0.3])
-def test_noise_smaller_than_a_step_is_found_by_what_it_makes_of_the_steps(speed, share):
-    assert np.median(quick_noise_of(speed, share)) == pytest.approx(share, rel=0.35)
+def test_noise_smaller_than_a_step_is_found_by_what_it_makes_of_the_steps(speed, share, tolerance):
+    assert np.median(quick_noise_of(speed, share)) == pytest.approx(share, rel=tolerance)
 
 
 @pytest.mark.parametrize(("speed", "most"), [(0.0, 0.04), (0.00173, 0.0), (0.0173, 0.01), (0.173, 0.04), (1.73, 0.04)])
@@ -110,6 +110,17 @@ def test_draws_miss_on_average_what_the_records_of_the_axis_miss(noise):
     assert np.mean(kept) == pytest.approx(1.0, abs=0.15)
 
 
+@pytest.mark.parametrize("noise", [1.3e-5, 4e-5], ids=lambda noise: f"{noise / 2e-5:.2f} steps")
+def test_draws_are_as_large_as_what_the_records_of_the_axis_miss(noise):
+    sizes = []
+    for seed in range(4):
+        run, drawn = drawn_of(stage(noise, seed), noise)
+        missed = run.whiten(run.missed(Plant(gain=1.9, damping=6.0), np.zeros(2), 4))
+        sizes.append(np.sqrt(np.mean(drawn**2) / np.mean(missed**2)))
+    assert np.mean(sizes) == pytest.approx(1.0, abs=0.05)
+    assert np.max(sizes) < 1.08
+
+
 @pytest.mark.slow
 def test_what_rounding_does_to_estimates_is_taken_off_them():
     fits = [fit((), [stage(1e-6, seed)]).quantities["damping"] for seed in range(20, 36)]
@@ -141,9 +152,8 @@ def test_error_bars_of_a_force_that_depends_on_the_place_hold_beside_a_coarse_en
         expected = truth.effects["cogging"]
         found = fit([Cogging(**expected)], records).quantities
         shares.append([(found[f"cogging.{k}"].value - v) / found[f"cogging.{k}"].stderr for k, v in expected.items()])
-    assert np.all(
-        np.sqrt(np.mean(np.square(shares), axis=0)) < 2.0
-    )  # chance reaches that once in 10 000; three and more before
+    # chance reaches that with one of three in 3 000 times; of the phase it was 3.2 where noise was taken for none
+    assert np.sqrt(np.mean(np.square(shares), axis=0)).max() < 2.0
 
 
 def test_profile_beside_a_coarse_encoder_is_that_of_the_estimate():

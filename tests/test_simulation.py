@@ -294,7 +294,7 @@ print(repr(float(run.position[-1])))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("folder", ["shared", pytest.param("unwritable", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("folder", ["shared", "unwritable"])
 def test_kernel_cache_is_safe_with_many_processes_and_needs_no_writable_folder(tmp_path, folder: str) -> None:
     cache = tmp_path / "cache"
     if folder == "unwritable":

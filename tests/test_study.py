@@ -502,14 +502,24 @@ def as_frame(record):
     return pd.DataFrame({"time [s]": record.time, "position [m]": record.position, "reference [m]": record.reference})
 
 
-def test_tune_reads_the_records_that_it_is_given_as_folders_or_tables(tmp_path, cart):
+@pytest.fixture(scope="module")
+def single():
+    """Return a record, a spec, and what comes of them."""
     (record,), spec = steps(CART, 80), replace(SPEC, kp=80.0)
-    wanted = tune(record, spec, effort="quick")
+    return record, spec, tune(record, spec, effort="quick")
+
+
+@pytest.mark.parametrize(
+    "kind", ["folder", "several", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("file", "text", "table"))]
+)
+def test_tune_reads_the_records_that_it_is_given_as_files_folders_or_tables(tmp_path, single, kind):
+    record, spec, wanted = single
     as_frame(record).to_csv(tmp_path / "run.csv", index=False)
-    for name, source in {"folder": str(tmp_path), "several": [as_frame(record)]}.items():
-        found = tune(source, spec, effort="quick", kp=80.0, kd=0.0)
-        assert found.kd == pytest.approx(wanted.kd, rel=1e-3), name
-        assert found.recommended.kp == spec.kp, name
+    paths = {"file": tmp_path / "run.csv", "text": str(tmp_path / "run.csv"), "folder": str(tmp_path)}
+    tables = {"table": as_frame(record), "several": [as_frame(record)]}
+    found = tune({**paths, **tables}[kind], spec, effort="quick", kp=80.0, kd=0.0)
+    assert found.kd == pytest.approx(wanted.kd, rel=1e-3)
+    assert found.recommended.kp == spec.kp
 
 
 def test_tune_reads_a_model(tmp_path):

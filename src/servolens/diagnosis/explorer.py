@@ -100,6 +100,7 @@ class Explorer:
     def grant(self, share: float) -> None:
         """Let the search take this share of the effort."""
         self._share = share
+        self._freed_in_vain.clear()  # with more effort it may be worth while
 
     def has_more(self, work: float) -> bool:
         """Tell whether of so much `work` enough is left to look for a further effect."""
@@ -358,8 +359,7 @@ class Explorer:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
         What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
-        nothing seems left: then it is freed in any case. A fit that goes far goes on as long as it gets likelier. What
-        was freed in vain is not freed again.
+        nothing seems left: then it is freed in any case, but once. A fit that goes far goes on as it gets likelier.
         """
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
         if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):
@@ -368,7 +368,7 @@ class Explorer:
         if key in self._freed_in_vain:
             return hypothesis
         further = self.fitted([(plant, hypothesis) for plant in plants])
-        if not further or further[0].total >= hypothesis.total - NO_BETTER:
+        if further and further[0].total >= hypothesis.total - NO_BETTER:
             self._freed_in_vain.add(key)
         while further and further[0].total < hypothesis.total - NO_BETTER:
             hypothesis = further[0]

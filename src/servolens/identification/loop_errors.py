@@ -109,8 +109,9 @@ def loop_error(
         Of the loops [rad/s].
     ripples : sequence of ndarray, shape (n,)
         Of the mains in each record [m or rad].
-    unrounded : ndarray, shape (m,), optional
-        Spectrum of the sensor's noise before the encoder rounds it; by default what rounding leaves of `noise`.
+    unrounded : ndarray, shape (m,) or (DRAWS, m), optional
+        Spectrum of the sensor's noise before the encoder rounds it, or of each draw; by default what rounding leaves of
+        `noise`.
     """
     if not all(np.isfinite(error).all() for error in errors):
         return NO_LOOP

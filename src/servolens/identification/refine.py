@@ -113,8 +113,8 @@ class Refinement:
     status : str
         One sentence.
     usual : tuple of ndarray
-        What of the whitened residual of each run an encoder's rounding leaves on average, where that dominates: it was
-        taken off. Else empty.
+        What of the whitened residual of each run an encoder's rounding leaves on average, where that may be much:
+        it was taken off. Else empty.
     """
 
     plant: Plant
@@ -247,7 +247,8 @@ def minimise_error(
     if searched:
         point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
     is_optimum = converged and not problem.too_stiff(point, NEARLY)
-    if all(isinstance(run, ObservedRun) and has_mean(run.noise) for run in problem.runs):
+    observed = [run for run in problem.runs if isinstance(run, ObservedRun)]
+    if len(observed) == len(problem.runs) and has_mean(observed):
         point, rounding = _less_rounding(problem, point)
         return _finished(problem, point, others, converged=is_optimum, rounding=rounding)
     return _finished(problem, point, others, converged=is_optimum)

@@ -52,10 +52,12 @@ FREQUENCIES, BAND = 1024, 5
 """Frequencies of a spectrum; of them, those over which one of draws is smoothed."""
 FEW_DRAWS = 8
 """Draws of each size of quick noise that is looked at."""
-SHARES, FINER = (0.0, *(10.0**exponent for exponent in (-2.0, -1.5, -1.0, -0.5, 0.0))), (10.0**0.25, 10.0**0.125)
-"""Standard deviations of quick noise, in steps of the encoder, and factors by which the likeliest one is changed."""
+COARSE = 10.0**0.5
+SHARES, FINER = (0.0, *(COARSE**power for power in (-4, -3, -2, -1, 0))), tuple(COARSE**0.5**k for k in (1, 2, 3, 4))
+"""Standard deviations of quick noise, in steps of the encoder, and factors by which the likeliest one is changed: a
+record of some thousand samples knows it to a few per cent."""
 LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
-"""Loops that are simulated in all, of each record."""
+"""Loops that are simulated in all, of each record, at most."""
 
 
 def is_rounded(noise: NoiseModel) -> bool:
@@ -78,12 +80,15 @@ def is_coarse(noise: NoiseModel, unrounded: NDArray[np.float64] | None = None) -
     return bool(noise.rounding**2 / 12.0 * (1.0 - DOMINATES) > DOMINATES * own)
 
 
-def has_mean(noise: NoiseModel) -> bool:
+def has_mean(runs: Sequence[ObservedRun | SimulatedRun]) -> bool:
     """Tell whether rounding may leave much of simulations on average: of a loop that seeks one side of a step.
 
-    An axis that rests there is half a step away all the time: thrice the mean square of one that moves.
+    An axis that rests there is half a step away all the time: thrice the mean square of one that moves. Without a loop
+    there is no mean, but where rounding dominates the draws are its chance.
     """
-    return is_rounded(noise) and 3.0 * noise.share > DOMINATES and not noise.is_model_error
+    noise, in_loop = runs[0].noise, any(run.signals.record.has_loop for run in runs)
+    share = 3.0 * noise.share if in_loop else noise.share
+    return is_rounded(noise) and share > DOMINATES and not noise.is_model_error
 
 
 def rounded(
@@ -190,10 +195,9 @@ def own_spectra(
 def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.intp]:
     """Return which of the sorted `shares` each draw has, as often as these log-likelihoods say, shape (DRAWS,).
 
-    Beforehand all magnitudes are alike; none at all is one coarse step below the least.
+    Beforehand all magnitudes are alike, and none at all is as likely as a coarse step of them.
     """
-    magnitudes = np.log10([shares[1] ** 2 / shares[2], *shares[1:]])
-    widths = np.gradient(magnitudes)
+    widths = np.array([np.log(COARSE), *np.gradient(np.log(shares[1:]))])
     likely = np.cumsum(np.exp(np.array(chances) - max(chances)) * widths)
     return np.asarray(np.searchsorted(likely, (np.arange(DRAWS) + 0.5) / DRAWS * likely[-1]), dtype=np.intp)
 
@@ -201,7 +205,8 @@ def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.int
 def _chance(seen: NDArray[np.float64], drawn: NDArray[np.float64]) -> float:
     """Return the log density of what was `seen`, shape (k,), if it is one more of those `drawn`, shape (draws, k).
 
-    Student's, without its constant. Counts are whole numbers, which adds a twelfth to their variance (Sheppard).
+    Student's, without its constant. A twelfth is added to both variances, as of what is rounded to whole numbers: draws
+    may all be alike.
     """
     draws, kinds = drawn.shape
     covariance = (1.0 + 1.0 / draws) * (np.cov(drawn, rowvar=False) + np.eye(kinds) / 12.0)
@@ -214,7 +219,7 @@ def _chance(seen: NDArray[np.float64], drawn: NDArray[np.float64]) -> float:
 def _quickness(position: NDArray[np.float64], error: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     """Return how often a rounded `position` turns back from one change to the next, and how quick its `error` is.
 
-    The latter by squared third differences, in units of what one change by one step leaves of them.
+    The latter by squared third differences, in units of what one sample leaves of them that is one step off.
     """
     changes = np.sign(np.rint(np.diff(position) / step))
     changes = changes[changes != 0.0]

@@ -10,6 +10,7 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
+from servolens.identification.observed import WIDE
 from servolens.identification.phases import own_phases
 from servolens.identification.restricted import parts_of
 from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectra, parted, rounded
@@ -81,7 +82,7 @@ class ScoreTest:
 
     @cached_property
     def unrounded(self) -> NDArray[np.float64] | None:
-        """Spectrum of the sensor's noise before the encoder rounds it; None where rounding is no part of it."""
+        """Spectra of the sensor's noise before the encoder rounds it, of each draw; None where it does not."""
         if not is_rounded(self.hypothesis.noise):
             return None
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
@@ -99,7 +100,7 @@ class ScoreTest:
         return self._draws
 
     def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the draws' mean, shape (n,), where rounding dominates, and what else is in each, shape (n, draws)."""
+        """Return the draws' mean, shape (n,), 0 where they have none, and what else is in each, shape (n, draws)."""
         noise, starts = self.hypothesis.noise, self.hypothesis.starts
         if not self.is_drawn:
             white = np.random.default_rng(4).standard_normal((self.residual.size, DRAWS))
@@ -110,14 +111,14 @@ class ScoreTest:
         else:
             drawn = shaken(self.runs, plants, starts)
         means = [np.zeros(draws.shape[0]) for draws in drawn]
-        if has_mean(noise):
+        if has_mean(self.runs):
             means, drawn = map(list, zip(*map(parted, self.runs, drawn), strict=True))
         self._count(self.residual.size * (LOOPS if is_rounded(noise) else 2 * DRAWS))  # a loop, and an observer of it
         return self.free_of_own(np.concatenate(means)), self.free_of_own(np.concatenate(drawn))
 
     def _less_mean(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         free = self.free_of_own(residual)
-        return free - self._mean_and_rest[0] if has_mean(self.hypothesis.noise) else free
+        return free - self._mean_and_rest[0] if has_mean(self.runs) else free
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""
@@ -252,7 +253,7 @@ class ScoreTest:
 
         far = []
         for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
-            away = (start - run.start) / run.signals.initial.deviation if run.start.size else np.zeros(0)
+            away = WIDE * (start - run.start) / run.signals.initial.deviation if run.start.size else np.zeros(0)
             far += [i] if away.size and float(away @ away) > chi2.isf(FALSE_ALARM, away.size) else []
         return far
 
