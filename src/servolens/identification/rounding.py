@@ -52,10 +52,11 @@ FREQUENCIES, BAND = 1024, 5
 """Frequencies of a spectrum; of them, those over which one of draws is smoothed."""
 FEW_DRAWS = 8
 """Draws of each size of quick noise that is looked at."""
-COARSE = 10.0**0.5
-SHARES, FINER = (0.0, *(COARSE**power for power in (-4, -3, -2, -1, 0))), tuple(COARSE**0.5**k for k in (1, 2, 3, 4))
-"""Standard deviations of quick noise, in steps of the encoder, and factors by which the likeliest one is changed: a
-record of some thousand samples knows it to a few per cent."""
+HALF_DECADE = 10.0**0.5
+SHARES = (0.0, *(HALF_DECADE**power for power in (-4, -3, -2, -1, 0)))
+"""Standard deviations of quick noise that are looked at first, in steps of the encoder."""
+FINER = tuple(HALF_DECADE**0.5**power for power in (1, 2, 3, 4))
+"""Factors by which the likeliest one is changed: records of some thousand samples know it to a few per cent."""
 LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
 """Loops that are simulated in all, of each record, at most."""
 
@@ -197,7 +198,7 @@ def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.int
 
     Beforehand all magnitudes are alike, and none at all is as likely as a coarse step of them.
     """
-    widths = np.array([np.log(COARSE), *np.gradient(np.log(shares[1:]))])
+    widths = np.array([np.log(HALF_DECADE), *np.gradient(np.log(shares[1:]))])
     likely = np.cumsum(np.exp(np.array(chances) - max(chances)) * widths)
     return np.asarray(np.searchsorted(likely, (np.arange(DRAWS) + 0.5) / DRAWS * likely[-1]), dtype=np.intp)
 
