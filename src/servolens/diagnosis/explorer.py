@@ -224,7 +224,7 @@ class Explorer:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
         test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
-        return test.gain(richer.plant) / test.inflation(richer.plant) < paid
+        return test.may_be_chance(richer.plant, paid)
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""

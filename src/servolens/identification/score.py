@@ -176,7 +176,22 @@ class ScoreTest:
             return 0.0
         return self.explained(np.column_stack(columns)) if columns else 0.0
 
-    def inflation(self, plant: Plant) -> float:
+    def may_be_chance(self, plant: Plant, paid: float) -> bool:
+        """Tell whether what the direction to `plant` gains is no more than is `paid` for it, or than chance may gain.
+
+        By Student's t of the draws, at the level of all decisions.
+
+        Raises
+        ------
+        NumericalError
+            If `plant` has no simulation.
+        """
+        from scipy.stats import t
+
+        limit = float(t.isf(0.5 * FALSE_ALARM, DRAWS)) ** 2
+        return self.gain(plant) / self._inflation(plant) < max(paid, limit)
+
+    def _inflation(self, plant: Plant) -> float:
         """Return the variance of rounded noise along the direction to `plant`, in units of white noise's; at least 1.
 
         Raises
