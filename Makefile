@@ -25,7 +25,7 @@ demo: $(RUN_STAMP) ## the main job on the built-in virtual cart; writes servolen
 test: $(DEV_STAMP) ## the tests, in minutes
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile -m "not slow"
 
-studies: $(DEV_STAMP) ## the slow tests: more seeds, more worlds, all examples (an hour or two)
+studies: $(DEV_STAMP) ## the slow tests: more seeds, more worlds, all examples (long)
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m slow
 
 check: static test ## everything that must be green before a change lands

@@ -771,7 +771,7 @@ def test_lag_far_below_the_sample_time_is_told_from_a_delay():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", [pytest.param("flexible_coupling", marks=pytest.mark.slow), "speed_servo"])
+@pytest.mark.parametrize("effect", ["flexible_coupling", "speed_servo"])
 def test_what_remembers_is_explained_where_the_reference_never_jumps(effect):
     campaign = lab.hidden_campaign(SEED + 4, effects=[effect], visibility=20.0, smooth=True, records=2, heldout=1)
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)

@@ -6,7 +6,7 @@ import gc
 import shutil
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import pytest
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from servolens.simulation import Simulation
+
+Answer = TypeVar("Answer")
 
 TIME = 1e-3 * np.arange(501)
 LOOP = Controller(kp=60.0, kd=2.0)
@@ -127,7 +129,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kernels")
 
 
-def in_new_process(function: Callable[..., object], folder: Path, *given: object) -> object:
+def in_new_process(function: Callable[..., Answer], folder: Path, *given: object) -> Answer:
     """Call a function in a process that has compiled nothing yet, with its own cache folder."""
     with pytest.MonkeyPatch.context() as patch, ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         patch.setenv("SERVOLENS_CACHE", str(folder))
@@ -137,7 +139,7 @@ def in_new_process(function: Callable[..., object], folder: Path, *given: object
 @pytest.fixture(scope="module")
 def forms(folder: Path) -> dict[str, tuple[list[bool], list[dict[str, bytes]]]]:
     """From a process that finds nothing on disk."""
-    return in_new_process(all_forms, folder)  # type: ignore[return-value]
+    return in_new_process(all_forms, folder)
 
 
 @pytest.mark.parametrize("combination", COMBINATIONS)
@@ -151,7 +153,7 @@ def test_separate_and_joined_code_give_the_same_bits(forms, combination: str) ->
 
 def test_joined_code_on_disk_is_used_at_once_and_gives_the_same_bits(forms, folder: Path) -> None:
     combination = "presliding"
-    joined, found = in_new_process(both_forms, folder, combination)  # type: ignore[misc]
+    joined, found = in_new_process(both_forms, folder, combination)
     assert joined == [True, True]
     assert found == forms[combination][1]
 
@@ -164,7 +166,8 @@ def test_damaged_code_on_disk_is_made_anew_and_gives_the_same_bits(forms, folder
         (tmp_path / path.name).write_bytes(whole if is_text else whole[:40])
         damaged += not is_text
     assert damaged >= 4
-    _, found = in_new_process(both_forms, tmp_path, combination)  # type: ignore[misc]
+    joined, found = in_new_process(both_forms, tmp_path, combination)
+    assert joined == [False, True]
     assert found == forms[combination][1]
 
 
@@ -178,13 +181,13 @@ def no_plant(forms, folder: Path, tmp_path: Path) -> Path:
 
 
 def test_threads_get_the_same_bits_while_code_is_joined(no_plant: Path) -> None:
-    answers, is_joined_now, is_sum_that_counts = in_new_process(crowd, no_plant)  # type: ignore[misc]
+    answers, is_joined_now, is_sum_that_counts = in_new_process(crowd, no_plant)
     assert len(answers) == 1
     assert is_joined_now
     assert is_sum_that_counts
 
 
 def test_a_function_of_replaced_code_stays_alive(no_plant: Path) -> None:
-    before, after, is_replaced = in_new_process(kept_functions, no_plant)  # type: ignore[misc]
+    before, after, is_replaced = in_new_process(kept_functions, no_plant)
     assert is_replaced
     assert before == after

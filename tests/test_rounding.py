@@ -152,7 +152,7 @@ def test_error_bars_of_a_force_that_depends_on_the_place_hold_beside_a_coarse_en
         expected = truth.effects["cogging"]
         found = fit([Cogging(**expected)], records).quantities
         shares.append([(found[f"cogging.{k}"].value - v) / found[f"cogging.{k}"].stderr for k, v in expected.items()])
-    # chance reaches that with one of three in 3 000 times; of the phase it was 3.2 where noise was taken for none
+    # chance reaches that with one of three in 3 000 times; of the phase it was 3.2 with its bias left on
     assert np.sqrt(np.mean(np.square(shares), axis=0)).max() < 2.0
 
 

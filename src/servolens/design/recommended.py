@@ -134,7 +134,7 @@ class _Race:
     """Gains in a race for the fewest scenarios that fail: one that has lost is watched no further."""
 
     def __init__(self, scenarios: Sequence[Scenario], settling_times: float | None) -> None:
-        self._scenarios, self._settling_times = [*scenarios], settling_times
+        self._scenarios, self._settling_times = scenarios, settling_times
         self._fewest = len(scenarios)
 
     def rows(self, gains: Sequence[float]) -> list[tuple[float, NDArray[np.float64]]]:
@@ -144,7 +144,8 @@ class _Race:
         does soon.
         """
         first = in_parallel(lambda scenario: self._response(gains[0], scenario), self._scenarios)
-        hardest = sorted(range(len(first)), key=lambda i: (first[i].meets, *(-part for part in _slowness(first[i]))))
+        hardness = [(not response.meets, *_slowness(response)) for response in first]
+        hardest = sorted(range(len(first)), key=hardness.__getitem__, reverse=True)
         self._scenarios = [self._scenarios[i] for i in hardest]
         self._fewest = sum(not response.meets for response in first)
         overshoots = np.array([response.overshoot for response in first])

@@ -359,7 +359,7 @@ class Explorer:
         """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
 
         What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
-        nothing seems left: then it is freed in any case, but once. A fit that goes far goes on as it gets likelier.
+        nothing seems left: then it is freed in any case. What gets likelier goes on; what did not is not tried again.
         """
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
         if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):

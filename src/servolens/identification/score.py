@@ -268,8 +268,9 @@ class ScoreTest:
 
         far = []
         for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
-            away = WIDE * (start - run.start) / run.signals.initial.deviation if run.start.size else np.zeros(0)
-            far += [i] if away.size and float(away @ away) > chi2.isf(FALSE_ALARM, away.size) else []
+            if run.start.size:
+                away = WIDE * (start - run.start) / run.signals.initial.deviation
+                far += [i] if float(away @ away) > chi2.isf(FALSE_ALARM, away.size) else []
         return far
 
     def _parts(self, plant: Plant, starts: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
