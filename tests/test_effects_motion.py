@@ -224,6 +224,8 @@ def thrown_back(ratio: float) -> float:
     if ratio < 1.0:
         root = np.sqrt(1.0 - ratio**2)
         return float(np.exp(-ratio / root * np.arctan2(2.0 * ratio * root, 2.0 * ratio**2 - 1.0)))
+    if ratio == 1.0:
+        return float(np.exp(-2.0))
     root = np.sqrt(ratio**2 - 1.0)
     return float(np.exp(-ratio / root * np.log((ratio + root) / (ratio - root))))
 
@@ -236,6 +238,17 @@ def test_stop_throws_back_as_much_of_the_speed_as_its_damping_says(ratio):
     )
     run = simulate_voltage(plant, time, np.where(time < 0.2, 2.0, 0.0))
     assert run.velocity[-1] == pytest.approx(-thrown_back(ratio) * run.velocity.max(), rel=1e-3)
+
+
+@pytest.mark.parametrize("h", [1e-3, 5e-3])
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 3.0])
+def test_stop_throws_back_as_much_wherever_in_a_sample_it_is_hit(ratio, h):
+    """It was entered up to a thousandth of a substep late, without the force of its damper."""
+    time = grid(0.8, h)
+    for high in (0.1, 0.10013, 0.1007, 0.10111):
+        plant = Plant(gain=GAIN, damping=0.0, effects=(EndStop(low=-1.0, high=high, contact_damping=ratio),))
+        run = simulate_voltage(plant, time, np.where(time < 0.2, 2.0, 0.0))
+        assert run.velocity[-1] == pytest.approx(-thrown_back(ratio) * run.velocity.max(), rel=4e-5)
 
 
 def test_loop_that_asks_for_more_than_the_travel_stands_at_the_stop():

@@ -49,6 +49,7 @@ __all__ = ["advance"]
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
 ROUNDING = 2.220446049250313e-16  # share of a position by which a term moves the axis unseen: 2⁻⁵²
+CLOSE, EXACT_PIECES = 1e-6, 16  # share of the way to a kink by which it may be missed, in the first pieces of a step
 SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
 
 
@@ -118,15 +119,16 @@ def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, 
 def first_kink(before: Any, after: Any, nk: int) -> float:
     """Return the share of a piece after which the first of the kinks' functions changes its sign; 1 if none does.
 
-    A piece that begins right on a kink belongs to neither side of it: it is left by a short one. Where one of them is
-    crossed so slightly that only rounding can tell, the piece is left whole.
+    Just after: what begins just before would be a piece of the old side, however hard a contact hits. A piece that
+    begins right on a kink belongs to neither side of it: it is left by a short one. Where one of them is crossed so
+    slightly that only rounding can tell, the piece is left whole.
     """
     share = 1.0
     for i in range(nk):
         if before[i] == 0.0 and abs(after[i]) > SLIGHT:
             share = min(share, SHORTEST)
-        if before[i] * after[i] < 0.0 and abs(after[i]) > max(SHORTEST * abs(before[i]), SLIGHT):
-            share = min(share, before[i] / (before[i] - after[i]))
+        if before[i] * after[i] < 0.0 and abs(after[i]) > max(CLOSE * abs(before[i]), SLIGHT):
+            share = min(share, (1.0 + HALF * CLOSE) * before[i] / (before[i] - after[i]))
     return share
 
 
@@ -259,7 +261,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
                 relaxation(e, p, end)
                 continue
             kinked(e, p, after)
-            share, shortest = first_kink(before, after, nk), SHORTEST * h
+            share, shortest = first_kink(before, after, nk), (CLOSE if piece <= EXACT_PIECES else SHORTEST) * h
             if x[MOVING] == 0.0:
                 loose = breaking_loose(e, p, series, forward, backward)
                 if loose * tau <= SOON * h:
