@@ -8,16 +8,20 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from servolens import Controller, Record, lab
+from servolens import Controller, Plant, Record, lab, predict
 from servolens.cli import group
 from servolens.commands import COMMANDS
 from servolens.commands.files import about
+from servolens.effects import DeadZone
 from servolens.errors import InputError, NumericalError
+from servolens.model import Model
+from servolens.results import to_text
 
 LAB = (("kp60", 60, 0), ("kp80", 80, 0), ("kp100", 100, 0), ("kp80kd5", 80, 5))
 SPEC = ("--kp", "100", "--settling-time", "0.5")
@@ -247,6 +251,22 @@ def test_predict_tells_errors_and_what_is_held_out(bench):
         assert 0 < record["percent_error"] < 0.1
         assert 99 < record["fit_percent"] < 100
         assert record["mean_abs_error"] == pytest.approx(record["percent_error"] / 100 * 0.1, rel=1e-2)
+
+
+def test_predict_sees_the_encoder_as_python_and_diagnose_do(bench, here):
+    """Its loop was simulated without the rounding that the positions show."""
+    steps = {"reference": [0.05, 0.0, 0.05], "duration": 0.8}
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"dead_zone": {"width": 0.3}})
+    record = lab.step_record(axis, kp=100, kd=5, **steps, encoder=2e-5)
+    replace(record, encoder_resolution=None).to_csv(here / "unstated.csv")
+    plant = Plant(gain=1.9, damping=6.0, effects=(DeadZone(width=0.3),))
+    (here / "true.json").write_text(
+        to_text({"schema": "servolens.model/1", **Model(plant=plant).to_json()}), encoding="utf-8"
+    )
+    (told,) = result("prediction", "predict", "true.json", "unstated.csv")["records"]
+    ((expected,),) = predict(plant, here / "unstated.csv").errors
+    ((stated,),) = predict(plant, record).errors
+    assert told["rms_error"] == expected.rms_error == pytest.approx(stated.rms_error, rel=1e-3)
 
 
 def test_predict_says_when_it_is_driven_by_the_voltage(bench, here):

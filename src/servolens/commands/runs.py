@@ -158,14 +158,14 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
 
     Each record's reference is simulated with its own gains; a record without them from its logged voltage.
     """
-    from servolens.inputs import check_units
+    from servolens.inputs import as_records, check_units
     from servolens.prediction import Prediction, prediction_error
     from servolens.summaries import prediction_summary
 
     check_outputs({"--json": json_file}, [model_file])
     (model,) = load_models([model_file])
     with progress_bar() as progress:
-        records = load_records(recordings, {"--json": json_file}, progress)
+        records = as_records(load_records(recordings, {"--json": json_file}, progress))
         for record in records:
             check_units(model.plant, record)
         errors, failed = [], {}
