@@ -223,6 +223,16 @@ def test_model_file_keeps_inertia_and_free_damping(tmp_path):
     assert "inertia" not in Model(plant=Plant(gain=GAIN, damping=DAMPING)).to_json()
 
 
+def test_the_gain_s_unit_tells_the_command_s_unit_of_a_model_s_file(tmp_path):
+    """A file by hand of an axis in amperes was refused, unless it knew of `command_unit`."""
+    for command in ("A", "N m", "V"):
+        unit = Plant(gain=2.0, damping=5.0, command_unit=command).unit("gain")
+        (tmp_path / "model.json").write_text(
+            json.dumps({"schema": "servolens.model/1", "gain": {"value": 2.0, "unit": unit}, "damping": {"value": 5.0}})
+        )
+        assert read_model(tmp_path / "model.json").plant.command_unit == command
+
+
 # --- motor off
 
 

@@ -13,6 +13,7 @@ from servolens.decoding import read_fields, read_json, whole
 from servolens.errors import InputError, names_like
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
+from servolens.units import COMMAND_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -197,7 +198,7 @@ class Model:
                 damping=_value(data["damping"]),
                 effects=found,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
-                command_unit=str(data.get("command_unit", "V")),
+                command_unit=str(data.get("command_unit") or _command_unit(data)),
                 **{name: _value({"value": data[name]}) for name in OPTIONAL if data.get(name) is not None},
             )
             _check_units(data, plant)
@@ -310,6 +311,13 @@ def _check_units(data: Mapping[str, Any], plant: Plant) -> None:
 
 def _length_unit(data: Mapping[str, Any]) -> str:
     return "rad" if str(data["gain"].get("unit", "")).startswith("rad") else "m"
+
+
+def _command_unit(data: Mapping[str, Any]) -> str:
+    """Return the command's unit as the gain's tells it, such as "m/s^2/A"; volts where that tells none."""
+    _, _, told = str(data["gain"].get("unit") or "").partition("/s^2/")
+    told = told.removeprefix("(").removesuffix(")")
+    return told if told in COMMAND_UNITS else "V"
 
 
 def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
