@@ -98,6 +98,14 @@ def test_what_varies_goes_with_what_it_depends_on(effects, varies, goes_with, si
     assert own.significance < 1e-10
 
 
+def test_no_force_goes_with_what_damping_or_gain_would_be():
+    """Of a spring that yields nothing near its middle the force was said to go with the velocity, r = 0.999."""
+    stops = {"end_stop": {"low": -0.05, "high": 0.05, "contact_frequency": 3.0, "contact_damping": 0.01}}
+    force = read(strokes(stops))["force"]
+    assert force.goes_with == "position"
+    assert force.correlation > 0.5
+
+
 def test_free_force_of_friction_is_the_friction(rubbing):
     force = read(rubbing)["force"]
     whole = np.abs(force.abscissa) > 0.95

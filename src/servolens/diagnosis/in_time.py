@@ -28,6 +28,8 @@ FEWEST_SAMPLES = 8
 """In a piece."""
 FEWEST_PIECES = 5
 """On which anything is correlated."""
+FREE = {"velocity", "voltage"}
+"""A force that goes with one of these is damping or gain, which are free: hardly anything of it is left beside them."""
 SAME = 0.9999
 """Correlation from which on two quantities are one: the time of the record, and since its only step."""
 UNDETERMINED = 1e-6
@@ -48,7 +50,8 @@ def instruments(screen: Screen, plant: Plant) -> tuple[Instrument, ...]:
     for its own initial state and one value p of each of its pieces, by which damping or gain differ from those of
     `plant` (φ is −v or V), or a force acts (φ is −1). The values are then regressed on the pieces' means of each
     measured quantity, with the errors they have and share. What varies hides behind a wrong gain or damping: so these
-    are free in the regression, and p is told for those that suit the best quantity. It needs no catalogue of effects.
+    are free in the regression, and p is told for those that suit the best quantity. A force is not correlated with
+    velocity and voltage: what goes with these is damping and gain. It needs no catalogue of effects.
 
     Parameters
     ----------
@@ -250,6 +253,8 @@ def _seen(kind: Varying, stretches: Sequence[_Stretch]) -> dict[str, NDArray[np.
     """
     kept: dict[str, NDArray[np.float64]] = {}
     for name in stretches[0].seen:
+        if kind == "force" and name in FREE:
+            continue
         values = np.concatenate([_means(kind, stretch, name) for stretch in stretches])
         centred = values - values.mean()
         if np.linalg.norm(centred) <= 1e-9 * np.linalg.norm(values):
