@@ -147,6 +147,15 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
     assert miss(fit, "damping", DAMPING) < FAR
 
 
+def test_place_and_phase_that_happen_to_be_nearly_nothing_are_known_all_the_same():
+    """A place of 0 ± 7 µm was said to be hardly determined, for its error bar is larger than its value."""
+    truth = axis(cogging={"amplitude": 0.5, "pitch": 0.03, "phase": 0.0})
+    fit = servolens.fit(effects_of(truth, 1.02), campaign(truth))
+    phase = fit.quantities["cogging.phase"]
+    assert abs(phase.value) < 4.0 * phase.stderr < 0.05
+    assert "not_determined" not in codes(fit)
+
+
 def test_limit_that_is_reached_all_the_time_is_not_said_to_be_unseen():
     """Only its product with the gain is known."""
     time = np.arange(0.0, 3.0, 0.002)

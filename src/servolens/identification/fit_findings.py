@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["above_noise", "findings_of", "is_beyond"]
 
+PLACES = {"rad": 1.0, "{x}": np.inf}
+"""Units of a phase and of a place, to which 0 is a value as any other, and the error that says nothing of them."""
 HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
 
@@ -57,6 +59,16 @@ def _non_smooth(refined: Refinement) -> list[Finding]:
     return [Finding(code="non_smooth_error", severity="note", message=message)]
 
 
+def _nothing_to(refined: Refinement, name: str, value: float) -> float:
+    """Return the error from which on a parameter is hardly determined: its value; of a phase 1 rad, of a place any."""
+    effect, _, own = name.rpartition(".")
+    found = refined.plant.effect(effect) if effect else None
+    spec = refined.plant.parameters[name]
+    if found is None or spec.low >= 0.0 or found.absent_at.get(own) == 0.0 or spec.unit not in PLACES:
+        return abs(value)
+    return PLACES[spec.unit]
+
+
 def _at_bounds(refined: Refinement) -> list[Finding]:
     return [
         Finding(
@@ -65,6 +77,7 @@ def _at_bounds(refined: Refinement) -> list[Finding]:
             message=f"{name} ended at the end of its range, {_value(refined, name):.4g}; it has no error bar.",
         )
         for name in refined.at_bound
+        if abs(_value(refined, name)) < ENDLESS
     ]
 
 
@@ -85,7 +98,7 @@ def _vague(refined: Refinement) -> list[Finding]:
     for name, value, variance in zip(
         refined.plant.parameters, refined.plant.values, np.diag(refined.covariance), strict=True
     ):
-        if np.isfinite(variance) and value != 0.0 and variance > value**2:
+        if np.isfinite(variance) and value != 0.0 and variance > _nothing_to(refined, name, value) ** 2:
             message = f"the data hardly determine {name}: {value:.3g} ± {np.sqrt(variance):.2g}."
             found.append(Finding(code="not_determined", severity="note", message=message))
     return found
