@@ -40,8 +40,10 @@ from servolens.report.wording import symbol_text
 from servolens.simulation import simulate
 from servolens.summaries import diagnosis_summary
 from servolens.summaries.diagnosis import (
+    advice,
     doubt_sentences,
     findings_of_logs,
+    next_sentences,
     remaining_sentences,
     verdict_sentence,
 )
@@ -486,14 +488,39 @@ def test_remainder_that_noise_hides_is_not_told_as_nothing(rubbing):
 def test_doubt_in_a_cause_is_told_with_its_rivals(rubbing):
     """A cause of confidence 0.5 was told by `tune` like one of 0.999, and so was one of 0.005."""
     (sure,) = rubbing.causes
-    doubtful = replace(rubbing, causes=(replace(sure, confidence=0.5, rivals=("second_order_actuator",)),))
+    doubtful = replace(rubbing, causes=(replace(sure, confidence=0.5, rivals=("dead_zone",)),))
     assert doubt_sentences(doubtful) == [
-        "Confidence in Coulomb friction: 50 %; these data cannot distinguish it from an actuator of second order."
+        "Confidence in Coulomb friction: 50 %; these data cannot distinguish it from a dead zone."
     ]
     causes = (replace(sure, confidence=0.4936), replace(sure, effect="cogging", confidence=0.2), sure)
     partly = replace(rubbing, verdict="partly_explained", causes=causes)
     assert doubt_sentences(partly) == ["Confidence: Coulomb friction 49.4 % and cogging 20 %."]
     assert doubt_sentences(rubbing) == []
+
+
+def test_of_a_rival_that_was_not_fitted_no_data_are_said_to_speak(rubbing):
+    """A coupling was said to be indistinguishable from what left seven times the noise."""
+    (sure,) = rubbing.causes
+    rings = replace(sure, effect="flexible_coupling", confidence=0.5, rivals=("second_order_actuator",))
+    diagnosis = replace(rubbing, causes=(rings,), next_experiment=None)
+    assert " ".join(advice(rings, diagnosis)[-2:]) == (
+        "Confidence 50 % among the effects tried. An actuator of second order has the same structure and was not"
+        " fitted: look at the machine to tell which it is."
+    )
+    assert doubt_sentences(diagnosis) == ["Confidence: a flexible coupling 50 %."]
+    assert next_sentences(diagnosis) == []
+
+
+def test_advice_on_what_may_be_something_else_is_given_for_the_case_that_it_is_that(rubbing):
+    """A motor with skewed slots was advised against what a foreign law leaves."""
+    (sure,) = rubbing.causes
+    assert any(told.startswith("What to do: ") for told in advice(sure, rubbing))
+    guess = replace(sure, confidence=0.5)
+    told = advice(guess, replace(rubbing, verdict="partly_explained", causes=(guess,)))
+    assert [one.partition(": ")[0] for one in told[1:3]] == [
+        "What to do, if it is that",
+        "For the PD gain, if it is that",
+    ]
 
 
 @pytest.mark.parametrize("verdict", ["healthy", "explained", "partly_explained", "unexplained"])

@@ -112,9 +112,7 @@ def _from_diagnosis(diagnosis: Diagnosis) -> Proposal:
     if any(rivals.values()):
         reason = "no safe step like those logged would tell the rivals apart"
     elif any(cause.rivals for cause in diagnosis.causes):
-        reason = (
-            "the rivals that the diagnosis names give the same records whatever is done: no experiment tells them apart"
-        )
+        reason = "the rivals that the diagnosis names give the same records whatever is done, or were not fitted"
     else:
         reason = "the diagnosis names no rivals, so there is nothing to tell apart"
     return _proposal(plant, experiment, reason)

@@ -111,7 +111,7 @@ def experiment_sentence(experiment: Experiment, length_unit: str, command_unit: 
     return (
         f"Log next {step}{' and back' if experiment.back else ''}, {number(experiment.duration, 2)} s at each"
         f" level, with {gains}: there {first} and {second} differ by"
-        f" {number(experiment.separation, 2)} times the noise."
+        f" {number(experiment.separation, 2)} times the noise (r.m.s. over all samples, which tell that apart)."
     )
 
 
@@ -187,20 +187,25 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     """Return what the cause looks like, what to do, what it means for the gain, and what it may be instead."""
     kind = cause.kind
     told = [kind.looks_like or kind.sentence]
-    told += [f"What to do: {kind.remedy}"] if kind.remedy else []
-    told += [f"For the PD gain: {kind.for_the_gain}"] if kind.for_the_gain else []
+    is_guess = diagnosis.verdict == "partly_explained" and cause.confidence < MOST_CONFIDENT
+    told += [f"What to do{', if it is that' * is_guess}: {kind.remedy}"] if kind.remedy else []
+    told += [f"For the PD gain{', if it is that' * is_guess}: {kind.for_the_gain}"] if kind.for_the_gain else []
     sure = f"Confidence {percent(100 * cause.confidence)} among the effects tried"
     if diagnosis.verdict == "partly_explained":
         sure += ", as far as the error is explained at all"
     rivals = [spoken(rival) for rival in _rivals(cause)]
     if rivals:
         told.append(f"{sure}. These data cannot distinguish it from {listed(rivals, last='or')}.")
-    elif diagnosis.verdict == "partly_explained":
+    elif diagnosis.verdict == "partly_explained" or _same_structure(cause):
         told.append(f"{sure}.")
     else:
         told.append(f"{sure}: none does as well with as few parameters.")
-    if len(rivals) < len(cause.rivals):
+    if len(rivals) + len(_same_structure(cause)) < len(cause.rivals):
         told.append(f"It is the same as {spoken(' + '.join(kind.unites))}.")
+    told += [
+        f"{capital(spoken(name))} has the same structure and was not fitted: look at the machine to tell which it is."
+        for name in _same_structure(cause)
+    ]
     return told
 
 
@@ -229,8 +234,14 @@ def next_sentences(diagnosis: Diagnosis) -> list[str]:
 
 
 def _rivals(cause: Cause) -> list[str]:
-    """Return the rivals of a cause but for the pair that together is the same thing."""
-    return [rival for rival in cause.rivals if set(rival.split(" + ")) != set(cause.kind.unites)]
+    """Return the rivals that were fitted, but for the pair that together is the same thing."""
+    known = [rival for rival in cause.rivals if rival not in cause.kind.same_structure]
+    return [rival for rival in known if set(rival.split(" + ")) != set(cause.kind.unites)]
+
+
+def _same_structure(cause: Cause) -> list[str]:
+    """Return the rivals that are of the same structure and no effects of the catalogue."""
+    return [rival for rival in cause.rivals if rival in cause.kind.same_structure]
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
