@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar, final
 
 import numpy as np
 
-from servolens.diagnosis.errors import KEPT, Gains, pooled, residual
+from servolens.diagnosis.errors import KEPT, Gains, pooled, residual, residual_in_phase
 from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.trials import Trials
 from servolens.effects import ActuatorLag, CoulombFriction
@@ -19,6 +19,7 @@ from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.observed import clock_error
+from servolens.identification.phases import own_phases
 from servolens.identification.ripple import Ripple, mains_lines, ripple_in
 from servolens.identification.rounding import dominates, is_coarse
 from servolens.identification.score import ScoreTest
@@ -287,6 +288,10 @@ class Case:
         if ends:
             plants[0], plants[-1] = ends[0], ends[-1]
         trained = tuple(tuple(residual(plant, record) for record in self.records) for plant in plants)
+        in_phase = tuple(
+            tuple(residual_in_phase(plant, record) for record in self.records) if own_phases(plant) else row
+            for plant, row in zip(plants, trained, strict=True)
+        )
         if self.heldout:
             held = tuple(tuple(residual(plant, record) for record in self.heldout) for plant in plants)
         else:
@@ -297,7 +302,7 @@ class Case:
                 )
                 for h in path
             )
-        return Gains(self.records, self.heldout, trained, held, self.noise_floor(path[-1]))
+        return Gains(self.records, self.heldout, trained, held, self.noise_floor(path[-1]), in_phase)
 
     def misfit(self, hypothesis: Hypothesis) -> float:
         """Return −2 log-likelihood of the records, or ends of records, to which `hypothesis` was not fitted.

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.errors import InputError, NumericalError
+from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.score import FALSE_ALARM
 from servolens.prediction import prediction_residual
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["KEPT", "Gains", "are_larger", "pooled", "residual"]
+__all__ = ["KEPT", "Gains", "are_larger", "pooled", "residual", "residual_in_phase"]
 
 KEPT = 0.6
 """Part of a record that is parted which is fitted; the rest is held out."""
@@ -32,6 +33,13 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
         return prediction_residual(plant, record)
     except (InputError, NumericalError):
         return np.full(len(record), np.inf)
+
+
+def residual_in_phase(plant: Plant, record: Record) -> NDArray[np.float64]:
+    """Return the same with the phases that suit the record where each has its own, of a disturbance or a ripple."""
+    if not own_phases(plant):
+        return residual(plant, record)
+    return residual(synchronised(plant, lambda turned: pooled([residual(turned, record)])), record)
 
 
 def pooled(residuals: Sequence[NDArray[np.float64]]) -> float:
@@ -81,9 +89,12 @@ class Gains:
     records, heldout : tuple of Record
         ``heldout`` is empty where each training record in turn was left out of the fit.
     trained, held : tuple of tuple of ndarray
-        Of each plant on each record.
+        Of each plant on each record, as `predict` has them.
     noise : float
         Standard deviation of the position's noise [m or rad].
+    in_phase : tuple of tuple of ndarray
+        Those of the training records with the phases that each has of its own, which `predict` does not know; empty
+        where no plant has any.
     """
 
     records: tuple[Record, ...]
@@ -91,10 +102,16 @@ class Gains:
     trained: tuple[tuple[NDArray[np.float64], ...], ...]
     held: tuple[tuple[NDArray[np.float64], ...], ...]
     noise: float
+    in_phase: tuple[tuple[NDArray[np.float64], ...], ...] = ()
+
+    @property
+    def fitted(self) -> tuple[tuple[NDArray[np.float64], ...], ...]:
+        """What each plant leaves of the training records, in phase."""
+        return self.in_phase or self.trained
 
     def train(self, i: int) -> float:
-        """Return the r.m.s. error of plant `i` on the training records."""
-        return pooled(self.trained[i])
+        """Return the r.m.s. error of plant `i` on the training records, with phases of their own."""
+        return pooled(self.fitted[i])
 
     def tested(self, i: int) -> float:
         """Return the same where the plant was not fitted."""
@@ -114,11 +131,16 @@ class Gains:
 
     def misses_less(self, i: int, j: int) -> bool:
         """Tell whether plant `i` has smaller errors, r.m.s., than `j`: in training, and where neither was fitted."""
-        return self.train(i) < self.train(j) and self.tested(i) < self.tested(j)
+        return pooled(self.trained[i]) < pooled(self.trained[j]) and self.tested(i) < self.tested(j)
 
     def with_others(self, other: Gains) -> Gains:
         """Return these with the plants of another, on the same records, after them."""
-        return replace(self, trained=(*self.trained, *other.trained), held=(*self.held, *other.held))
+        return replace(
+            self,
+            trained=(*self.trained, *other.trained),
+            held=(*self.held, *other.held),
+            in_phase=(*self.fitted, *other.fitted),
+        )
 
     def errors(self, i: int) -> Errors:
         """Return both errors of plant `i`."""
@@ -130,7 +152,7 @@ class Gains:
 
     def by_record(self) -> tuple[RecordGain, ...]:
         """Return the errors of the first and the last plant, record by record."""
-        sets = [(self.records, self.trained, False), (self.heldout or self.records, self.held, True)]
+        sets = [(self.records, self.fitted, False), (self.heldout or self.records, self.held, True)]
         return tuple(
             RecordGain(
                 name=record.name,

@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.logs import apart, beyond
-from servolens.diagnosis.remainder import held_errors, train_errors
+from servolens.diagnosis.remainder import held_errors
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.identification.likelihood import SOME
@@ -165,7 +165,7 @@ def missed_by_far(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[tupl
 
     Each with the phases of its own, if any: another one says nothing of the axis.
     """
-    limit = FARTHER * max(pooled(train_errors(case, chosen, gains)), gains.noise)
+    limit = FARTHER * max(pooled(gains.fitted[-1]), gains.noise)
     for record, error in zip(case.heldout, held_errors(case, chosen, gains), strict=False):
         size = pooled([error])
         if size > limit:
@@ -180,7 +180,7 @@ def _strangers(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding
             unit = record.length_unit
             message = (
                 f"held out, the simulation misses it by {readable(size, unit)} (r.m.s.), the records that were fitted"
-                f" by {readable(pooled(train_errors(case, chosen, gains)), unit)}; is it of the same axis, load and"
+                f" by {readable(pooled(gains.fitted[-1]), unit)}; is it of the same axis, load and"
                 " units?"
             )
             yield Finding(code="heldout_contradicts", severity="warning", message=message, record=record.name)

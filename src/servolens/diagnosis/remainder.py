@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.diagnosis.errors import pooled, residual
+from servolens.diagnosis.errors import pooled, residual_in_phase
 from servolens.identification.data_range import data_range
 from servolens.identification.model_error import model_error
-from servolens.identification.phases import own_phases, synchronised
+from servolens.identification.phases import own_phases
 from servolens.identification.segments import applied_voltage
 from servolens.model_evidence import MATERIAL, Evidence, Missed, Remainder
 from servolens.quality import fatal
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-__all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "train_errors", "unexplained_acceleration"]
+__all__ = ["Remainder", "evidence_of", "held_errors", "remainder_of", "unexplained_acceleration"]
 
 
 def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
@@ -40,7 +40,7 @@ def remainder_of(case: Case, chosen: Hypothesis, gains: Gains) -> Remainder:
     fitted.
     """
     noise = gains.noise
-    trained = case.records, train_errors(case, chosen, gains)
+    trained = case.records, gains.fitted[-1]
     groups = [trained, (case.heldout, held_errors(case, chosen, gains))] if case.heldout else [trained]
     records, errors = max(groups, key=lambda group: _beyond(pooled(group[1]), noise) / _travel(case, group[0]))
     error, travel = pooled(errors), _travel(case, records)
@@ -119,25 +119,14 @@ def _missed(case: Case, errors: Sequence[Array]) -> tuple[Missed, ...]:
     )
 
 
-def train_errors(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
-    """Return the residuals of the training records, each with the phases of its own."""
-    if not own_phases(chosen.plant):
-        return gains.trained[-1]
-    return [_in_phase(chosen.plant, record) for record in case.records]
-
-
 def held_errors(case: Case, chosen: Hypothesis, gains: Gains) -> Sequence[Array]:
     """Return the residuals where the plant was not fitted, but for phases of a record's own."""
     if not own_phases(chosen.plant):
         return gains.held[-1]
     if case.heldout:
-        return [_in_phase(chosen.plant, record) for record in case.heldout]
+        return [residual_in_phase(chosen.plant, record) for record in case.heldout]
     left_out = zip(case.left_out(chosen), case.records, case.cuts, strict=True)
-    return [_in_phase(plant, record)[cut:] for plant, record, cut in left_out]
-
-
-def _in_phase(plant: Plant, record: Record) -> Array:
-    return residual(synchronised(plant, lambda turned: pooled([residual(turned, record)])), record)
+    return [residual_in_phase(plant, record)[cut:] for plant, record, cut in left_out]
 
 
 def unexplained_acceleration(
