@@ -43,6 +43,7 @@ from servolens.lab.laws import ARRAYS, LAWS, Instant
 from servolens.plant import Plant
 from servolens.prediction import predict
 from servolens.report.figures import varying_position
+from servolens.simulation.rates import rate_of
 from servolens.summaries import identification_summary
 
 
@@ -526,3 +527,14 @@ def test_prior_is_combined_with_records_on_which_no_law_of_damping_can_be_simula
     )
     model = identify(record, model="constant", priors={"gain": (2.2, 0.01)}).constant
     assert model.plant.gain == pytest.approx(2.2, abs=0.03)
+
+
+def test_damping_at_rest_grows_no_faster_than_samples_show() -> None:
+    """Beside a dead zone it grew until it died out in a twentieth of a sample, which took long to simulate."""
+    axis = Truth(gain=1.9, damping=6.0, effects={"dead_zone": {"width": 0.2}})
+    records = [
+        step_record(axis, kp, 8.0, reference=[0.1, 0.0, 0.1], duration=0.8, noise=1e-6, seed=seed)
+        for seed, kp in enumerate((60, 120))
+    ]
+    plant = identify(records, model="velocity").plant
+    assert rate_of(plant) * 1e-3 < 4.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.diagnosis.result import Errors, RecordGain
 from servolens.errors import InputError, NumericalError
-from servolens.identification.phases import own_phases, synchronised
+from servolens.identification.phases import synchronised
 from servolens.identification.score import FALSE_ALARM
 from servolens.prediction import prediction_residual
 
@@ -37,8 +37,6 @@ def residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 def residual_in_phase(plant: Plant, record: Record) -> NDArray[np.float64]:
     """Return the same with the phases that suit the record where each has its own, of a disturbance or a ripple."""
-    if not own_phases(plant):
-        return residual(plant, record)
     return residual(synchronised(plant, lambda turned: pooled([residual(turned, record)])), record)
 
 

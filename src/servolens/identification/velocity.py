@@ -17,7 +17,7 @@ from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
 from servolens.model import UNDETERMINED
-from servolens.simulation.rates import substeps_for
+from servolens.simulation.rates import rate_within, substeps_for
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -133,7 +133,8 @@ def _in_closed_loop(
 ) -> Refinement | None:
     """Fit the law to whole steps in closed loop, from where it errs least.
 
-    Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does.
+    Begun from what needs no more than so many substeps a sample as are the `most`; None where each of them does. Nor
+    does its damping at rest become faster than that: no sample would show it.
     """
     noise = max(s.noise for s in segments)
     fastest = max(float(np.abs(np.diff(s.position) / np.diff(s.time)).max()) for s in segments)
@@ -142,6 +143,8 @@ def _in_closed_loop(
     trials = [trial.with_named(options.values) for trial in trials]
     step = max(record.sample_time for record in records)
     slow = [trial for trial in trials if substeps_for(trial, step) <= most]
+    if SIZE not in {*options.held, *options.bounds}:
+        options = replace(options, bounds={**options.bounds, SIZE: (0.0, rate_within(most, step))})
     found = [refine_closed_loop(trial, records, options, noise=noise) for trial in slow]
     return min(found, key=lambda refined: refined.rms_error, default=None)
 

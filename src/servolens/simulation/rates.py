@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["MOST_SUBSTEPS", "rate_of", "substeps_for", "work_of"]
+__all__ = ["MOST_SUBSTEPS", "rate_of", "rate_within", "substeps_for", "work_of"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -39,6 +39,11 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
         return MOST_SUBSTEPS
     fine, coarse = ceil(step * rate / STEP_TIMES_RATE), ceil(step * rate / STIFF_STEP_TIMES_RATE)
     return min(max(min(fine, FINE_SUBSTEPS), coarse, 1), MOST_SUBSTEPS)
+
+
+def rate_within(substeps: float, step: float) -> float:
+    """Return the fastest rate [1/s] that so many `substeps` of a sample of `step` seconds allow, eight or more."""
+    return substeps * STIFF_STEP_TIMES_RATE / step
 
 
 def work_of(samples: int, substeps: int) -> int:
