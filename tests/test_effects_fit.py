@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -147,13 +147,21 @@ def test_what_the_data_do_not_determine_costs_no_other_parameter_its_error_bar()
     assert miss(fit, "damping", DAMPING) < FAR
 
 
-def test_place_and_phase_that_happen_to_be_nearly_nothing_are_known_all_the_same():
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("cogging.phase", {"amplitude": 0.5, "pitch": 0.03, "phase": 0.0}),
+        ("position_friction.centre", {"level": 0.5, "centre": 0.0, "width": 0.02}),
+    ],
+)
+def test_place_and_phase_that_happen_to_be_nearly_nothing_are_known_all_the_same(name, values):
     """A place of 0 ± 7 µm was said to be hardly determined, for its error bar is larger than its value."""
-    truth = axis(cogging={"amplitude": 0.5, "pitch": 0.03, "phase": 0.0})
+    truth = axis(**{name.partition(".")[0]: values})
     fit = servolens.fit(effects_of(truth, 1.02), campaign(truth))
-    phase = fit.quantities["cogging.phase"]
-    assert abs(phase.value) < 4.0 * phase.stderr < 0.05
-    assert "not_determined" not in codes(fit)
+    error = fit.quantities[name].stderr
+    assert abs(fit.quantities[name].value) < 4.0 * error < 0.05
+    nearer = replace(fit.refinement, plant=fit.plant.with_named({name: 0.1 * error}))
+    assert "not_determined" not in {finding.code for finding in findings_of(nearer)}
 
 
 def test_limit_that_is_reached_all_the_time_is_not_said_to_be_unseen():

@@ -99,7 +99,7 @@ def test_what_varies_goes_with_what_it_depends_on(effects, varies, goes_with, si
 
 
 def test_no_force_goes_with_what_damping_or_gain_would_be():
-    """Of a spring that yields nothing near its middle the force was said to go with the velocity, r = 0.999."""
+    """Of a spring that gives no force near its middle the missing force was said to go with the voltage."""
     stops = {"end_stop": {"low": -0.05, "high": 0.05, "contact_frequency": 3.0, "contact_damping": 0.01}}
     force = read(strokes(stops))["force"]
     assert force.goes_with == "position"

@@ -91,8 +91,8 @@ class Gains:
     noise : float
         Standard deviation of the position's noise [m or rad].
     in_phase : tuple of tuple of ndarray
-        Those of the training records with the phases that each has of its own, which `predict` does not know; empty
-        where no plant has any.
+        Those of the training records with the phases that each has of its own, which `predict` does not know; where
+        none are given, as `trained`.
     """
 
     records: tuple[Record, ...]

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["above_noise", "findings_of", "is_beyond"]
 
 PLACES = {"rad": 1.0, "{x}": np.inf}
-"""Units of a phase and of a place, to which 0 is a value as any other, and the error that says nothing of them."""
+"""Units of a phase and of a place, of which 0 is a value like any other, with the standard error from which on they are
+hardly determined: a radian; of a place there is none, for what is far depends on the machine."""
 HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
 
@@ -59,8 +60,8 @@ def _non_smooth(refined: Refinement) -> list[Finding]:
     return [Finding(code="non_smooth_error", severity="note", message=message)]
 
 
-def _nothing_to(refined: Refinement, name: str, value: float) -> float:
-    """Return the error from which on a parameter is hardly determined: its value; of a phase 1 rad, of a place any."""
+def _vague_from(refined: Refinement, name: str, value: float) -> float:
+    """Return the standard error from which on a parameter is hardly determined: of a size its value; see `PLACES`."""
     effect, _, own = name.rpartition(".")
     found = refined.plant.effect(effect) if effect else None
     spec = refined.plant.parameters[name]
@@ -82,7 +83,7 @@ def _at_bounds(refined: Refinement) -> list[Finding]:
 
 
 def _vague(refined: Refinement) -> list[Finding]:
-    """Name the parameters of which the data say nothing, and those whose standard error exceeds their value."""
+    """Name the parameters of which the data say nothing, and those that they hardly determine."""
     found = [
         Finding(
             code="not_determined",
@@ -98,7 +99,7 @@ def _vague(refined: Refinement) -> list[Finding]:
     for name, value, variance in zip(
         refined.plant.parameters, refined.plant.values, np.diag(refined.covariance), strict=True
     ):
-        if np.isfinite(variance) and value != 0.0 and variance > _nothing_to(refined, name, value) ** 2:
+        if np.isfinite(variance) and value != 0.0 and variance > _vague_from(refined, name, value) ** 2:
             message = f"the data hardly determine {name}: {value:.3g} ± {np.sqrt(variance):.2g}."
             found.append(Finding(code="not_determined", severity="note", message=message))
     return found

@@ -193,18 +193,18 @@ def advice(cause: Cause, diagnosis: Diagnosis) -> list[str]:
     sure = f"Confidence {percent(100 * cause.confidence)} among the effects tried"
     if diagnosis.verdict == "partly_explained":
         sure += ", as far as the error is explained at all"
-    rivals = [spoken(rival) for rival in _rivals(cause)]
+    rivals, unfitted = [spoken(rival) for rival in _rivals(cause)], _same_structure(cause)
     if rivals:
         told.append(f"{sure}. These data cannot distinguish it from {listed(rivals, last='or')}.")
-    elif diagnosis.verdict == "partly_explained" or _same_structure(cause):
+    elif diagnosis.verdict == "partly_explained" or unfitted:
         told.append(f"{sure}.")
     else:
         told.append(f"{sure}: none does as well with as few parameters.")
-    if len(rivals) + len(_same_structure(cause)) < len(cause.rivals):
+    if len(rivals) + len(unfitted) < len(cause.rivals):
         told.append(f"It is the same as {spoken(' + '.join(kind.unites))}.")
     told += [
         f"{capital(spoken(name))} has the same structure and was not fitted: look at the machine to tell which it is."
-        for name in _same_structure(cause)
+        for name in unfitted
     ]
     return told
 
@@ -235,8 +235,8 @@ def next_sentences(diagnosis: Diagnosis) -> list[str]:
 
 def _rivals(cause: Cause) -> list[str]:
     """Return the rivals that were fitted, but for the pair that together is the same thing."""
-    known = [rival for rival in cause.rivals if rival not in cause.kind.same_structure]
-    return [rival for rival in known if set(rival.split(" + ")) != set(cause.kind.unites)]
+    unfitted = _same_structure(cause)
+    return [r for r in cause.rivals if r not in unfitted and set(r.split(" + ")) != set(cause.kind.unites)]
 
 
 def _same_structure(cause: Cause) -> list[str]:
