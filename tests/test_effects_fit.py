@@ -409,6 +409,19 @@ def test_large_clean_play_is_not_said_to_make_the_error_non_smooth():
     assert_at_noise(fit)
 
 
+def test_motor_that_rests_anywhere_within_its_gap_leads_no_parameter_astray():
+    truth = axis(backlash={"gap": 0.01, "load_share": 0.35})
+    common = {"reference": [0.1, 0.0], "duration": 0.6}
+    records = [
+        logged(truth, kp, 2.0, seed=int(kp), setup=Setup(place=place), **common)
+        for kp, place in ((20.0, 0.999), (30.0, -0.6))
+    ]
+    fit = servolens.fit(effects_of(truth, 1.2), records)
+    assert misses(fit, truth) == {}
+    assert_at_noise(fit)
+    assert [start[2] for start in fit.refinement.starts] == pytest.approx([0.999, -0.6], abs=0.01)
+
+
 @pytest.mark.parametrize(("hertz", "noise"), [(1.0, 1e-4), (10.0, 1e-6)])
 @pytest.mark.parametrize("phase", [0.0, 0.18, 0.6])
 def test_log_cut_out_of_a_motion_begins_with_its_own_velocity(hertz, noise, phase):

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 import servolens
-from servolens.effects import ActuatorLag, CoulombFriction, Saturation
+from servolens.effects import ActuatorLag, Backlash, CoulombFriction, Saturation
 from servolens.errors import InputError
 from servolens.lab import LM1, NLM1, Setup, Truth, step_record, table_one
 from servolens.plant import Plant
@@ -83,7 +83,7 @@ def test_wrong_plant_does_not_make_up_for_what_it_lacks_by_another_velocity() ->
     record = clean.with_({"position": clean.position + slow_noise(5e-5, len(clean), 7, 0.0)}).slice(0.04, 0.9)
     told = initial_motion(record)
     for wrong in (replace(LINEAR, damping=5.0 * LM1.damping), replace(LINEAR, gain=2.0 * LM1.gain)):
-        assert 0.0 <= beginning(wrong, record)[1] <= 1.3001 * told
+        assert 0.0 <= beginning(wrong, record).velocity <= 1.3001 * told
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.95])
@@ -94,10 +94,10 @@ def test_log_that_begins_in_motion_is_missed_by_no_more_than_its_noise(kept, beg
     record = clean.with_({"position": clean.position + noise}).slice(begin, float(clean.time[-1]))
     missed, after = prediction_residual(LINEAR, record), noise[-len(record) :]
     assert np.sqrt(np.mean(missed**2)) < 1.2 * np.sqrt(np.mean(after**2))
-    same, velocity = beginning(LINEAR, record)
+    begun = beginning(LINEAR, record)
     exact = simulate(LINEAR, clean)
-    assert velocity == pytest.approx(exact.velocity[-len(record)], rel=0.02)
-    assert same is record
+    assert begun.velocity == pytest.approx(exact.velocity[-len(record)], rel=0.02)
+    assert begun.record is record
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.9])
@@ -131,7 +131,28 @@ def test_axis_at_rest_is_not_set_in_motion_by_what_a_plant_lacks(begin) -> None:
         clean = step_record(truth, 60.0, 1.0, encoder=0.0, setup=Setup(rest=begin))
         for size, kept in ((1e-5, 0.0), (1e-4, 0.9), (1e-3, 0.0)):
             record = clean.with_({"position": clean.position + slow_noise(size, len(clean), 3, kept)})
-            assert beginning(LINEAR, record)[1] == 0.0
+            assert beginning(LINEAR, record).velocity == 0.0
+
+
+@pytest.mark.parametrize("place", [-0.999, -0.4, 0.0, 0.7, 0.999])
+def test_motor_that_rests_anywhere_within_its_gap_is_found_where_it_does(place) -> None:
+    own = {"gap": 2e-3, "load_share": 0.35}
+    plant = replace(LINEAR, effects=(Backlash(**own),))
+    truth = Truth(gain=LM1.gain, damping=LM1.damping, effects={"backlash": own})
+    setup = Setup(place=place, rest=0.05)
+    clean = step_record(truth, 60.0, 2.0, encoder=0.0, setup=setup)
+    assert np.abs(simulate(plant, clean, initial_place=place).shown(plant) - clean.position).max() < 1e-7
+    record = clean.with_({"position": clean.position + slow_noise(1e-5, len(clean), 5, 0.0)})
+    assert beginning(plant, record).place == pytest.approx(place, abs=0.03)  # the noise is 0.01 of half the gap
+    assert prediction_error(plant, record).rms_error < 1.05e-5
+
+
+def test_place_within_a_gap_is_from_one_end_to_the_other() -> None:
+    record = step_record(LM1, 60.0)
+    with pytest.raises(InputError, match=r"initial_place must be from -1 to 1, the ends of the gap, got 1.5"):
+        simulate(LINEAR, record, initial_place=1.5)
+    with pytest.raises(InputError, match=r"place must be from -1 to 1, got nan"):
+        Setup(place=float("nan"))
 
 
 def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:

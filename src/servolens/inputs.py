@@ -57,6 +57,7 @@ ARGUMENTS = (
     "fixed",
     "force",
     "heldout",
+    "initial_place",
     "initial_velocity",
     "local",
     "loss",

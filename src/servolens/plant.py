@@ -147,6 +147,11 @@ class Plant:
         return any(isinstance(effect, Transmission) and not effect.linear for effect in self.effects)
 
     @property
+    def play(self) -> float:
+        """How far the motor can be from the load without touching it: half of the lost motion [m or rad]."""
+        return sum(effect.play for effect in self.effects if isinstance(effect, Transmission))
+
+    @property
     def remembers_voltage(self) -> bool:
         """Whether the voltage before a record still shows in it."""
         late = (TimeShift, Transmission, Sensor)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any, ClassVar, Unpack, final
+from typing import TYPE_CHECKING, Any, ClassVar, TypedDict, Unpack, final
 
 import numpy as np
 
@@ -219,25 +219,67 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
     return np.concatenate([_difference(plant, part, speed) for part, speed in zip(parts, speeds, strict=True)])
 
 
-def beginning(plant: Plant, record: Record) -> tuple[Record, float]:
-    """Return `record`, with what was applied before it, and the velocity at its first sample, for a simulation.
+class Disturbed(TypedDict, total=False):
+    """Of :func:`servolens.simulation.simulate`: what shakes the axis, and errors of the sensor, shape (n,) each."""
+
+    acceleration: NDArray[np.float64]
+    sensor_error: NDArray[np.float64]
+
+
+@final
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """How the simulation of a record begins.
+
+    Attributes
+    ----------
+    record : Record
+        With what was applied before it.
+    velocity : float
+        At the first sample [m/s or rad/s].
+    place : float
+        Of the motor within the gap of a backlash, from -1 to 1, its ends.
+    """
+
+    record: Record
+    velocity: float = 0.0
+    place: float = 0.0
+
+    def simulated(self, plant: Plant, record: Record | None = None, **disturbed: Unpack[Disturbed]) -> Simulation:
+        """Return what `plant` does from it, in another `record` if one is given, and `disturbed` if by anything.
+
+        Raises
+        ------
+        InputError, NumericalError
+            As :func:`servolens.simulation.simulate`.
+        """
+        given = self.record if record is None else record
+        return simulate(plant, given, initial_velocity=self.velocity, initial_place=self.place, **disturbed)
+
+    def missed(self, plant: Plant) -> NDArray[np.float64]:
+        """Return simulated minus measured position, shape (n,)."""
+        return np.asarray(self.simulated(plant).shown(plant) - self.record.position)
+
+
+def beginning(plant: Plant, record: Record) -> Beginning:
+    """Return how a simulation of `record` begins.
 
     The likeliest of few: at rest, or, where the first samples show motion, as fast as explains the record best. A
     lagging axis that is pushed off at once looks as if it had been moving. Where a record does not say what was applied
-    before it, that was its first voltage, or nothing.
+    before it, that was its first voltage, or nothing. The motor of an axis with backlash is where in the gap it
+    explains the record best.
 
     Raises
     ------
     InputError, NumericalError
         As :func:`servolens.simulation.simulate`.
     """
-    return _begun(plant, record)[1:]
+    return _begun(plant, record)[1]
 
 
 def from_beginning(plant: Plant, record: Record) -> Simulation:
     """Simulate `record` from its likelier :func:`beginning`."""
-    same, velocity = beginning(plant, record)
-    return simulate(plant, same, initial_velocity=velocity)
+    return beginning(plant, record).simulated(plant)
 
 
 def _difference(plant: Plant, record: Record, speed: float | None = None) -> NDArray[np.float64]:
@@ -245,37 +287,51 @@ def _difference(plant: Plant, record: Record, speed: float | None = None) -> NDA
     return _begun(plant, record, speed)[0]
 
 
-def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[NDArray[np.float64], Record, float]:
-    """Return what the simulation misses of a record, that record, and the velocity at which it begins."""
+def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses of a record, and how it begins."""
     is_open = record.voltage_before is None and plant.remembers_voltage
     alike = [record, replace(record, voltage_before=0.0)] if is_open else [record]
     told, (likely, off) = initial_motion(record), possible_motion(record)
     found = []
     for same in alike:
-        found.append((_from(plant, same, 0.0), same, 0.0))
+        still = _placed(plant, Beginning(same))
+        found.append(still)
         if speed is not None:
-            found.append((_from(plant, same, speed), same, speed))
+            found.append(_placed(plant, Beginning(same, speed)))
         elif told:
-            found.append(_refined(plant, same, told, off))
-        elif off and _may_move(plant, same, found[-1][0], off):
-            found.append(_refined(plant, same, likely, off))
-    missed, same, velocity = min(found, key=lambda one: float(one[0] @ one[0]))
-    return *_timed(plant, same, velocity, missed), velocity
+            moving = _refined(plant, replace(still[1], velocity=told), "velocity", off)
+            found.append(_placed(plant, moving[1]) if plant.play else moving)
+        elif off and _may_move(plant, *still, off):
+            found.append(_refined(plant, replace(still[1], velocity=likely), "velocity", off))
+    missed, begun = min(found, key=_size)
+    return _timed(plant, begun, missed)
 
 
-def _may_move(plant: Plant, record: Record, still: NDArray[np.float64], change: float) -> bool:
-    """Tell whether another initial velocity would leave far less of what a simulation from rest misses."""
-    slope = _from(plant, record, change) - still
-    return float(slope @ still) ** 2 > (1.0 - HIDDEN) * float(slope @ slope) * float(still @ still)
+def _placed(plant: Plant, begun: Beginning) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses that begins like this, its motor where in a gap it misses least, and how."""
+    if not plant.play:
+        return begun.missed(plant), begun
+    places = [replace(begun, place=place) for place in (0.0, -1.0, 1.0)]
+    _, nearest = min(((one.missed(plant), one) for one in places), key=_size)
+    return _refined(plant, nearest, "place", 1.0)
 
 
-def _timed(
-    plant: Plant, record: Record, velocity: float, missed: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], Record]:
-    """Return what the simulation misses of a log slower than its loop, and it, its jumps timed to the tick.
+def _size(found: tuple[NDArray[np.float64], Beginning]) -> float:
+    return float(found[0] @ found[0])
+
+
+def _may_move(plant: Plant, missed: NDArray[np.float64], still: Beginning, change: float) -> bool:
+    """Tell whether another initial velocity would leave far less of what is `missed` from rest."""
+    slope = replace(still, velocity=change).missed(plant) - missed
+    return float(slope @ missed) ** 2 > (1.0 - HIDDEN) * float(slope @ slope) * float(missed @ missed)
+
+
+def _timed(plant: Plant, begun: Beginning, missed: NDArray[np.float64]) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses of a log slower than its loop, and its beginning, its jumps timed to the tick.
 
     They are known to about a tick before there is a plant.
     """
+    record = begun.record
     for sample in record.jumps().tolist() if record.ticks > 1 else ():
         tick = record.sample_time / record.ticks
         for change in (tick, -tick):
@@ -283,34 +339,35 @@ def _timed(
             leads[sample] += change
             if not -0.5 * tick < leads[sample] < record.sample_time - 0.5 * tick:
                 continue
-            other = replace(record, jump_leads=leads)
-            again = _from(plant, other, velocity)
+            other = replace(begun, record=replace(record, jump_leads=leads))
+            again = other.missed(plant)
             if again @ again < missed @ missed:
-                missed, record = again, other
-    return missed, record
+                missed, begun, record = again, other, other.record
+    return missed, begun
 
 
-def _refined(plant: Plant, record: Record, told: float, off: float) -> tuple[NDArray[np.float64], Record, float]:
-    """Return what the simulation misses that begins about as fast as the first samples have `told`, and how fast.
+def _refined(plant: Plant, begun: Beginning, what: str, off: float) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses that begins about as `begun`, and how it does.
 
-    In least squares over the record, by secants, no further `off` than the first samples allow: what the plant gets
-    wrong is no reason to begin otherwise.
+    Its velocity, or the place within the gap, is found in least squares over the record, by secants: a velocity no
+    further `off` than the first samples allow, for what the plant gets wrong is no reason to begin otherwise; a place
+    within the gap.
     """
-    missed, velocity, change = _from(plant, record, told), told, FIRST_CHANGE * max(abs(told), off)
+    told = getattr(begun, what)
+    low, high = (told - off, told + off) if what == "velocity" else (-off, off)
+    missed, change = begun.missed(plant), FIRST_CHANGE * max(abs(told), off)
+    change = -change if told + change > high else change
     with suppress(NumericalError):
         for _ in range(MOST_SECANTS):
-            slope = (_from(plant, record, velocity + change) - missed) / change
-            best = velocity - float(slope @ missed) / max(float(slope @ slope), 1e-300)
-            best = min(max(best, told - off), told + off)
-            again = _from(plant, record, best)
+            here = getattr(begun, what)
+            slope = (replace(begun, **{what: here + change}).missed(plant) - missed) / change
+            best = here - float(slope @ missed) / max(float(slope @ slope), 1e-300)
+            other = replace(begun, **{what: min(max(best, low), high)})
+            again = other.missed(plant)
             if not float(again @ again) < float(missed @ missed):
                 break
-            missed, velocity, change = again, best, 0.5 * (best - velocity)
-    return missed, record, velocity
-
-
-def _from(plant: Plant, record: Record, velocity: float) -> NDArray[np.float64]:
-    return np.asarray(simulate(plant, record, initial_velocity=velocity).shown(plant) - record.position)
+            missed, begun, change = again, other, 0.5 * (getattr(other, what) - here)
+    return missed, begun
 
 
 def predict(

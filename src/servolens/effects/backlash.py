@@ -71,6 +71,11 @@ class Backlash(Transmission):
         """See :meth:`servolens.effects.kinds.Transmission.share`."""
         return p.load_share
 
+    @property
+    def play(self) -> float:
+        """See :attr:`servolens.effects.kinds.Transmission.play`."""
+        return 0.5 * self.gap
+
     def freed(self) -> Iterator[Backlash]:
         """See :meth:`servolens.effects.base.Effect.freed`: with another contact."""
         yield from other_contacts(self)

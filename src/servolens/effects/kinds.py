@@ -137,6 +137,11 @@ class Transmission(Effect):
     def share(p: Any) -> SX:
         """Return the load's share μ of the moving mass, in (0, 1)."""
 
+    @property
+    def play(self) -> float:
+        """How far the motor can be from the load without touching it [m or rad]; 0 where they are joined."""
+        return 0.0
+
 
 class Sensor(Effect):
     """What the sensor shows of the position; to it ``axis`` is the load, which is where the sensor is."""

@@ -17,7 +17,7 @@ from servolens.identification.error_problem import Problem
 from servolens.identification.instruments import forces_along
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
-from servolens.identification.observed import InitialState
+from servolens.identification.observed import MOVED_IN_GAP, InitialState
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.runs import ClosedLoop, OneByOne
 from servolens.identification.smoothing import speed_of
@@ -64,17 +64,16 @@ class LoopRun(OneByOne):
         self.sample_time = self._loop.sample_time
         travel = SHIFT * max(float(np.ptp(record.position)), 1e-12)
         self.start = self._initial.mean
-        self.shifts: tuple[float, ...] = (travel, travel / max(record.duration, 1e-3))
+        self.shifts: tuple[float, ...] = (travel, travel / max(record.duration, 1e-3), MOVED_IN_GAP)
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return simulated minus measured position, shape (n,) [m or rad]."""
-        run = self._loop.simulated(plant, (float(start[0]), float(start[1])), substeps)
+        run = self._loop.simulated(plant, start.tolist(), substeps)
         return np.asarray(self._loop.logged(run.measured) - self.measured)
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the same whitened, and how far the initial state is from its prior, in standard deviations."""
-        away = (start - self._initial.mean) / self._initial.deviation
-        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), self._initial.away(start)])
 
     def answers(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return what forces of general kinds along the simulation would do to the whitened position, shape (n, k).
@@ -83,10 +82,7 @@ class LoopRun(OneByOne):
         """
         from scipy.signal import bilinear, lfilter
 
-        run, controller = (
-            self._loop.simulated(plant, (float(start[0]), float(start[1])), substeps),
-            self._loop.controller,
-        )
+        run, controller = self._loop.simulated(plant, start.tolist(), substeps), self._loop.controller
         y, v, u = (self._loop.logged(signal) for signal in (run.position, run.velocity, run.voltage))
         forces = forces_along([(y, v, u)])[0]
         kp, kd = controller.kp, controller.kd

@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
 from servolens.identification.linear_model import UNFELT, Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
-from servolens.identification.runs import one_by_one
+from servolens.identification.runs import begun, one_by_one
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for, work_of
@@ -162,15 +162,15 @@ class Problem:
         return point
 
     def _least_missed(self, point: Point, i: int, known: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the initial state of run `i` by which it is missed least: its guess, at rest there, or a known one.
+        """Return the initial state of run `i` by which it is missed least: a guess, at rest there, or a known one.
 
         Dry friction and cogging part them by ridges.
         """
-        guess = point.starts[i]
+        guess, *others = begun(self.runs[i], self.plant_at(point.values, i))
         if guess.size < 2:
             return guess
-        others = (np.array([guess[0], 0.0]), known)
-        starts = [guess, *(s for s in others if s.size == guess.size and not np.array_equal(s, guess))]
+        others += [np.array([guess[0], 0.0, *guess[2:]]), np.append(known, guess[known.size :])[: guess.size]]
+        starts = [guess, *(s for s in others if not np.array_equal(s, guess))]
         if len(starts) == 1:
             return guess
         found = self._evaluate([(i, _Trial(point.values, start)) for start in starts])
@@ -316,7 +316,7 @@ class Problem:
             up, down = self._moved(centre.values, k)
             sides = ((up if up[k] != centre.values[k] else down),) if self.one_sided else (up, down)
             plan.append((k, *(centre._replace(values=side) for side in sides)))
-        for k, h in enumerate(self.runs[i].shifts):
+        for k, h in zip(range(centre.start.size), self.runs[i].shifts, strict=False):
             shift = h * (np.arange(centre.start.size) == k)
             above, below = centre._replace(start=centre.start + shift), centre._replace(start=centre.start - shift)
             plan.append((self.free.size + k, above) if self.one_sided else (self.free.size + k, above, below))

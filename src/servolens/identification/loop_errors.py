@@ -21,7 +21,6 @@ from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
 from servolens.prediction import beginning
 from servolens.processors import in_parallel
-from servolens.simulation.loop import simulate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
+    from servolens.prediction import Beginning
     from servolens.record import Record
 
     Errors = Sequence[NDArray[np.float64]]
@@ -175,10 +175,10 @@ def drawn_loop_errors(
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         moved = []
         with suppress(ServolensError):
-            for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
-                loop = replace(record, position=record.position + places[k], encoder_resolution=step or None)
-                shake, error = shakes[i][:, k], drawn[i][:, k]
-                run = simulate(plant, loop, initial_velocity=velocity, acceleration=shake, sensor_error=error)
+            for i, (plant, start) in enumerate(zip(plants, begun, strict=True)):
+                there = start.record.position + places[k]
+                loop = replace(start.record, position=there, encoder_resolution=step or None)
+                run = start.simulated(plant, loop, acceleration=shakes[i][:, k], sensor_error=drawn[i][:, k])
                 moved.append(run.measured - still[i])
             return tuple(moved)
         return None
@@ -193,7 +193,7 @@ class _Shares:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
         begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
-        runs = [simulate(plant, r, initial_velocity=v) for plant, (r, v) in zip(plants, begun, strict=True)]
+        runs = [start.simulated(plant) for plant, start in zip(plants, begun, strict=True)]
         shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
         self._own = _spanned(_sensitivities(plants, begun, shown))
         columns, activity = [], []
@@ -226,19 +226,15 @@ class _Shares:
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
 
-def _shown(plants: Sequence[Plant], begun: Sequence[tuple[Record, float]]) -> list[NDArray[np.float64]]:
-    """Return what the sensors of `plants` show of records that begin with these velocities."""
-    return [
-        simulate(p, record, initial_velocity=speed).shown(p) for p, (record, speed) in zip(plants, begun, strict=True)
-    ]
+def _shown(plants: Sequence[Plant], begun: Sequence[Beginning]) -> list[NDArray[np.float64]]:
+    """Return what the sensors of `plants` show of records that begin like this."""
+    return [start.simulated(plant).shown(plant) for plant, start in zip(plants, begun, strict=True)]
 
 
-def _sensitivities(
-    plants: Sequence[Plant], begun: Sequence[tuple[Record, float]], shown: Errors
-) -> NDArray[np.float64]:
-    """Return how the loops answer to a change of each parameter and of the velocity at which they begin, shape (n, k).
+def _sensitivities(plants: Sequence[Plant], begun: Sequence[Beginning], shown: Errors) -> NDArray[np.float64]:
+    """Return how the loops answer to a change of each parameter and of how they begin, shape (n, k).
 
-    The columns of velocities exist for records that begin in motion alone.
+    The columns of velocities exist for records that begin in motion alone, those of places for axes with backlash.
     """
     values = plants[0].named
     columns = []
@@ -250,11 +246,12 @@ def _sensitivities(
             others = [plant.with_named({name: plant.named[name] + step}) for plant in plants]
             moved = [one - position for one, position in zip(_shown(others, begun), shown, strict=True)]
             columns.append(np.concatenate(moved))
-    for i, (plant, (record, velocity)) in enumerate(zip(plants, begun, strict=True)):
-        if velocity:
+    for i, (plant, start) in enumerate(zip(plants, begun, strict=True)):
+        changes = {"velocity": PARAMETER_STEP * start.velocity, "place": PARAMETER_STEP if plant.play else 0.0}
+        for what in (what for what, change in changes.items() if change):
             moved = [np.zeros(position.size) for position in shown]
             with suppress(ServolensError):
-                (other,) = _shown([plant], [(record, (1.0 + PARAMETER_STEP) * velocity)])
+                (other,) = _shown([plant], [replace(start, **{what: getattr(start, what) + changes[what]})])
                 moved[i] = other - shown[i]
                 columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])

@@ -181,7 +181,7 @@ class NoiseTrials:
             whiten, initial = run.whiten.beside(noise), run.signals.initial
             white = whiten(error)
             misfit += whiten.log_determinant + float(white @ white)
-            misfit += float(np.sum(((start - initial.mean) / initial.deviation) ** 2)) if run.start.size else 0.0
+            misfit += float(np.sum(initial.away(start) ** 2)) if run.start.size else 0.0
         if self.best is None or misfit < self.best[1]:
             self.best = noise, misfit
         return misfit

@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.late_inputs import jumps_of
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
-from servolens.identification.runs import ClosedLoop, rest
+from servolens.identification.runs import ClosedLoop, begun, rest
 from servolens.identification.segments import applied_at, applied_before, begins_with_its_step
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.ticks import Ticks
 
-__all__ = ["InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed"]
+__all__ = ["MOVED_IN_GAP", "InitialState", "ObservedRun", "Signals", "SimulatedRun", "clock_error", "least_missed"]
 
 FIRST = 12
 """Samples, at least, from which an initial velocity is read: as many as a cubic's smoothing derivative needs."""
@@ -41,12 +41,17 @@ FOLLOWS = 8.0
 """Rate of the observer that tells the speed, in units of the loops' own: of a plant that is only about the axis."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
+MOVED_IN_GAP = 1e-2
+"""By how much the place of the motor within a gap is."""
 
 
 @final
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialState:
-    """Position and velocity at the first sample: mean and standard deviation, each of shape (2,)."""
+    """Position and velocity at the first sample: mean and standard deviation, each of shape (2,).
+
+    An axis with backlash has a third one: where its motor is within the gap, from -1 to 1. That is anywhere.
+    """
 
     mean: NDArray[np.float64]
     deviation: NDArray[np.float64]
@@ -65,6 +70,13 @@ class InitialState:
             slope_error += abs(_slope(record, count) - velocity) / WIDE
         level = float(np.mean(record.position[:still]))
         return cls(np.array([level, velocity]), WIDE * np.array([max(noise, floor), slope_error]))
+
+    def away(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far initial states, shape (…, 2 or 3), are from this one, in standard deviations.
+
+        The place within a gap is so far from its middle.
+        """
+        return np.concatenate([(start[..., :2] - self.mean) / self.deviation, start[..., 2:]], axis=-1)
 
 
 def _slope(record: Record, count: int) -> float:
@@ -253,7 +265,8 @@ class ObservedRun:
         self.start = signals.initial.mean
         self._usual: NDArray[np.float64] | float = 0.0
         travel = MOVED * max(float(np.ptp(signals.position)), 1e-12)
-        self.shifts = (travel, travel / max(float(signals.time[-1] - signals.time[0]), 1e-3))
+        duration = max(float(signals.time[-1] - signals.time[0]), 1e-3)
+        self.shifts = (travel, travel / duration, MOVED_IN_GAP)
         self._before = applied_before(signals.record)
         if unpowered and self._before is None:
             self._before = 0.0
@@ -303,8 +316,7 @@ class ObservedRun:
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the whitened difference, and how far the initial state is from its prior, in standard deviations."""
-        initial = self.signals.initial
-        away = (start - initial.mean) / initial.deviation
+        away = self.signals.initial.away(start)
         return np.concatenate([self.whiten(self.missed(plant, start, substeps)) - self._usual, away])
 
     def residuals(
@@ -315,7 +327,7 @@ class ObservedRun:
         those = [self._as_it_was(plant) for plant in plants]
         missed = self._trial(signals.voltage).measured(those, begun.tolist(), substeps) - signals.position
         white = self.whiten((missed if signals.index is None else missed[:, signals.index]).T).T - self._usual
-        return np.hstack([white, (begun - signals.initial.mean) / signals.initial.deviation])
+        return np.hstack([white, signals.initial.away(begun)])
 
 
 @final
@@ -381,8 +393,14 @@ class SimulatedRun:
 
 def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:
     """Return the squared residual of `run` from sample `begin` on, from its best initial state, and that."""
-    substeps, start, best = substeps_for(plant, run.sample_time), run.start, run.start
-    least = np.inf
+    found = [_least_missed_from(run, plant, start, begin) for start in begun(run, plant)]
+    return min(found, key=lambda one: one[0])
+
+
+def _least_missed_from(
+    run: ObservedRun | SimulatedRun, plant: Plant, start: NDArray[np.float64], begin: int
+) -> tuple[float, NDArray[np.float64]]:
+    substeps, best, least = substeps_for(plant, run.sample_time), start, np.inf
     for _ in range(3):
         try:
             found = run.residual(plant, start, substeps)
@@ -394,7 +412,7 @@ def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> t
         least, best = size, start
         if not start.size:
             break
-        moves = [np.eye(2)[k] * h for k, h in enumerate(run.shifts)]
+        moves = [h * unit for h, unit in zip(run.shifts, np.eye(start.size), strict=False)]
         slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
         start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
     return least, best

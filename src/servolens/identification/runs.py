@@ -26,12 +26,25 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.simulation.loop import Simulation
 
-__all__ = ["ClosedLoop", "ClosedRun", "OneByOne", "Resampled", "Run", "VoltageRun", "closed_runs", "one_by_one", "rest"]
+__all__ = [
+    "ClosedLoop",
+    "ClosedRun",
+    "OneByOne",
+    "Resampled",
+    "Run",
+    "VoltageRun",
+    "begun",
+    "closed_runs",
+    "one_by_one",
+    "rest",
+]
 
 LONGEST_REST = 40
 """Most samples of rest before a step that are looked at."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
+IN_GAP = (0.0, -1.0, 1.0)
+"""Places of the motor within a gap: its middle and its ends."""
 AS_IT_IS = NoiseModel.white(1.0)
 """Whitens nothing."""
 
@@ -51,8 +64,8 @@ class Run(Protocol):
         Longest interval between samples [s].
     start : ndarray, shape (s,)
         Guess of the initial position and velocity that are free; of size 0 where they are known.
-    shifts : tuple of float, length s
-        Their steps for finite differences.
+    shifts : tuple of float
+        Their steps for finite differences; a third one where the place within a gap is free as well, see :func:`begun`.
     """
 
     @property
@@ -98,6 +111,18 @@ class OneByOne:
         return one_by_one(self, plants, starts, substeps)
 
 
+def begun(run: Run, plant: Plant) -> list[NDArray[np.float64]]:
+    """Return initial states of `run` from which a search may begin, its guess first.
+
+    Of an axis with backlash also with the motor at either end of the gap: it rests anywhere within, and what it does
+    until it touches the load is as good as the same from both sides of a good place.
+    """
+    start = run.start
+    if not plant.has_contacts or len(run.shifts) <= start.size:
+        return [start]
+    return [np.append(start, place) for place in IN_GAP]
+
+
 def one_by_one(
     run: Run | OneByOne, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
 ) -> NDArray[np.float64]:
@@ -134,9 +159,9 @@ class ClosedLoop:
         self.sample_time = float(np.max(np.diff(self.time)))
 
     def simulated(
-        self, plant: Plant, start: tuple[float, float], substeps: int, push: NDArray[np.float64] | None = None
+        self, plant: Plant, start: Sequence[float], substeps: int, push: NDArray[np.float64] | None = None
     ) -> Simulation:
-        """Return the loop from initial position and velocity `start`, with a voltage `push` added, if any."""
+        """Return the loop from initial state `start`, with a voltage `push` added, if any."""
         added = self._added if push is None else push if self._added is None else self._added + push
         return self._trial(added).simulated(_as_it_was(plant, self.record), start, substeps)
 

@@ -269,7 +269,7 @@ class ScoreTest:
         far = []
         for i, (run, start) in enumerate(zip(self.runs, self.hypothesis.starts, strict=True)):
             if run.start.size:
-                away = WIDE * (start - run.start) / run.signals.initial.deviation
+                away = WIDE * run.signals.initial.away(start)[:2]
                 far += [i] if float(away @ away) > chi2.isf(FALSE_ALARM, away.size) else []
         return far
 

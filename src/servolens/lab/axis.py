@@ -116,12 +116,13 @@ class Axis:
         self._hastes = [(haste, p) for name, p in own.items() if (haste := LAWS[name].haste) is not None]
         self.minds_motion = bool(self._hastes) or self._dahl is not None or self._stop is not None
 
-    def body(self, position: Any) -> Body:
-        """Return the axis at rest at `position`, an array for many runs."""
+    def body(self, position: Any, place: float = 0.0) -> Body:
+        """Return the axis at rest at `position`, an array for many runs; its motor at this place within a gap."""
         zero = 0.0 * position
+        ahead = place * self._joint.half_gap if self._joint is not None else 0.0
         load = (position, zero) if self.has_load else ()
         servo = (zero,) if self._servo is not None else ()
-        return Body((position, zero, *load, *servo), Mode(zero, zero, zero, zero), (position, zero), position)
+        return Body((position + ahead, zero, *load, *servo), Mode(zero, zero, zero, zero), (position, zero), position)
 
     def output(self, state: State) -> tuple[Any, Any]:
         """Return position and velocity of what is measured: the load, where there is one."""

@@ -42,6 +42,8 @@ class Setup:
         shaken axis, samples that are not taken on time.
     start : float
         Where the axis rests at time 0 [m].
+    place : float
+        Where within the gap of a backlash its motor does: 0 is the middle, -1 and 1 are the ends.
     rest : float
         Time at the reference `start` before the first step [s].
     trajectory : array_like, shape (n,), optional
@@ -67,6 +69,7 @@ class Setup:
     voltage_limit: float | None = None
     surroundings: Surroundings | None = None
     start: float = 0.0
+    place: float = 0.0
     rest: float = 0.0
     trajectory: ArrayLike | None = None
     feedforward: ArrayLike | None = None
@@ -79,6 +82,8 @@ class Setup:
     def __post_init__(self) -> None:
         if not math.isfinite(self.start):
             raise InputError(f"start must be finite, got {self.start!r}")
+        if not abs(self.place) <= 1.0:
+            raise InputError(f"place must be from -1 to 1, got {self.place!r}")
         _check("rest", self.rest)
         if self.voltage_limit is not None:
             _check("voltage_limit", self.voltage_limit, positive=True)
@@ -279,6 +284,7 @@ class _Knobs:
             reference=reference,
             feedforward=feedforward,
             start=float(self.setup.start),
+            place=float(self.setup.place),
             encoder=float(self.around.encoder),
             voltage_limit=self.setup.voltage_limit,
         )

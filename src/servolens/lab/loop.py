@@ -39,7 +39,8 @@ BOUNDS = 1e6
 class Bench:
     """What surrounds the axis: the loop, its reference and feedforward at each sample, the sensor, a stated limit.
 
-    And how finely it is integrated, where that is not as usual: see :data:`SUBSTEP` and :data:`ANGLE`.
+    And where it starts, its motor at a place from -1 to 1 within the gap of a backlash; and how finely it is
+    integrated, where that is not as usual: see :data:`SUBSTEP` and :data:`ANGLE`.
     """
 
     controller: Controller
@@ -49,6 +50,7 @@ class Bench:
     start: float
     encoder: float
     voltage_limit: float | None
+    place: float = 0.0
     substep: float | None = None
     angle: float | None = None
 
@@ -127,7 +129,7 @@ def _close(
     )
     reference = bench.reference.tolist()
     added = [0.0] * len(reference) if bench.feedforward is None else bench.feedforward.tolist()
-    body = axis.body(start)
+    body = axis.body(start, bench.place)
     signals: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
     for k, (t, length, noise) in enumerate(zip(each.instants, each.lengths(h), each.noises, strict=True)):
         place, moving = axis.output(body.state)

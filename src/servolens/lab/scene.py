@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
@@ -27,6 +27,9 @@ PEAK_SHARE = 0.05
 """Largest product of the loops' frequency and an integration step."""
 STEP_TIMES_QUICKER_RATE = 0.25
 """The same of whatever is quicker, a coupling or a contact: errors stay far below the noise."""
+
+AT_END = 0.999
+"""Place within a gap of a motor that rests at an end of it."""
 
 
 @final
@@ -107,6 +110,7 @@ def draw_scene(
                encoder=resolution, smooth=smooth)
         for i, factor in enumerate(_factors(rng, count + held))
     ]  # fmt: skip
+    benches = [replace(bench, place=place) for bench, place in zip(benches, _places(rng, len(benches)), strict=True)]
     training, kept = tuple(benches[:count]), tuple(benches[count:])
     speed, push, volts = _peaks(training, gain, damping, h)
     return Scene(
@@ -144,6 +148,12 @@ def _factors(rng: Generator, count: int) -> Sequence[float]:
     """Return how much quicker than the typical loop each is; no two alike, and in no order."""
     spread = np.exp(np.linspace(math.log(0.7), math.log(1.45), count)) if count > 1 else np.ones(1)
     return [float(factor) for factor in rng.permutation(spread * rng.uniform(0.96, 1.04, count))]
+
+
+def _places(rng: Generator, count: int) -> Sequence[float]:
+    """Return where the motor of each run rests within a gap: anywhere, or in one of three runs at an end."""
+    found = np.clip(rng.uniform(-1.5, 1.5, count), -AT_END, AT_END)
+    return [float(place) for place in found]
 
 
 def _bench(rng: Generator, i: int, *, gain: float, damping: float, rate: float, h: float, **own: Any) -> Bench:

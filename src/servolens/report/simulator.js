@@ -69,7 +69,7 @@ const servolensSimulator = (rule, plants) => {
     const held = design.continuous ? reference : new Float64Array(n);
     const own = design.continuous ? [realised * gains.kp, realised * gains.free] : [];
     const values = Float64Array.from([...axis.values, ...own]), loop = loopOf(design, axis, gains);
-    const start = Float64Array.from([rest(design, axis, loop, begin), 0]);
+    const start = Float64Array.from([rest(design, axis, loop, begin), 0, 0]);
     if (design.continuous) for (const name of ["KP", "KD", "IS_PD"]) loop[design.places[name]] = +(name === "IS_PD");
     if (design.continuous) loop[design.places.BEFORE] = begin;
     const results = new Float64Array(3 * n), measured = new Float64Array(n), none = new Float64Array(3);

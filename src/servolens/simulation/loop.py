@@ -26,6 +26,8 @@ from servolens.simulation.settings import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import ArrayLike, NDArray
 
     from servolens.controller import Controller
@@ -50,6 +52,7 @@ def simulate(
     record: Records,
     *,
     initial_velocity: float = 0.0,
+    initial_place: float = 0.0,
     voltage_driven: bool | None = None,
     acceleration: NDArray[np.float64] | None = None,
     sensor_error: NDArray[np.float64] | None = None,
@@ -69,6 +72,8 @@ def simulate(
         Gives time, reference, feedforward, controller, encoder, voltage limit, inertia, and when the motor is on.
     initial_velocity : float
         [m/s or rad/s].
+    initial_place : float
+        Of the motor within the gap of a backlash: 0 is its middle, -1 and 1 are its ends.
     voltage_driven : bool, optional
         True: apply the logged voltage; False: close the loop; None: close it where the record allows.
     acceleration : ndarray, shape (n,), optional
@@ -94,6 +99,8 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
+    if not abs(initial_place) <= 1.0:
+        raise InputError(f"initial_place must be from -1 to 1, the ends of the gap, got {initial_place!r}")
     plant = plant_in(plant, record)
     _shaking(acceleration, sensor_error, record.time)
     ticks = record.loop_ticks()
@@ -102,7 +109,7 @@ def simulate(
         plant,
         record,
         ticks,
-        start=(float(record.position[0]), initial_velocity),
+        start=(float(record.position[0]), initial_velocity, initial_place),
         before=record.voltage_before,
         acceleration=None if acceleration is None else as_floats(acceleration, "acceleration")[ticks.held],
         sensor_error=None if sensor_error is None else as_floats(sensor_error, "sensor_error")[ticks.held],
@@ -116,7 +123,7 @@ def simulate(
 class _Circumstances(TypedDict):
     """What a run begins with and is disturbed by, and its substeps."""
 
-    start: tuple[float, float]
+    start: Sequence[float]
     before: float | None
     acceleration: NDArray[np.float64] | None
     sensor_error: NDArray[np.float64] | None
@@ -147,7 +154,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     reference: ArrayLike,
     *,
     feedforward: ArrayLike | None = None,
-    start: tuple[float, float] = (0.0, 0.0),
+    start: Sequence[float] = (0.0, 0.0),
     before: float | None = None,
     resolution: float = 0.0,
     limit: float | None = None,
@@ -163,8 +170,9 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         The axis and its loop.
     time, reference, feedforward : array_like, shape (n,)
         Samples [s], set point [m or rad], voltage added to the controller's [V].
-    start : tuple of float
-        Initial position [m or rad] and velocity.
+    start : sequence of float
+        Initial position [m or rad] and velocity; and, where there is backlash, the place of the motor within the gap:
+        0, its middle, if it is left out, -1 and 1 are its ends.
     before : float, optional
         Voltage applied before the first sample [V]; None is the first one.
     resolution : float
@@ -218,7 +226,7 @@ def simulate_voltage(
     time: ArrayLike,
     voltage: ArrayLike,
     *,
-    start: tuple[float, float] = (0.0, 0.0),
+    start: Sequence[float] = (0.0, 0.0),
     before: float | None = None,
     acceleration: ArrayLike | None = None,
     sensor_error: ArrayLike | None = None,
@@ -247,7 +255,7 @@ def simulate_continuous(
     time: ArrayLike,
     reference: ArrayLike,
     *,
-    start: tuple[float, float] = (0.0, 0.0),
+    start: Sequence[float] = (0.0, 0.0),
     reference_before: float | None = None,
     substeps: int | None = None,
 ) -> Simulation:

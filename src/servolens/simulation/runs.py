@@ -22,8 +22,8 @@ __all__ = ["Inputs", "Simulation", "run_all", "run_one"]
 
 NONE_CORRECTED = np.zeros(3)
 """What the rule is given where nothing corrects or shakes the axis."""
-BYTES = 8
-"""Of a number."""
+BYTES, START = 8, 3
+"""Of a number; numbers with which an axis begins."""
 
 
 @final
@@ -85,8 +85,9 @@ def run_all(
         The same for all.
     settings : sequence of sequence of float
         For each plant, what :mod:`servolens.simulation.digital` names.
-    starts : sequence of (float, float)
-        For each plant, its initial position [m or rad] and velocity.
+    starts : sequence of sequence of float
+        For each plant, its initial position [m or rad] and velocity, and the place of its motor within a gap; see
+        :func:`servolens.simulation.simulate_loop`.
     substeps : int
         Steps a sample.
     gains : tuple of float
@@ -113,9 +114,8 @@ def run_all(
     code = native(plants[0].structure, continuous=bool(gains), work=n * substeps * count)
     common = (time, held, reference, NONE_CORRECTED if corrections is None else corrections.ravel())
     shared = np.concatenate(common, dtype=np.float64)  # one array: to ask each for its address takes as long as a step
-    own = np.array(
-        [(*law, *start, *plant.values, *gains) for plant, law, start in zip(plants, settings, starts, strict=True)]
-    )
+    each = zip(plants, settings, starts, strict=True)
+    own = np.array([(*law, *_begun(plant, *start), *plant.values, *gains) for plant, law, start in each])
     results, done = np.empty((count, 4, n)), np.empty(count, dtype=np.int64)
     delays = np.array([plant.delay for plant in plants])
     first, out = own.ctypes.data, results.ctypes.data
@@ -124,11 +124,16 @@ def run_all(
     rows: list[int] = []
     for k in range(count):
         at, to = first + k * width, out + 4 * BYTES * n * k
-        rows += [time_at, held_at, reference_at, at, at + law, at + law + 2 * BYTES, corrections_at]
+        rows += [time_at, held_at, reference_at, at, at + law, at + law + START * BYTES, corrections_at]
         rows += [to, to + 3 * BYTES * n]
     places = (ctypes.c_int64 * len(rows))(*rows)
     code.runs(count, n, substeps, delays.ctypes.data, ctypes.addressof(places), done.ctypes.data)
     return results, done
+
+
+def _begun(plant: Plant, position: float, velocity: float, place: float = 0.0) -> tuple[float, float, float]:
+    """Return position, velocity, and how far the motor is ahead of the load [m or rad]."""
+    return position, velocity, place * plant.play
 
 
 def run_one(

@@ -68,7 +68,10 @@ FARTHEST = 1e6  # where an axis is taken to have run away, SI
 
 @njit(**OPTIONS)
 def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any) -> None:
-    """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long."""
+    """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long.
+
+    It `start`s at this position, with this velocity, and its motor so far ahead of the load.
+    """
     count, nz = smooth_states() + relaxing_states(), relaxing_states()
     x[Y], x[V], x[T], x[U], x[D], x[MOVING], x[SHAKING] = start[0], start[1], time, command, 1.0, 1.0, 0.0
     for i in range(count + nz):
@@ -76,6 +79,7 @@ def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any
     beginning(x, p, states)
     for i in range(count):
         x[STATES + i] = states[i]
+    x[Y] += start[2]
 
 
 @njit(**OPTIONS)
