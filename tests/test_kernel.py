@@ -360,6 +360,13 @@ def test_more_substeps_for_faster_plants() -> None:
     assert substeps_for(slow, H) < substeps_for(slow, H, 500.0)
 
 
+def test_what_rounding_makes_of_the_sample_time_asks_for_no_further_substep() -> None:
+    plant = plant_with(Backlash(gap=1e-3, load_share=0.4))
+    longest = float(np.max(np.diff(1e-3 * np.arange(20_000))))
+    assert longest > 1e-3
+    assert substeps_for(plant, longest) == substeps_for(plant, 1e-3)
+
+
 @pytest.mark.parametrize("effect", [ActuatorLag, SensorLag])
 @pytest.mark.parametrize("lag", [0.0004, 0.004])
 def test_lag_of_a_push_from_rest_is_exact_within_the_sample(effect, lag):

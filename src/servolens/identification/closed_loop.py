@@ -19,7 +19,7 @@ from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observed import MOVED_IN_GAP, InitialState
 from servolens.identification.refine import Refinement, minimise_error
-from servolens.identification.runs import ClosedLoop, OneByOne
+from servolens.identification.runs import ClosedLoop, OneByOne, as_simulated
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import is_chance
 
@@ -68,7 +68,7 @@ class LoopRun(OneByOne):
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return simulated minus measured position, shape (n,) [m or rad]."""
-        run = self._loop.simulated(plant, start.tolist(), substeps)
+        run = self._loop.simulated(plant, as_simulated(start), substeps)
         return np.asarray(self._loop.logged(run.measured) - self.measured)
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
@@ -82,7 +82,7 @@ class LoopRun(OneByOne):
         """
         from scipy.signal import bilinear, lfilter
 
-        run, controller = self._loop.simulated(plant, start.tolist(), substeps), self._loop.controller
+        run, controller = self._loop.simulated(plant, as_simulated(start), substeps), self._loop.controller
         y, v, u = (self._loop.logged(signal) for signal in (run.position, run.velocity, run.voltage))
         forces = forces_along([(y, v, u)])[0]
         kp, kd = controller.kp, controller.kd

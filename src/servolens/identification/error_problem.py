@@ -10,9 +10,9 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
-from servolens.identification.linear_model import UNFELT, Block, Linearised, Slopes
+from servolens.identification.linear_model import Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
-from servolens.identification.runs import begun, one_by_one
+from servolens.identification.runs import at_place, begun, moved_start, one_by_one
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for, work_of
@@ -166,16 +166,25 @@ class Problem:
 
         Dry friction and cogging part them by ridges.
         """
-        guess, *others = begun(self.runs[i], self.plant_at(point.values, i))
+        guess, *places = begun(self.runs[i], self.plant_at(point.values, i))
         if guess.size < 2:
             return guess
-        others += [np.array([guess[0], 0.0, *guess[2:]]), np.append(known, guess[known.size :])[: guess.size]]
-        starts = [guess, *(s for s in others if not np.array_equal(s, guess))]
+        others = [np.array([guess[0], 0.0, *guess[2:]]), np.append(known, guess[known.size :])[: guess.size]]
+        starts = [guess, *places, *(s for s in others if not np.array_equal(s, guess))]
         if len(starts) == 1:
             return guess
-        found = self._evaluate([(i, _Trial(point.values, start)) for start in starts])
-        missed = [np.inf if residual is None else self._loss(residual) for residual in found]
+        missed = self._missed_from(point, i, starts)
+        if places:
+            between = guess.copy()
+            between[2] = at_place(_lowest(np.sin(0.5 * np.pi * np.array(starts[:3])[:, 2]), missed[:3]))
+            starts.append(between)
+            missed += self._missed_from(point, i, [between])
         return starts[int(np.argmin(missed))]
+
+    def _missed_from(self, point: Point, i: int, starts: Sequence[NDArray[np.float64]]) -> list[float]:
+        """Return the cost of run `i` from each initial state."""
+        found = self._evaluate([(i, _Trial(point.values, start)) for start in starts])
+        return [np.inf if residual is None else self._loss(residual) for residual in found]
 
     def _phase(self, point: Point, k: int, group: int) -> float:
         """Return the value of the phase `k` from which the runs of one record are missed least."""
@@ -385,12 +394,7 @@ class Problem:
         back = np.where(self.low > 0, 0.5 * np.abs(point.values), reach)  # what may not vanish shrinks by degrees
         values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
-        starts = [
-            start - np.linalg.lstsq(block.factor, block.missed + block.along @ moved, rcond=UNFELT)[0]
-            if start.size
-            else start
-            for start, block in zip(point.starts, found.blocks, strict=True)
-        ]
+        starts = [moved_start(s, block.best_change(moved)) for s, block in zip(point.starts, found.blocks, strict=True)]
         changes = [new - old for new, old in zip(starts, point.starts, strict=True)]
         trial = Point(values, starts, promised=found.promised(moved, changes))
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
@@ -429,3 +433,12 @@ class Problem:
     def prior_cost(self, values: NDArray[np.float64]) -> float:
         """Return what the priors add to the cost."""
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
+
+
+def _lowest(places: NDArray[np.float64], missed: Sequence[float]) -> float:
+    """Return where between three `places` the parabola through what is `missed` is lowest, within them."""
+    if not np.isfinite(missed).all():
+        return float(places[int(np.argmin(missed))])
+    curvature, slope, _ = np.polyfit(places, missed, 2)
+    least = -0.5 * slope / curvature if curvature > 0.0 else places[int(np.argmin(missed))]
+    return float(np.clip(least, np.min(places), np.max(places)))

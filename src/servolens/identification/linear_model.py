@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["UNFELT", "Block", "Linearised", "Slopes"]
+__all__ = ["Block", "Linearised", "Slopes"]
 
 UNFELT = 1e-4
 """Of an initial position's effect, the share up to which a velocity has none: an axis that sticks loses it at once."""
@@ -58,8 +58,22 @@ class Block(NamedTuple):
         """By how much the cost falls with the initial state, but for directions of which the run shows nothing."""
         if self.missed.size == 0:
             return 0.0
-        directions, sizes, _ = np.linalg.svd(self.factor)
+        directions, sizes, _ = np.linalg.svd(self.factor / self._scale)
         return float(np.sum((directions.T @ self.missed)[sizes > UNFELT * sizes[0]] ** 2))
+
+    @property
+    def _scale(self) -> NDArray[np.float64]:
+        """What an initial state does, shape (s,): position and velocity, in SI, as one; a place in a gap by itself."""
+        sizes = np.linalg.norm(self.factor, axis=0)
+        sizes[1:2] = sizes[:1]
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    def best_change(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the change of the initial state that leaves least with this change of the parameters, shape (s,)."""
+        if self.missed.size == 0:
+            return self.missed
+        missed = self.missed + self.along @ values
+        return np.asarray(-np.linalg.lstsq(self.factor / self._scale, missed, rcond=UNFELT)[0] / self._scale)
 
     @classmethod
     def of(cls, slopes: Slopes, weight: NDArray[np.float64]) -> Block:

@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.late_inputs import jumps_of
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
-from servolens.identification.runs import ClosedLoop, begun, rest
+from servolens.identification.runs import ClosedLoop, as_simulated, begun, moved_start, rest
 from servolens.identification.segments import applied_at, applied_before, begins_with_its_step
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
@@ -42,7 +42,7 @@ FOLLOWS = 8.0
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 MOVED_IN_GAP = 1e-2
-"""By how much the place of the motor within a gap is."""
+"""By how much the unknown is that says where in a gap the motor is."""
 
 
 @final
@@ -50,7 +50,7 @@ MOVED_IN_GAP = 1e-2
 class InitialState:
     """Position and velocity at the first sample: mean and standard deviation, each of shape (2,).
 
-    An axis with backlash has a third one: where its motor is within the gap, from -1 to 1. That is anywhere.
+    An axis with backlash has a third one, which says where within the gap its motor is: anywhere from -1 to 1.
     """
 
     mean: NDArray[np.float64]
@@ -74,7 +74,7 @@ class InitialState:
     def away(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return how far initial states, shape (…, 2 or 3), are from this one, in standard deviations.
 
-        The place within a gap is so far from its middle.
+        The third one is so far from the middle of the gap.
         """
         return np.concatenate([(start[..., :2] - self.mean) / self.deviation, start[..., 2:]], axis=-1)
 
@@ -282,7 +282,7 @@ class ObservedRun:
         """Return predicted minus measured position [m or rad], shape (n,); with a voltage `push` added, if any."""
         signals = self.signals
         trial = self._trial(signals.voltage if push is None else signals.voltage + push)
-        run = trial.simulated(self._as_it_was(plant), start.tolist(), substeps)
+        run = trial.simulated(self._as_it_was(plant), as_simulated(start), substeps)
         found = run.measured - signals.position
         return found if signals.index is None else found[signals.index]
 
@@ -323,11 +323,11 @@ class ObservedRun:
         self, plants: Sequence[Plant], starts: Sequence[NDArray[np.float64]], substeps: int
     ) -> NDArray[np.float64]:
         """Return those of several plants of one structure, a row each; NaN where one cannot be simulated."""
-        signals, begun = self.signals, np.array(starts)
+        signals = self.signals
         those = [self._as_it_was(plant) for plant in plants]
-        missed = self._trial(signals.voltage).measured(those, begun.tolist(), substeps) - signals.position
+        missed = self._trial(signals.voltage).measured(those, as_simulated(starts), substeps) - signals.position
         white = self.whiten((missed if signals.index is None else missed[:, signals.index]).T).T - self._usual
-        return np.hstack([white, signals.initial.away(begun)])
+        return np.hstack([white, signals.initial.away(np.array(starts))])
 
 
 @final
@@ -393,14 +393,12 @@ class SimulatedRun:
 
 def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:
     """Return the squared residual of `run` from sample `begin` on, from its best initial state, and that."""
-    found = [_least_missed_from(run, plant, start, begin) for start in begun(run, plant)]
-    return min(found, key=lambda one: one[0])
-
-
-def _least_missed_from(
-    run: ObservedRun | SimulatedRun, plant: Plant, start: NDArray[np.float64], begin: int
-) -> tuple[float, NDArray[np.float64]]:
-    substeps, best, least = substeps_for(plant, run.sample_time), start, np.inf
+    substeps, starts = substeps_for(plant, run.sample_time), begun(run, plant)
+    if len(starts) > 1:
+        tried = run.residuals([plant] * len(starts), starts, substeps)[:, begin:]
+        starts = [starts[int(np.argmin(np.nan_to_num(np.sum(tried**2, axis=1), nan=np.inf)))]]
+    start = best = starts[0]
+    least = np.inf
     for _ in range(3):
         try:
             found = run.residual(plant, start, substeps)
@@ -414,5 +412,5 @@ def _least_missed_from(
             break
         moves = [h * unit for h, unit in zip(run.shifts, np.eye(start.size), strict=False)]
         slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
-        start = start - np.linalg.lstsq(slopes, found, rcond=None)[0]
+        start = moved_start(start, -np.linalg.lstsq(slopes, found, rcond=None)[0])
     return least, best

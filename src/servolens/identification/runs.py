@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, final
+from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from servolens.simulation.trial import Trial, closed_trial
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from servolens.identification.options import FitOptions
     from servolens.identification.segments import Segment
@@ -33,8 +33,11 @@ __all__ = [
     "Resampled",
     "Run",
     "VoltageRun",
+    "as_simulated",
+    "at_place",
     "begun",
     "closed_runs",
+    "moved_start",
     "one_by_one",
     "rest",
 ]
@@ -43,8 +46,10 @@ LONGEST_REST = 40
 """Most samples of rest before a step that are looked at."""
 SHIFT = 1e-4
 """Share of the travel by which an initial state is moved for its sensitivity."""
-IN_GAP = (0.0, -1.0, 1.0)
-"""Places of the motor within a gap: its middle and its ends."""
+IN_GAP = (0.0, -0.95, 0.95)
+"""Places of the motor within a gap: its middle and next to its ends."""
+AT_MOST = 0.5
+"""How far one step of a search moves the unknown of that place, which is -1 and 1 at the ends."""
 AS_IT_IS = NoiseModel.white(1.0)
 """Whitens nothing."""
 
@@ -114,13 +119,36 @@ class OneByOne:
 def begun(run: Run, plant: Plant) -> list[NDArray[np.float64]]:
     """Return initial states of `run` from which a search may begin, its guess first.
 
-    Of an axis with backlash also with the motor at either end of the gap: it rests anywhere within, and what it does
-    until it touches the load is as good as the same from both sides of a good place.
+    Of an axis with backlash also with the motor near either end of the gap: it rests anywhere within. The third unknown
+    is then 2/π times an angle whose sine is the place; see :func:`moved_start`.
     """
     start = run.start
     if not plant.has_contacts or len(run.shifts) <= start.size:
         return [start]
-    return [np.append(start, place) for place in IN_GAP]
+    return [np.append(start, at_place(place)) for place in IN_GAP]
+
+
+def at_place(place: float) -> float:
+    """Return the unknown that puts the motor at this `place` within the gap, from -1 to 1."""
+    return float(np.arcsin(place)) / (0.5 * np.pi)
+
+
+def moved_start(start: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an initial state that is so much away; within a gap by half of it at most, thrown back from its ends.
+
+    What the sine is there changes with no kink, where a contact that is touched or pressed would.
+    """
+    moved = start + change
+    there = start[2:] + np.clip(change[2:], -AT_MOST, AT_MOST)
+    moved[2:] = np.where(np.abs(there) > 1.0, 2.0 * np.sign(there) - there, there)
+    return moved
+
+
+def as_simulated(starts: ArrayLike) -> list[Any]:
+    """Return initial states, shape (…, s), as simulations take them: the third is the motor's place within the gap."""
+    found = np.array(starts, dtype=np.float64)
+    found[..., 2:] = np.sin(0.5 * np.pi * found[..., 2:])
+    return list(found.tolist())
 
 
 def one_by_one(

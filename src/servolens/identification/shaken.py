@@ -9,9 +9,10 @@ import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
+from servolens.identification.runs import as_simulated
 from servolens.identification.segments import applied_voltage
+from servolens.prediction import Beginning
 from servolens.processors import in_parallel
-from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
+    from servolens.prediction import Disturbed
     from servolens.record import Record
 
 __all__ = ["shaken", "shaking"]
@@ -57,11 +59,12 @@ def _of_run(
     shakes = shaking(noise, record, stream)
     substeps = substeps_for(plant, run.sample_time)
     white = stream.standard_normal((run.samples, DRAWS))
-    velocity = float(run.signals.initial.mean[1])
+    velocity, place = float(run.signals.initial.mean[1]), float(np.sum(as_simulated(start)[2:]))
 
     def one(k: int) -> NDArray[np.float64]:
         try:
-            position, voltage = _measured(plant, record, velocity, errors[:, k], shakes[:, k])
+            begun = Beginning(record, velocity, place)
+            position, voltage = _measured(plant, begun, {"sensor_error": errors[:, k], "acceleration": shakes[:, k]})
             missed = run.whiten(run.measured_as(position, voltage).missed(plant, start, substeps))
         except ServolensError:
             return white[:, k]
@@ -70,20 +73,15 @@ def _of_run(
     return np.column_stack(in_parallel(one, range(DRAWS)))
 
 
-def _measured(
-    plant: Plant, record: Record, velocity: float, error: NDArray[np.float64], shake: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _measured(plant: Plant, begun: Beginning, disturbed: Disturbed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return position and applied voltage of a shaken axis as its log would hold them."""
+    record = begun.record
     if record.has_loop:
         loop = replace(record, encoder_resolution=None)  # whose rounding is part of the error
-        moved = simulate(plant, loop, initial_velocity=velocity, acceleration=shake, sensor_error=error)
+        moved = begun.simulated(plant, loop, **disturbed)
         return moved.measured, applied_voltage(replace(record, voltage=moved.voltage))
     voltage = applied_voltage(record)
-    driven = replace(record, voltage=voltage)
-    run = simulate(
-        plant, driven, initial_velocity=velocity, voltage_driven=True, acceleration=shake, sensor_error=error
-    )
-    return run.measured, voltage
+    return begun.simulated(plant, replace(record, voltage=voltage), **disturbed).measured, voltage
 
 
 def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
