@@ -409,17 +409,17 @@ def test_large_clean_play_is_not_said_to_make_the_error_non_smooth():
     assert_at_noise(fit)
 
 
-def test_motor_that_rests_anywhere_within_its_gap_leads_no_parameter_astray():
-    truth = axis(backlash={"gap": 0.01, "load_share": 0.35})
-    common = {"reference": [0.1, 0.0], "duration": 0.6}
+@pytest.mark.parametrize("seeds", [(20, 30), pytest.param((22, 32), marks=pytest.mark.slow)])
+def test_motor_that_rests_anywhere_within_its_gap_leads_no_parameter_astray(seeds):
+    truth, places = axis(backlash={"gap": 0.01, "load_share": 0.35}), (0.999, -0.6 if 20 in seeds else -0.999)
     records = [
-        logged(truth, kp, 2.0, seed=int(kp), setup=Setup(place=place), **common)
-        for kp, place in ((20.0, 0.999), (30.0, -0.6))
+        logged(truth, kp, 2.0, seed=seed, setup=Setup(place=place), reference=[0.1, 0.0], duration=0.6)
+        for kp, seed, place in zip((20.0, 30.0), seeds, places, strict=True)
     ]
     fit = servolens.fit(effects_of(truth, 1.2), records)
     assert misses(fit, truth) == {}
     assert_at_noise(fit)
-    assert [np.sin(0.5 * np.pi * start[2]) for start in fit.refinement.starts] == pytest.approx([0.999, -0.6], abs=0.01)
+    assert [np.sin(0.5 * np.pi * start[2]) for start in fit.refinement.starts] == pytest.approx(places, abs=0.01)
 
 
 @pytest.mark.parametrize(("hertz", "noise"), [(1.0, 1e-4), (10.0, 1e-6)])

@@ -36,7 +36,7 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate, simulate_loop, simulate_many, simulate_voltage
-from servolens.simulation.rates import substeps_for
+from servolens.simulation.rates import rate_of, substeps_for
 from servolens.simulation.trial import closed_trial
 
 if TYPE_CHECKING:
@@ -362,9 +362,9 @@ def test_more_substeps_for_faster_plants() -> None:
 
 def test_what_rounding_makes_of_the_sample_time_asks_for_no_further_substep() -> None:
     plant = plant_with(Backlash(gap=1e-3, load_share=0.4))
-    longest = float(np.max(np.diff(1e-3 * np.arange(20_000))))
-    assert longest > 1e-3
-    assert substeps_for(plant, longest) == substeps_for(plant, 1e-3)
+    step = 10 * 0.25 / rate_of(plant)  # ten substeps, just so
+    assert substeps_for(plant, step * (1.0 + 1e-12)) == substeps_for(plant, step * (1.0 - 1e-12)) == 10
+    assert substeps_for(plant, step * (1.0 + 1e-6)) == 11
 
 
 @pytest.mark.parametrize("effect", [ActuatorLag, SensorLag])

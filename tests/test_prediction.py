@@ -147,12 +147,25 @@ def test_motor_that_rests_anywhere_within_its_gap_is_found_where_it_does(place) 
     assert prediction_error(plant, record).rms_error < 1.05e-5
 
 
-def test_place_within_a_gap_is_from_one_end_to_the_other() -> None:
+@pytest.mark.parametrize("place", [1.5, float("nan"), "0.5", None, [0.5], np.array([0.5]), np.array([0.1, 0.2])])
+def test_place_within_a_gap_is_a_number_from_one_end_to_the_other(place) -> None:
     record = step_record(LM1, 60.0)
-    with pytest.raises(InputError, match=r"initial_place must be from -1 to 1, the ends of the gap, got 1.5"):
-        simulate(LINEAR, record, initial_place=1.5)
-    with pytest.raises(InputError, match=r"place must be from -1 to 1, got nan"):
-        Setup(place=float("nan"))
+    with pytest.raises(InputError, match="initial_place must be a number from -1 to 1, got "):
+        simulate(LINEAR, record, initial_place=place)
+    with pytest.raises(InputError, match="place must be a number from -1 to 1, got "):
+        Setup(place=place)
+
+
+def test_wrong_plant_is_compared_from_within_its_gap() -> None:
+    """Secants towards an end once left the gap."""
+    truth = Truth(gain=LM1.gain, damping=LM1.damping, effects={"backlash": {"gap": 2e-3, "load_share": 0.35}})
+    dice = np.random.default_rng(4)
+    for place in (-0.999, -0.7, 0.2, 0.9, 0.999):
+        record = step_record(truth, 60.0, 2.0, encoder=0.0, duration=0.4, setup=Setup(place=place, rest=0.05))
+        for _ in range(30):
+            gap, share, gain, damping = np.array([2e-3, 0.35, LM1.gain, LM1.damping]) * dice.uniform(0.5, 2.0, 4)
+            plant = Plant(gain=gain, damping=damping, effects=(Backlash(gap=gap, load_share=share),))
+            assert abs(beginning(plant, record).place) <= 1.0
 
 
 def test_a_falling_step_has_the_same_size_as_a_rising_one() -> None:

@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-__all__ = ["InputError", "NumericalError", "ServolensError", "described", "names_like", "needed", "unwrapped"]
+__all__ = [
+    "InputError",
+    "NumericalError",
+    "ServolensError",
+    "described",
+    "names_like",
+    "needed",
+    "number_within",
+    "unwrapped",
+]
 
 MOST_NAMES = 6
 """Names that a message offers where many hold what was written."""
@@ -105,3 +114,20 @@ def names_like(name: str, known: Iterable[str], otherwise: str) -> str:
 
 def _plain(name: str) -> str:
     return re.sub(r"[\W_]+", "", name).lower()
+
+
+def number_within(value: Any, low: float, high: float, what: str) -> float:
+    """Return `value` as a float, if it is a number from `low` to `high`.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if isinstance(value, str) or getattr(value, "ndim", False) or not low <= number <= high:
+        raise InputError(f"{what} must be a number from {low:g} to {high:g}, got {value!r}")
+    return number

@@ -220,10 +220,11 @@ def prediction_residual(plant: Plant, record: Record) -> NDArray[np.float64]:
 
 
 class Disturbed(TypedDict, total=False):
-    """Of :func:`servolens.simulation.simulate`: what shakes the axis, and errors of the sensor, shape (n,) each."""
+    """Of :func:`servolens.simulation.simulate`: what shakes the axis, errors of the sensor, and what drives."""
 
     acceleration: NDArray[np.float64]
     sensor_error: NDArray[np.float64]
+    voltage_driven: bool
 
 
 @final
@@ -356,10 +357,11 @@ def _refined(plant: Plant, begun: Beginning, what: str, off: float) -> tuple[NDA
     told = getattr(begun, what)
     low, high = (told - off, told + off) if what == "velocity" else (-off, off)
     missed, change = begun.missed(plant), FIRST_CHANGE * max(abs(told), off)
-    change = -change if told + change > high else change
     with suppress(NumericalError):
         for _ in range(MOST_SECANTS):
             here = getattr(begun, what)
+            if what == "place" and abs(here + change) > 1.0:
+                change = -change if abs(here - change) <= 1.0 else float(-np.copysign(FIRST_CHANGE, here))
             slope = (replace(begun, **{what: here + change}).missed(plant) - missed) / change
             best = here - float(slope @ missed) / max(float(slope @ slope), 1e-300)
             other = replace(begun, **{what: min(max(best, low), high)})

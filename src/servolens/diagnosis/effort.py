@@ -76,8 +76,8 @@ def shared(work: float, needs: Sequence[float]) -> list[float]:
 def work_for(likelihood: Likelihood, plant: Plant, iterations: int) -> float:
     """Return an estimate, rather too large, of the work of so many `iterations` from `plant`.
 
-    Each takes central differences in all parameters and two initial states.
+    Each takes central differences in all parameters and two initial states, with backlash three.
     """
     runs = [(signals.time.size, signals.longest_step) for signals in likelihood.signals]
     once = sum(work_of(samples, substeps_for(plant, step)) for samples, step in runs)
-    return float(once * (1 + 2 * iterations * (len(plant.values) + 2)))
+    return float(once * (1 + 2 * iterations * (len(plant.values) + 2 + plant.has_contacts)))

@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
 from servolens.identification.linear_model import Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
-from servolens.identification.runs import at_place, begun, moved_start, one_by_one
+from servolens.identification.runs import at_place, begun, moved_start, one_by_one, within_reach
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for, work_of
@@ -394,8 +394,8 @@ class Problem:
         back = np.where(self.low > 0, 0.5 * np.abs(point.values), reach)  # what may not vanish shrinks by degrees
         values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
-        starts = [moved_start(s, block.best_change(moved)) for s, block in zip(point.starts, found.blocks, strict=True)]
-        changes = [new - old for new, old in zip(starts, point.starts, strict=True)]
+        changes = [within_reach(block.best_change(moved, damping)) for block in found.blocks]
+        starts = [moved_start(start, change) for start, change in zip(point.starts, changes, strict=True)]
         trial = Point(values, starts, promised=found.promised(moved, changes))
         trial.cost = np.inf if self.too_stiff(trial) else self.cost(trial)
         return trial

@@ -63,17 +63,23 @@ class Block(NamedTuple):
 
     @property
     def _scale(self) -> NDArray[np.float64]:
-        """What an initial state does, shape (s,): position and velocity, in SI, as one; a place in a gap by itself."""
+        """Of each initial state, shape (s,): a place within a gap counts as much as the position, whatever its unit."""
         sizes = np.linalg.norm(self.factor, axis=0)
-        sizes[1:2] = sizes[:1]
-        return np.where(sizes > 0.0, sizes, 1.0)
+        scale = np.ones(sizes.size)
+        scale[2:] = sizes[2:] / np.where(sizes[:1] > 0.0, sizes[:1], 1.0)
+        return np.where(scale > 0.0, scale, 1.0)
 
-    def best_change(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the change of the initial state that leaves least with this change of the parameters, shape (s,)."""
+    def best_change(self, values: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
+        """Return the change of the initial state that leaves least with this change of the parameters, shape (s,).
+
+        A place within a gap is damped as the parameters are: what it does is far from linear.
+        """
         if self.missed.size == 0:
             return self.missed
-        missed = self.missed + self.along @ values
-        return np.asarray(-np.linalg.lstsq(self.factor / self._scale, missed, rcond=UNFELT)[0] / self._scale)
+        scaled = self.factor / self._scale
+        held = np.sqrt(damping) * np.diag(np.linalg.norm(scaled, axis=0))[2:]
+        missed = np.concatenate([self.missed + self.along @ values, np.zeros(len(held))])
+        return np.asarray(-np.linalg.lstsq(np.vstack([scaled, held]), missed, rcond=UNFELT)[0] / self._scale)
 
     @classmethod
     def of(cls, slopes: Slopes, weight: NDArray[np.float64]) -> Block:

@@ -247,7 +247,8 @@ def _sensitivities(plants: Sequence[Plant], begun: Sequence[Beginning], shown: E
             moved = [one - position for one, position in zip(_shown(others, begun), shown, strict=True)]
             columns.append(np.concatenate(moved))
     for i, (plant, start) in enumerate(zip(plants, begun, strict=True)):
-        changes = {"velocity": PARAMETER_STEP * start.velocity, "place": PARAMETER_STEP if plant.play else 0.0}
+        inwards = -float(np.copysign(PARAMETER_STEP, start.place))
+        changes = {"velocity": PARAMETER_STEP * start.velocity, "place": inwards if plant.play else 0.0}
         for what in (what for what, change in changes.items() if change):
             moved = [np.zeros(position.size) for position in shown]
             with suppress(ServolensError):

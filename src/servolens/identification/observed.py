@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.late_inputs import jumps_of
 from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.observer import observer_of
-from servolens.identification.runs import ClosedLoop, as_simulated, begun, moved_start, rest
+from servolens.identification.runs import ClosedLoop, as_simulated, begun, moved_start, rest, within_reach
 from servolens.identification.segments import applied_at, applied_before, begins_with_its_step
 from servolens.identification.smoothing import speed_of
 from servolens.quality.beginning import initial_motion
@@ -42,7 +42,7 @@ FOLLOWS = 8.0
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 MOVED_IN_GAP = 1e-2
-"""By how much the unknown is that says where in a gap the motor is."""
+"""Step of the unknown of a place within a gap for its sensitivity; the unknown is -1 and 1 at the ends."""
 
 
 @final
@@ -50,7 +50,8 @@ MOVED_IN_GAP = 1e-2
 class InitialState:
     """Position and velocity at the first sample: mean and standard deviation, each of shape (2,).
 
-    An axis with backlash has a third one, which says where within the gap its motor is: anywhere from -1 to 1.
+    With backlash an initial state has a third number, from which the place of the motor within the gap follows; see
+    :func:`servolens.identification.runs.begun`. Before it is fitted, its mean is 0 and its standard deviation 1.
     """
 
     mean: NDArray[np.float64]
@@ -72,10 +73,7 @@ class InitialState:
         return cls(np.array([level, velocity]), WIDE * np.array([max(noise, floor), slope_error]))
 
     def away(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far initial states, shape (…, 2 or 3), are from this one, in standard deviations.
-
-        The third one is so far from the middle of the gap.
-        """
+        """Return how far initial states, shape (…, 2 or 3), are from this one, in standard deviations."""
         return np.concatenate([(start[..., :2] - self.mean) / self.deviation, start[..., 2:]], axis=-1)
 
 
@@ -412,5 +410,5 @@ def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> t
             break
         moves = [h * unit for h, unit in zip(run.shifts, np.eye(start.size), strict=False)]
         slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
-        start = moved_start(start, -np.linalg.lstsq(slopes, found, rcond=None)[0])
+        start = moved_start(start, within_reach(-np.linalg.lstsq(slopes, found, rcond=None)[0]))
     return least, best

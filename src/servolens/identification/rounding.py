@@ -15,8 +15,9 @@ import numpy as np
 
 from servolens.effects import Sensor
 from servolens.errors import NumericalError
+from servolens.identification.runs import place_of
+from servolens.prediction import Beginning
 from servolens.processors import in_parallel
-from servolens.simulation.loop import simulate
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -117,8 +118,8 @@ def rounded(
     """
     stream = np.random.default_rng(0)
     return [
-        np.column_stack([w(error) for w, error in _drawn(run, plant, position, spectra, stream)])
-        for run, plant, position in zip(runs, plants, _whole(runs, plants, starts), strict=True)
+        np.column_stack([w(error) for w, error in _drawn(run, (plant, start), position, spectra, stream)])
+        for run, plant, start, position in zip(runs, plants, starts, _whole(runs, plants, starts), strict=True)
     ]
 
 
@@ -172,8 +173,8 @@ def own_spectra(
         """Return how likely the records are beside white noise of so many steps, and the spectrum that it leaves."""
         own, stream = np.full(shown.size, (share * step) ** 2), np.random.default_rng(1)
         chance, power = 0.0, np.zeros(shown.size)
-        for run, plant, position in zip(runs, plants, positions, strict=True):
-            drawn = [*_drawn(run, plant, position, own, stream, FEW_DRAWS)]
+        for run, plant, start, position in zip(runs, plants, starts, positions, strict=True):
+            drawn = [*_drawn(run, (plant, start), position, own, stream, FEW_DRAWS)]
             power += sum(_power(error) for _, error in drawn) / samples / FEW_DRAWS
             seen = _quickness(run.whiten.position, position - run.whiten.position, step)
             chance += _chance(seen, np.array([_quickness(w.position, error, step) for w, error in drawn]))
@@ -230,7 +231,7 @@ def _quickness(position: NDArray[np.float64], error: NDArray[np.float64], step: 
 
 def _drawn(
     run: ObservedRun | SimulatedRun,
-    plant: Plant,
+    begun: tuple[Plant, NDArray[np.float64]],
     position: NDArray[np.float64],
     spectrum: NDArray[np.float64],
     stream: np.random.Generator,
@@ -238,12 +239,14 @@ def _drawn(
 ) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
     """Yield what the encoder would make of draws of noise of this `spectrum`, and the filter that whitens it.
 
+    Of a plant that has `begun` with an initial state.
     The error, shape (n,), is the position less what is shown.
     """
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
-    closed, velocity = record.has_loop, float(run.signals.initial.mean[1])
+    (plant, start), closed = begun, record.has_loop
+    own_start = Beginning(record, float(run.signals.initial.mean[1]), place_of(start))
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
@@ -252,11 +255,11 @@ def _drawn(
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
                 axis = replace(plant, effects=tuple(effect.shifted(stops[k]) for effect in plant.effects))
-                moved = simulate(axis, loop, initial_velocity=velocity, sensor_error=own[:, k])
+                moved = own_start.simulated(axis, loop, sensor_error=own[:, k])
                 there = moved.position
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
                     driven = replace(loop, voltage=moved.voltage, encoder_resolution=None)
-                    there = simulate(axis, driven, initial_velocity=velocity, voltage_driven=True).measured
+                    there = own_start.simulated(axis, driven, voltage_driven=True).measured
                 return there[at], moved.measured[at]
             return position, step * np.round((position + own[at, k]) / step)
         return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]

@@ -39,7 +39,9 @@ __all__ = [
     "closed_runs",
     "moved_start",
     "one_by_one",
+    "place_of",
     "rest",
+    "within_reach",
 ]
 
 LONGEST_REST = 40
@@ -49,7 +51,7 @@ SHIFT = 1e-4
 IN_GAP = (0.0, -0.95, 0.95)
 """Places of the motor within a gap: its middle and next to its ends."""
 AT_MOST = 0.5
-"""How far one step of a search moves the unknown of that place, which is -1 and 1 at the ends."""
+"""How far one step of a search moves the unknown of a place, which is -1 at one end of the gap and 1 at the other."""
 AS_IT_IS = NoiseModel.white(1.0)
 """Whitens nothing."""
 
@@ -68,9 +70,10 @@ class Run(Protocol):
     sample_time : float
         Longest interval between samples [s].
     start : ndarray, shape (s,)
-        Guess of the initial position and velocity that are free; of size 0 where they are known.
+        Guess of the initial position and velocity that are free; of size 0 where they are known. An initial state
+        of an axis with backlash has a third number, see :func:`begun`.
     shifts : tuple of float
-        Their steps for finite differences; a third one where the place within a gap is free as well, see :func:`begun`.
+        Their steps for finite differences; a third one where the place within a gap can be free as well.
     """
 
     @property
@@ -133,14 +136,18 @@ def at_place(place: float) -> float:
     return float(np.arcsin(place)) / (0.5 * np.pi)
 
 
-def moved_start(start: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return an initial state that is so much away; within a gap by half of it at most, thrown back from its ends.
+def within_reach(change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the change of an initial state that one step of a search makes: of a place's unknown so much at most."""
+    return np.concatenate([change[:2], np.clip(change[2:], -AT_MOST, AT_MOST)])
 
-    What the sine is there changes with no kink, where a contact that is touched or pressed would.
+
+def moved_start(start: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return an initial state after such a change; the unknown of a place is reflected at -1 and 1.
+
+    The place is a sine of it, and so goes on smoothly there. A place beyond the gap would press the contact.
     """
     moved = start + change
-    there = start[2:] + np.clip(change[2:], -AT_MOST, AT_MOST)
-    moved[2:] = np.where(np.abs(there) > 1.0, 2.0 * np.sign(there) - there, there)
+    moved[2:] = np.where(np.abs(moved[2:]) > 1.0, 2.0 * np.sign(moved[2:]) - moved[2:], moved[2:])
     return moved
 
 
@@ -149,6 +156,11 @@ def as_simulated(starts: ArrayLike) -> list[Any]:
     found = np.array(starts, dtype=np.float64)
     found[..., 2:] = np.sin(0.5 * np.pi * found[..., 2:])
     return list(found.tolist())
+
+
+def place_of(start: NDArray[np.float64]) -> float:
+    """Return the motor's place within the gap of an initial state; 0 where it says none."""
+    return float(np.sin(0.5 * np.pi * start[2])) if start.size > 2 else 0.0
 
 
 def one_by_one(
@@ -193,7 +205,7 @@ class ClosedLoop:
         added = self._added if push is None else push if self._added is None else self._added + push
         return self._trial(added).simulated(_as_it_was(plant, self.record), start, substeps)
 
-    def measured(self, plants: Sequence[Plant], start: tuple[float, float], substeps: int) -> NDArray[np.float64]:
+    def measured(self, plants: Sequence[Plant], start: Sequence[float], substeps: int) -> NDArray[np.float64]:
         """Return the measured positions of `plants` at the record's own samples, shape (k, n); NaN where one fails."""
         those = [_as_it_was(plant, self.record) for plant in plants]
         return self.logged(self._trial(self._added).measured(those, [start] * len(those), substeps))

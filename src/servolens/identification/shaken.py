@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
-from servolens.identification.runs import as_simulated
+from servolens.identification.runs import place_of
 from servolens.identification.segments import applied_voltage
 from servolens.prediction import Beginning
 from servolens.processors import in_parallel
@@ -59,7 +59,7 @@ def _of_run(
     shakes = shaking(noise, record, stream)
     substeps = substeps_for(plant, run.sample_time)
     white = stream.standard_normal((run.samples, DRAWS))
-    velocity, place = float(run.signals.initial.mean[1]), float(np.sum(as_simulated(start)[2:]))
+    velocity, place = float(run.signals.initial.mean[1]), place_of(start)
 
     def one(k: int) -> NDArray[np.float64]:
         try:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, described
+from servolens.errors import InputError, described, number_within
 from servolens.lab.disturbances import Drawn, SensorNoise, Surroundings
 from servolens.lab.loop import Bench, BenchRun, run_many, run_one
 from servolens.lab.truth import Truth
@@ -82,8 +82,7 @@ class Setup:
     def __post_init__(self) -> None:
         if not math.isfinite(self.start):
             raise InputError(f"start must be finite, got {self.start!r}")
-        if not abs(self.place) <= 1.0:
-            raise InputError(f"place must be from -1 to 1, got {self.place!r}")
+        object.__setattr__(self, "place", number_within(self.place, -1.0, 1.0, "place"))
         _check("rest", self.rest)
         if self.voltage_limit is not None:
             _check("voltage_limit", self.voltage_limit, positive=True)

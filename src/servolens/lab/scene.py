@@ -151,7 +151,7 @@ def _factors(rng: Generator, count: int) -> Sequence[float]:
 
 
 def _places(rng: Generator, count: int) -> Sequence[float]:
-    """Return where the motor of each run rests within a gap: anywhere, or in one of three runs at an end."""
+    """Return where the motor of each run rests within a gap: anywhere, and in one of three runs at an end."""
     found = np.clip(rng.uniform(-1.5, 1.5, count), -AT_END, AT_END)
     return [float(place) for place in found]
 

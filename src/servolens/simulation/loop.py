@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.control_law import command_at
 from servolens.dynamics import ideal_pd
-from servolens.errors import InputError
+from servolens.errors import InputError, number_within
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of
@@ -99,8 +99,7 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
-    if not abs(initial_place) <= 1.0:
-        raise InputError(f"initial_place must be from -1 to 1, the ends of the gap, got {initial_place!r}")
+    place = number_within(initial_place, -1.0, 1.0, "initial_place")
     plant = plant_in(plant, record)
     _shaking(acceleration, sensor_error, record.time)
     ticks = record.loop_ticks()
@@ -109,7 +108,7 @@ def simulate(
         plant,
         record,
         ticks,
-        start=(float(record.position[0]), initial_velocity, initial_place),
+        start=(float(record.position[0]), initial_velocity, place),
         before=record.voltage_before,
         acceleration=None if acceleration is None else as_floats(acceleration, "acceleration")[ticks.held],
         sensor_error=None if sensor_error is None else as_floats(sensor_error, "sensor_error")[ticks.held],

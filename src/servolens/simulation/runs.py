@@ -22,8 +22,10 @@ __all__ = ["Inputs", "Simulation", "run_all", "run_one"]
 
 NONE_CORRECTED = np.zeros(3)
 """What the rule is given where nothing corrects or shakes the axis."""
-BYTES, START = 8, 3
-"""Of a number; numbers with which an axis begins."""
+BYTES = 8
+"""Of a number."""
+START = 3
+"""Numbers of an initial state: position, velocity, and how far the motor is ahead of the load."""
 
 
 @final

@@ -52,7 +52,7 @@ class Trial:
     settings: Callable[[Plant, int], Sequence[float]]
 
     def simulated(self, plant: Plant, start: Sequence[float], substeps: int) -> Simulation:
-        """Return what `plant` does from initial position and velocity `start`.
+        """Return what `plant` does from the initial state `start`, see :func:`servolens.simulation.simulate_loop`.
 
         Raises
         ------
