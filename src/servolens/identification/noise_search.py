@@ -153,7 +153,9 @@ class NoiseTrials:
         likelihood = self.likelihood
         runs = likelihood.runs(first, unpowered=self.unpowered)
         is_own = first.rate == 0.0 or self.like.rate > 0.0
-        begun = self.starts if is_own else [run.start for run in runs]
+        begun = list(self.starts)
+        if not is_own:
+            begun = [np.append(run.start, start[2:]) for run, start in zip(runs, begun, strict=True)]
         substeps = [substeps_for(plant, run.sample_time) for run, plant in zip(runs, self.plants, strict=True)]
         of_each = list(zip(runs, self.plants, begun, substeps, strict=True))
         try:
