@@ -149,7 +149,7 @@ class Plant:
     @property
     def play(self) -> float:
         """How far the motor can be from the load without touching it: half of the lost motion [m or rad]."""
-        return sum(effect.play for effect in self.effects if isinstance(effect, Transmission))
+        return sum((effect.play for effect in self.effects if isinstance(effect, Transmission)), start=0.0)
 
     @property
     def remembers_voltage(self) -> bool:

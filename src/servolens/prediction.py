@@ -300,10 +300,10 @@ def _begun(plant: Plant, record: Record, speed: float | None = None) -> tuple[ND
         if speed is not None:
             found.append(_placed(plant, Beginning(same, speed)))
         elif told:
-            moving = _refined(plant, replace(still[1], velocity=told), "velocity", off)
+            moving = _moving(plant, still[1], told, off)
             found.append(_placed(plant, moving[1]) if plant.play else moving)
         elif off and _may_move(plant, *still, off):
-            found.append(_refined(plant, replace(still[1], velocity=likely), "velocity", off))
+            found.append(_moving(plant, still[1], likely, off))
     missed, begun = min(found, key=_size)
     return _timed(plant, begun, missed)
 
@@ -313,8 +313,7 @@ def _placed(plant: Plant, begun: Beginning) -> tuple[NDArray[np.float64], Beginn
     if not plant.play:
         return begun.missed(plant), begun
     places = [replace(begun, place=place) for place in (0.0, -1.0, 1.0)]
-    _, nearest = min(((one.missed(plant), one) for one in places), key=_size)
-    return _refined(plant, nearest, "place", 1.0)
+    return _refined(plant, *min(((one.missed(plant), one) for one in places), key=_size), "place", 1.0)
 
 
 def _size(found: tuple[NDArray[np.float64], Beginning]) -> float:
@@ -347,8 +346,16 @@ def _timed(plant: Plant, begun: Beginning, missed: NDArray[np.float64]) -> tuple
     return missed, begun
 
 
-def _refined(plant: Plant, begun: Beginning, what: str, off: float) -> tuple[NDArray[np.float64], Beginning]:
-    """Return what the simulation misses that begins about as `begun`, and how it does.
+def _moving(plant: Plant, still: Beginning, told: float, off: float) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses that begins about as fast as the first samples have `told`, and how."""
+    begun = replace(still, velocity=told)
+    return _refined(plant, begun.missed(plant), begun, "velocity", off)
+
+
+def _refined(
+    plant: Plant, missed: NDArray[np.float64], begun: Beginning, what: str, off: float
+) -> tuple[NDArray[np.float64], Beginning]:
+    """Return what the simulation misses that begins about as `begun`, from which so much is `missed`, and how it does.
 
     Its velocity, or the place within the gap, is found in least squares over the record, by secants: a velocity no
     further `off` than the first samples allow, for what the plant gets wrong is no reason to begin otherwise; a place
@@ -356,12 +363,12 @@ def _refined(plant: Plant, begun: Beginning, what: str, off: float) -> tuple[NDA
     """
     told = getattr(begun, what)
     low, high = (told - off, told + off) if what == "velocity" else (-off, off)
-    missed, change = begun.missed(plant), FIRST_CHANGE * max(abs(told), off)
+    change = FIRST_CHANGE * max(abs(told), off)
     with suppress(NumericalError):
         for _ in range(MOST_SECANTS):
             here = getattr(begun, what)
-            if what == "place" and abs(here + change) > 1.0:
-                change = -change if abs(here - change) <= 1.0 else float(-np.copysign(FIRST_CHANGE, here))
+            if what == "place":  # towards the middle, and so within the gap
+                change = float(-np.copysign(min(abs(change), 1.0), here))
             slope = (replace(begun, **{what: here + change}).missed(plant) - missed) / change
             best = here - float(slope @ missed) / max(float(slope @ slope), 1e-300)
             other = replace(begun, **{what: min(max(best, low), high)})

@@ -12,7 +12,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.conditioning import is_touched
 from servolens.identification.linear_model import Block, Linearised, Slopes
 from servolens.identification.phases import own_phases, round_the_circle
-from servolens.identification.runs import at_place, begun, moved_start, one_by_one, within_reach
+from servolens.identification.runs import AT_MOST, IN_GAP, at_place, begun, moved_start, one_by_one, within_reach
 from servolens.identification.uncertainty import apparent_noise
 from servolens.processors import in_parallel
 from servolens.simulation.rates import MOST_SUBSTEPS, substeps_for, work_of
@@ -176,7 +176,7 @@ class Problem:
         missed = self._missed_from(point, i, starts)
         if places:
             between = guess.copy()
-            between[2] = at_place(_lowest(np.sin(0.5 * np.pi * np.array(starts[:3])[:, 2]), missed[:3]))
+            between[2] = at_place(_lowest(IN_GAP, missed[: len(IN_GAP)]))
             starts.append(between)
             missed += self._missed_from(point, i, [between])
         return starts[int(np.argmin(missed))]
@@ -389,9 +389,11 @@ class Problem:
         normal = (information / np.outer(scale, scale) + damping * np.eye(scale.size))[np.ix_(free, free)]
         change = np.zeros(scale.size)
         change[free] = -np.linalg.lstsq(normal, (gradient / scale)[free], rcond=None)[0] / scale[free]
-        reach = 0.5 * np.maximum(np.abs(point.values), np.where(self.free == 0, 0.0, self.scale))  # β keeps its sign
+        reach = AT_MOST * np.maximum(
+            np.abs(point.values), np.where(self.free == 0, 0.0, self.scale)
+        )  # β keeps its sign
         reach[self.signed] *= 4.0
-        back = np.where(self.low > 0, 0.5 * np.abs(point.values), reach)  # what may not vanish shrinks by degrees
+        back = np.where(self.low > 0, AT_MOST * np.abs(point.values), reach)  # what may not vanish shrinks by degrees
         values = np.clip(point.values + np.clip(change, -back, reach), self.low, self.high)
         moved = values - point.values
         changes = [within_reach(block.best_change(moved, damping)) for block in found.blocks]
@@ -435,10 +437,10 @@ class Problem:
         return float(sum((self.noise / p.deviation * (values[k] - p.value)) ** 2 for k, p in self.priors))
 
 
-def _lowest(places: NDArray[np.float64], missed: Sequence[float]) -> float:
+def _lowest(places: Sequence[float], missed: Sequence[float]) -> float:
     """Return where between three `places` the parabola through what is `missed` is lowest, within them."""
     if not np.isfinite(missed).all():
-        return float(places[int(np.argmin(missed))])
+        return places[int(np.argmin(missed))]
     curvature, slope, _ = np.polyfit(places, missed, 2)
     least = -0.5 * slope / curvature if curvature > 0.0 else places[int(np.argmin(missed))]
     return float(np.clip(least, np.min(places), np.max(places)))

@@ -249,10 +249,12 @@ def _sensitivities(plants: Sequence[Plant], begun: Sequence[Beginning], shown: E
     for i, (plant, start) in enumerate(zip(plants, begun, strict=True)):
         inwards = -float(np.copysign(PARAMETER_STEP, start.place))
         changes = {"velocity": PARAMETER_STEP * start.velocity, "place": inwards if plant.play else 0.0}
-        for what in (what for what, change in changes.items() if change):
+        for what, change in changes.items():
+            if change == 0.0:
+                continue
             moved = [np.zeros(position.size) for position in shown]
             with suppress(ServolensError):
-                (other,) = _shown([plant], [replace(start, **{what: getattr(start, what) + changes[what]})])
+                (other,) = _shown([plant], [replace(start, **{what: getattr(start, what) + change})])
                 moved[i] = other - shown[i]
                 columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])

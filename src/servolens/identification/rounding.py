@@ -246,7 +246,7 @@ def _drawn(
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
     (plant, start), closed = begun, record.has_loop
-    own_start = Beginning(record, float(run.signals.initial.mean[1]), place_of(start))
+    own_start = beginning_of(run, start)
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
@@ -266,6 +266,11 @@ def _drawn(
 
     for there, shown in in_parallel(one, range(draws)):
         yield run.whiten.of(shown), there - shown
+
+
+def beginning_of(run: ObservedRun | SimulatedRun, start: NDArray[np.float64]) -> Beginning:
+    """Return how a draw of a run's record begins: as its first samples show, the motor where the run begins."""
+    return Beginning(run.signals.record, float(run.signals.initial.mean[1]), place_of(start))
 
 
 def _compared(run: ObservedRun | SimulatedRun, size: int) -> NDArray[np.intp]:

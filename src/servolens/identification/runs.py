@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from servolens.simulation.loop import Simulation
 
 __all__ = [
+    "AT_MOST",
+    "IN_GAP",
     "ClosedLoop",
     "ClosedRun",
     "OneByOne",
@@ -51,7 +53,7 @@ SHIFT = 1e-4
 IN_GAP = (0.0, -0.95, 0.95)
 """Places of the motor within a gap: its middle and next to its ends."""
 AT_MOST = 0.5
-"""How far one step of a search moves the unknown of a place, which is -1 at one end of the gap and 1 at the other."""
+"""Share of its scale by which one step of a search moves an unknown: of a place's, which is -1 and 1 at the ends, 1."""
 AS_IT_IS = NoiseModel.white(1.0)
 """Whitens nothing."""
 
@@ -160,7 +162,7 @@ def as_simulated(starts: ArrayLike) -> list[Any]:
 
 def place_of(start: NDArray[np.float64]) -> float:
     """Return the motor's place within the gap of an initial state; 0 where it says none."""
-    return float(np.sin(0.5 * np.pi * start[2])) if start.size > 2 else 0.0
+    return float(as_simulated(start)[2]) if start.size > 2 else 0.0
 
 
 def one_by_one(

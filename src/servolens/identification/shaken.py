@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.errors import ServolensError
-from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
-from servolens.identification.runs import place_of
+from servolens.identification.rounding import DRAWS, beginning_of, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
-from servolens.prediction import Beginning
 from servolens.processors import in_parallel
 from servolens.simulation.rates import substeps_for
 
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.identification.noise import NoiseModel
     from servolens.identification.observed import ObservedRun, SimulatedRun
     from servolens.plant import Plant
-    from servolens.prediction import Disturbed
+    from servolens.prediction import Beginning, Disturbed
     from servolens.record import Record
 
 __all__ = ["shaken", "shaking"]
@@ -59,11 +57,10 @@ def _of_run(
     shakes = shaking(noise, record, stream)
     substeps = substeps_for(plant, run.sample_time)
     white = stream.standard_normal((run.samples, DRAWS))
-    velocity, place = float(run.signals.initial.mean[1]), place_of(start)
+    begun = beginning_of(run, start)
 
     def one(k: int) -> NDArray[np.float64]:
         try:
-            begun = Beginning(record, velocity, place)
             position, voltage = _measured(plant, begun, {"sensor_error": errors[:, k], "acceleration": shakes[:, k]})
             missed = run.whiten(run.measured_as(position, voltage).missed(plant, start, substeps))
         except ServolensError:

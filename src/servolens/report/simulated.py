@@ -14,7 +14,7 @@ from servolens.simulation.javascript import ERF, plant_script
 from servolens.simulation.rates import (
     FINE_SUBSTEPS,
     MOST_SUBSTEPS,
-    SLIVER,
+    STAMP_ROUNDING,
     STEP_TIMES_RATE,
     STIFF_STEP_TIMES_RATE,
     rate_of,
@@ -35,7 +35,7 @@ __all__ = ["axis_json", "design_json", "plants_script", "simulator_script"]
 
 FOLDER = Path(__file__).parent
 SUBSTEPS = {
-    "sliver": SLIVER,
+    "rounding": STAMP_ROUNDING,
     "fine": STEP_TIMES_RATE,
     "coarse": STIFF_STEP_TIMES_RATE,
     "few": FINE_SUBSTEPS,

@@ -23,7 +23,7 @@ STEP_TIMES_RATE = 0.02
 FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
 """The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
-SLIVER = 1e-9
+STAMP_ROUNDING = 1e-9
 """Of a substep: what rounding makes of differences between the instants of a log asks for no further one."""
 MOST_SUBSTEPS = 400
 """What needs more is simulated with as many, and no longer exactly."""
@@ -39,7 +39,7 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
     rate = rate_of(plant) + extra
     if not isfinite(step * rate):
         return MOST_SUBSTEPS
-    fine, coarse = (ceil(step * rate / most - SLIVER) for most in (STEP_TIMES_RATE, STIFF_STEP_TIMES_RATE))
+    fine, coarse = (ceil(step * rate / most - STAMP_ROUNDING) for most in (STEP_TIMES_RATE, STIFF_STEP_TIMES_RATE))
     return min(max(min(fine, FINE_SUBSTEPS), coarse, 1), MOST_SUBSTEPS)
 
 

@@ -70,7 +70,7 @@ FARTHEST = 1e6  # where an axis is taken to have run away, SI
 def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any) -> None:
     """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long.
 
-    It `start`s at this position, with this velocity, and its motor so far ahead of the load.
+    `start` holds position and velocity, and how far the motor is ahead of the load.
     """
     count, nz = smooth_states() + relaxing_states(), relaxing_states()
     x[Y], x[V], x[T], x[U], x[D], x[MOVING], x[SHAKING] = start[0], start[1], time, command, 1.0, 1.0, 0.0
