@@ -121,6 +121,12 @@ def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) 
     assert str(path) in str(caught.value)
 
 
+def test_model_by_hand_needs_no_schema(tmp_path) -> None:
+    path = tmp_path / "model.json"
+    path.write_text('{"gain": {"value": 1.9}, "damping": {"value": 6}, "effects": []}')
+    assert read_model(path).plant == Plant(gain=1.9, damping=6.0)
+
+
 def test_missing_model_file_is_one_sentence(tmp_path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_model(tmp_path / "none.json")

@@ -156,6 +156,12 @@ def test_place_within_a_gap_is_a_number_from_one_end_to_the_other(place) -> None
         Setup(place=place)
 
 
+@pytest.mark.parametrize("velocity", [float("inf"), float("nan"), "0.5", None, [0.5]])
+def test_initial_velocity_is_a_finite_number(velocity) -> None:
+    with pytest.raises(InputError, match="initial_velocity must be a finite number, got "):
+        simulate(LINEAR, step_record(LM1, 60.0), initial_velocity=velocity)
+
+
 def test_wrong_plant_is_compared_from_within_its_gap() -> None:
     """Secants towards an end once left the gap."""
     truth = Truth(gain=LM1.gain, damping=LM1.damping, effects={"backlash": {"gap": 2e-3, "load_share": 0.35}})

@@ -5,6 +5,7 @@ Wrong use raises a :class:`ServolensError`; its ``exit_status`` is what the comm
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -117,7 +118,7 @@ def _plain(name: str) -> str:
 
 
 def number_within(value: Any, low: float, high: float, what: str) -> float:
-    """Return `value` as a float, if it is a number from `low` to `high`.
+    """Return `value` as a float, if it is a finite number from `low` to `high`.
 
     Raises
     ------
@@ -128,6 +129,8 @@ def number_within(value: Any, low: float, high: float, what: str) -> float:
         number = float(value)
     except (TypeError, ValueError):
         number = float("nan")
-    if isinstance(value, str) or getattr(value, "ndim", False) or not low <= number <= high:
-        raise InputError(f"{what} must be a number from {low:g} to {high:g}, got {value!r}")
+    is_number = not isinstance(value, str) and not getattr(value, "ndim", False) and math.isfinite(number)
+    if not is_number or not low <= number <= high:
+        wanted = f"number from {low:g} to {high:g}" if math.isfinite(high - low) else "finite number"
+        raise InputError(f"{what} must be a {wanted}, got {value!r}")
     return number

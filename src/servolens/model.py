@@ -218,6 +218,8 @@ class _Quantities(dict[str, Quantity]):
 def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] = ()) -> Model:
     """Read a ``servolens.model/1`` file, or the model of a fit, a diagnosis or an identification.
 
+    A file with a gain that states no schema is taken for a model's.
+
     Parameters
     ----------
     path : str or path
@@ -235,7 +237,7 @@ def read_model(path: str | os.PathLike[str], *, effects: Sequence[type[Effect]] 
     path = Path(path)
     try:
         data = read_json(path, "; give a file that `servolens identify --out` wrote")
-        schema = data.get("schema") if isinstance(data, dict) else None
+        schema = data.get("schema", SCHEMA if "gain" in data else None) if isinstance(data, dict) else None
         if schema not in (SCHEMA, *HOLDERS):
             raise InputError(f"is not a model (schema {str(schema)[:40]!r}, wanted {SCHEMA!r})")
         return Model.from_json(data if schema == SCHEMA else _held(data), effects)

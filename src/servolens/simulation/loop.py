@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 
 import numpy as np
@@ -99,6 +100,7 @@ def simulate(
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
     if not driven and not can_close:
         raise InputError(f"{record.name}: closing the loop needs reference, kp and kd")
+    velocity = number_within(initial_velocity, -inf, inf, "initial_velocity")
     place = number_within(initial_place, -1.0, 1.0, "initial_place")
     plant = plant_in(plant, record)
     _shaking(acceleration, sensor_error, record.time)
@@ -108,7 +110,7 @@ def simulate(
         plant,
         record,
         ticks,
-        start=(float(record.position[0]), initial_velocity, place),
+        start=(float(record.position[0]), velocity, place),
         before=record.voltage_before,
         acceleration=None if acceleration is None else as_floats(acceleration, "acceleration")[ticks.held],
         sensor_error=None if sensor_error is None else as_floats(sensor_error, "sensor_error")[ticks.held],
