@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 import pytest
@@ -273,6 +274,29 @@ def test_what_an_immaterial_remainder_owes_to_the_inputs_is_no_force_that_goes_o
     shaken = replace(left, depends_on_inputs=False)
     _, of_gain = lights(least, Evidence(range=SHOWN, remainder=shaken, heldout_of_step=0.001))
     assert of_gain.light == "red"
+
+
+def test_immaterial_remainder_that_the_inputs_make_leaves_less_of_the_band(least):
+    left = replace(leaving(1.0, 0.5), of_travel=0.004)
+    known = Model(plant=NLM3, evidence=Evidence(range=SHOWN, remainder=left, heldout_of_step=0.004))
+    scenarios = drawn([known], [SPEC], 400, np.random.default_rng(7))
+    missed = np.array([SPEC.band - scenario.spec.band for scenario in scenarios])
+    assert missed.min() >= 0.0
+    assert missed.max() <= sqrt(3.0) * left.of_travel
+    assert np.sqrt(np.mean(missed**2)) == pytest.approx(left.of_travel, rel=0.05)
+    assert all(scenario.plant.effects == NLM3.effects for scenario in scenarios)
+    other = replace(SPEC, kp=SPEC.kp / 2.0)
+    assert scenarios[0].in_loop(other).spec.band == scenarios[0].spec.band
+    shaken = replace(known, evidence=replace(known.evidence, remainder=replace(left, depends_on_inputs=False)))
+    assert {one.spec.band for one in drawn([shaken], [SPEC], 20, np.random.default_rng(7))} == {SPEC.band}
+
+
+def test_gain_is_withheld_where_an_immaterial_remainder_may_break_the_band(least):
+    """In 71 % of the plants as much as the whole band is missed: 1 − 1/(2√3)."""
+    left = replace(leaving(1.0, 0.5), of_travel=2.0 * SPEC.band)
+    _, of_gain = lights(least, Evidence(range=SHOWN, remainder=left, heldout_of_step=0.001))
+    assert of_gain.light == "red"
+    assert of_gain.sentence.endswith("with what the model leaves unexplained.")
 
 
 def test_held_out_error_beyond_the_band_is_a_doubt(least):

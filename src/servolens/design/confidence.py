@@ -119,7 +119,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
             light="red",
             sentence=(
                 f"No gain meets the spec in nine of ten plants: the best of them in {100 * chosen.probability:.3g} % of"
-                f" {chosen.scenarios}, with what the model leaves unexplained as a force."
+                f" {chosen.scenarios}, with what the model leaves unexplained."
             ),
         )
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)

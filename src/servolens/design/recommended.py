@@ -58,11 +58,12 @@ def recommend(
     """Add the gain to use to a `design`: the one that keeps farthest from where the spec breaks.
 
     Plants are drawn from the parameters' covariance, with what the model leaves unexplained as a force of its size and
-    correlation, the sensor has the noise that the records showed, and the gains of the loop are realised within ±2 %;
-    steps go up and back. Of the gains that meet the spec most often and keep the overshoot's limit, the one is taken
-    that is farthest from where the spec breaks: as a ratio, for gains scale, or as a difference where a gain is small
-    beside what the loop notices. Gains that go beyond what the records of the models showed are asked only where no
-    other meets the spec in nine of ten scenarios.
+    correlation, or, where that is immaterial and depends on the inputs, as an error of the position. The sensor has the
+    noise that the records showed, and the gains of the loop are realised within ±2 %; steps go up and back. Of the
+    gains that meet the spec most often and keep the overshoot's limit, the one is taken that is farthest from where the
+    spec breaks: as a ratio, for gains scale, or as a difference where a gain is small beside what the loop notices.
+    Gains that go beyond what the records of the models showed are asked only where no other meets the spec in nine of
+    ten scenarios.
 
     Parameters
     ----------

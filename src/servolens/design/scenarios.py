@@ -1,4 +1,4 @@
-"""What may be otherwise than a model says: parameters, a force that nothing explains, the sensor, the gain itself."""
+"""What may be otherwise than a model says: parameters, what nothing explains, the sensor, the gain itself."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from servolens.design.spec import PDSpec
     from servolens.effects import Axis
     from servolens.model import Model
+    from servolens.model_evidence import Remainder
     from servolens.plant import Plant
 
 __all__ = ["Scenario", "UnexplainedForce", "counted", "drawn", "without_force"]
@@ -27,6 +28,8 @@ TOLERANCE = 0.02
 """By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
 WAVES = 4
 """Sines of an unexplained force; its largest value is then √8 times its r.m.s., as of a Gaussian force in 200 draws."""
+NARROWEST = 1e-9
+"""Band that no step keeps, where the simulation may miss more than the whole band."""
 TRIES = 100
 """Draws after which a model whose covariance allows hardly an admissible plant stands for itself."""
 
@@ -83,7 +86,7 @@ class Scenario:
     plant : Plant
         Drawn from what is known of the model, with a force that nothing explains.
     spec : PDSpec
-        Of this step.
+        Of this step; its band is narrower by what the simulation may miss of the position.
     realised : float
         What the gains of the loop are multiplied by.
     back : bool
@@ -100,7 +103,7 @@ class Scenario:
 
     def in_loop(self, spec: PDSpec) -> Scenario:
         """Return the same axis and step in the loop of another spec."""
-        return replace(self, spec=spec.scaled(self.realised))
+        return replace(self, spec=replace(spec.scaled(self.realised), band=self.spec.band))
 
     def response(self, kd: float, duration: float | None = None) -> Response:
         """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
@@ -115,7 +118,7 @@ def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: 
     for i in range(count):
         model, spec, back = turns[i % len(turns)]
         realised = 1.0 + float(random.uniform(-TOLERANCE, TOLERANCE))
-        spec = spec.scaled(realised)
+        spec = _narrowed(spec.scaled(realised), model, random)
         plant = _pushed(_plant(model, random), model, random)
         found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back, noise=_noise(model, random)))
     return found
@@ -173,11 +176,32 @@ def _within_covariance(model: Model, random: np.random.Generator) -> Plant:
     return model.plant
 
 
+def _narrowed(spec: PDSpec, model: Model, random: np.random.Generator) -> PDSpec:
+    """Return the spec with a band that leaves room for an error of the simulated position, if the inputs make one.
+
+    As much as of the records, as a share of the step: evenly distributed, with their r.m.s.
+    """
+    left = _left_by(model)
+    if left is None or not _returns(left):
+        return spec
+    missed = left.of_travel * sqrt(3.0) * float(random.uniform())
+    return replace(spec, band=max(spec.band - missed, NARROWEST))
+
+
 def _pushed(plant: Plant, model: Model, random: np.random.Generator) -> Plant:
     """Return the plant with what the model leaves unexplained, if that matters, and with what shakes the axis."""
-    left = None if model.evidence is None else model.evidence.remainder
-    if left is None or (left.depends_on_inputs and not left.material):
+    left = _left_by(model)
+    if left is None or _returns(left):
         return plant
     if not 0.0 < left.acceleration_rms < np.inf or not left.correlation_time > 0.0:
         return plant
     return plant.with_effect(UnexplainedForce.draw(left.acceleration_rms, left.correlation_time, random))
+
+
+def _left_by(model: Model) -> Remainder | None:
+    return None if model.evidence is None else model.evidence.remainder
+
+
+def _returns(left: Remainder) -> bool:
+    """Tell whether what is left is small and comes again with each step, unlike a force that goes on."""
+    return left.depends_on_inputs and not left.material
