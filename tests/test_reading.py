@@ -295,7 +295,10 @@ def test_loop_settings_without_gains_are_a_remark(write):
             "no column named time and none named position; the columns are 'a, b'" + CLOCKLESS,
         ),
         (",\n0,0\n1,1\n", NAMELESS.format(2, "0, 0")),
-        ("time,position,position\n0,0,0\n1,1,1\n", "2 columns are named 'position'; names must differ"),
+        (
+            "time,position,position\n0,0,0\n1,1,1\n",
+            "2 columns are named 'position'; names must differ",
+        ),
         (GAIN + HEADER + "0,0,1\n0,1,1\n", "time must increase; sample 1 (0 s) repeats sample 0 (0 s)" + REGULAR),
         (GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n", "time must increase; sample 2 (1 s) lies before sample 1 (2 s)"),
         (GAIN + HEADER + "0,0,1\n1,nan,1\n", "line 4, position: 'nan' is not a finite number" + FILL),
@@ -329,7 +332,8 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             GAIN + HEADER.replace(",", ";") + "0;0;1\n1;0,5;0.1\n",
-            "line 4, position: '0,5' has a decimal comma where other numbers have points" + FILL,
+            "line 4, position: '0,5' has a comma where other numbers have points; write all numbers with one decimal"
+            " sign and without separators of thousands",
         ),
         (
             GAIN + "time,position [blub],reference\n" + TWO,

@@ -275,7 +275,8 @@ def _states_length(settings: Mapping[str, object]) -> bool:
 
 def _check_numbers(signal: str, choice: Choice) -> None:
     if choice.column.fault is not None:
-        raise InputError(choice.column.fault.sentence(signal))
+        instead = f", or do without that column: --column {signal}={NONE}" if signal == "velocity" else ""
+        raise InputError(choice.column.fault.sentence(signal) + instead)
 
 
 def _is_stated(choice: Choice, by_caller: bool, found: tuple[str | None, str]) -> bool:

@@ -245,6 +245,8 @@ def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping
     choice = chosen.get("voltage")
     if choice is None or "voltage" in mapping or choice.meaning.kind != "voltage" or not choice.column.values.any():
         return
+    if choice.column.fault is not None:
+        return  # refused later
     is_guessed = choice.evidence != ITS_NAME and "position" in chosen
     turns = is_guessed and not _varies(choice, LOADED) and _turns(chosen["position"].column.values)
     others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]

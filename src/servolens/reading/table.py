@@ -24,10 +24,11 @@ class Fault:
 
     where: str
     what: str
+    remedy: str = "fill or leave out such rows"
 
     def sentence(self, signal: str) -> str:
         """Return the refusal of the column for a signal."""
-        return f"{self.where}, {signal}: {self.what}; fill or leave out such rows" if self.where else self.what
+        return f"{self.where}, {signal}: {self.what}; {self.remedy}" if self.where else self.what
 
 
 @final

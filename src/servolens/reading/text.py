@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.errors import InputError
-from servolens.reading.cells import fault_of, is_stamp, number, numbers, stamps
+from servolens.reading.cells import (
+    REWRITE,
+    decimal_sign,
+    fault_in,
+    grouped_or_decimal,
+    is_stamp,
+    kind_of,
+    number,
+    values_of,
+)
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of
 from servolens.reading.settings import comment_settings
@@ -39,8 +48,6 @@ LAST_WORDS = 5
 _COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
 _SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
-_DECIMAL_COMMA = re.compile(rb"\d,\d")
-_DECIMAL_POINT = re.compile(rb"(?<![\d:.])-?\d*\.\d+(?![\d.:])")
 
 
 @final
@@ -154,22 +161,25 @@ def _recoded(content: bytes, encoding: str) -> bytes:
 def _form(content: bytes, comments: Sequence[str]) -> _Form:
     """Find separator, decimal sign and layout from the first lines.
 
-    Of several separators the one that leaves the largest share of cells that are numbers, then the most of them.
+    Of several separators one by which the head names as many columns as there are, then the one that leaves the largest
+    share of cells that are numbers, then the most of them.
     """
     lines = [(i, line) for i, line in enumerate(content.split(b"\n", LAYOUT_LINES)[:LAYOUT_LINES]) if line.strip()]
     if not lines:
         raise InputError("holds no header row and no numbers")
     texts = [line.decode(errors="replace") for _, line in lines]
     skipped = max((k + 1 for k, text in enumerate(texts) if text.startswith(_END_OF_HEADER)), default=0)
-    found: list[tuple[tuple[float, int], str, str, Layout]] = []
+    found: list[tuple[tuple[bool, bool, float, int], str, str, Layout]] = []
     for separator in SEPARATORS:
-        decimal = _decimal(content, separator)
+        decimal = decimal_sign(content, separator)
         rows = [_fields(text, separator) for text in texts[skipped:]]
         layout = find_layout(rows, decimal)
         if layout is not None:
             row = rows[layout.first]
             good = sum(number(cell, decimal) is not None or is_stamp(cell) for cell in row)
-            found.append(((good / len(row), good), separator, decimal, layout))
+            found.append(
+                ((layout.has_names, not layout.other_width, good / len(row), good), separator, decimal, layout)
+            )
     if not found:
         raise InputError(_nothing(texts))
     _, separator, decimal, layout = max(found, key=lambda item: item[0])
@@ -185,13 +195,6 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
     if not layout.has_names and comments:
         layout = _names_in_comment(layout, comments[-1], separator)
     return _Form(separator, decimal, layout, lines[skipped + layout.first][0])
-
-
-def _decimal(content: bytes, separator: str) -> str:
-    """Return the decimal sign: a comma where digits stand around commas and nowhere around points."""
-    if separator == "," or b"," not in content or not _DECIMAL_COMMA.search(content):
-        return "."
-    return "." if _DECIMAL_POINT.search(content) else ","
 
 
 def _nothing(texts: Sequence[str]) -> str:
@@ -213,6 +216,11 @@ def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
     for _ in range(form.first):
         at = content.index(b"\n", at) + 1
     body = _without_last_words(_trimmed(content[at:]), form)
+    if form.decimal in (",", ".") and (cell := grouped_or_decimal(body, form.separator, form.decimal)):
+        raise InputError(
+            f"{quote(cell)} may be a whole number with separated thousands, as may all numbers with a"
+            f" {quote(form.decimal)} here; {REWRITE}"
+        )
     matrix = _fast(body, form)
     if matrix is None or not np.isfinite(matrix).all():
         return _slow(body, form)
@@ -246,6 +254,8 @@ def _fast(body: bytes, form: _Form) -> Matrix | None:
     separator, width = form.separator.encode(), len(form.layout.names)
     if len(form.layout.typed) < width or b'"' in body or b"_" in body or not body.isascii():
         return None
+    if len(form.decimal) > 1:
+        return None  # thousands are separated
     if form.decimal == ",":
         body = body.replace(b",", b".")
     if body.count(separator + b"\n") == body.count(b"\n") > 0 and form.separator != " ":
@@ -314,22 +324,17 @@ def _slow(body: bytes, form: _Form) -> tuple[Column, ...]:
     layout = form.layout
     parts: list[list[NDArray[Any]]] = [[] for _ in layout.names]
     faults: dict[int, Fault] = {}
-    stamped: set[int] = set()
+    kinds = [""] * len(layout.names)
     for lines, rows in _rows(body, form):
         for j, cells in enumerate(zip(*rows, strict=True)):
-            if not parts[j] and is_stamp(next((cell for cell in cells if cell.strip()), "")):
-                stamped.add(j)
-            values = stamps(cells) if j in stamped else numbers(cells, form.decimal)
+            kinds[j] = kinds[j] or kind_of(next((cell for cell in cells if cell.strip()), ""))
+            values = values_of(cells, kinds[j], form.decimal)
             parts[j].append(values)
             odd = np.flatnonzero(~np.isfinite(values))
             if odd.size and j not in faults:
-                k = int(odd[0])
-                what = (
-                    f"{quote(cells[k].strip())} is no time stamp" if j in stamped else fault_of(cells[k], form.decimal)
-                )
-                faults[j] = Fault(f"line {lines[k]}", what or "")
+                faults[j] = fault_in(cells[odd[0]], f"line {lines[odd[0]]}", kinds[j], form.decimal)
     return tuple(
-        Column(name, _joined(parts[j]), "s" if j in stamped else layout.units[j], faults.get(j))
+        Column(name, _joined(parts[j]), "s" if kinds[j] == "stamp" else layout.units[j], faults.get(j))
         for j, name in enumerate(layout.names)
     )
 

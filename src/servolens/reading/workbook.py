@@ -9,9 +9,9 @@ import numpy as np
 from python_calamine import CalamineError, CalamineWorkbook
 
 from servolens.errors import InputError
-from servolens.reading.cells import fault_of, is_stamp, numbers, stamps
+from servolens.reading.cells import fault_in, kind_of, values_of
 from servolens.reading.layout import find_layout
-from servolens.reading.table import Column, Fault, Table
+from servolens.reading.table import Column, Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -72,12 +72,11 @@ def _text(cell: object) -> str:
 
 
 def _column(name: str, cells: Sequence[str], lines: Sequence[int], unit: str | None) -> Column:
-    if is_stamp(next((cell for cell in cells if cell), "")):
-        instants = stamps(cells)
-        values = np.asarray((instants - instants[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
+    kind = kind_of(next((cell for cell in cells if cell), ""))
+    values = values_of(cells, kind)
+    if kind == "stamp":
+        values = np.asarray((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
         unit = "s"
-    else:
-        values = numbers(cells)
     odd = np.flatnonzero(~np.isfinite(values))
-    fault = Fault(f"row {lines[int(odd[0])]}", fault_of(cells[int(odd[0])]) or "no time stamp") if odd.size else None
+    fault = fault_in(cells[int(odd[0])], f"row {lines[int(odd[0])]}", kind) if odd.size else None
     return Column(name, values, unit, fault)

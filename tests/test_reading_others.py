@@ -1,0 +1,113 @@
+"""Logs as loggers, spreadsheets and German programs write them: commands, numbers, clocks, and columns of one name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from servolens import lab
+from servolens.cli import group
+from servolens.errors import InputError
+from servolens.reading import read_log, read_record
+
+TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
+T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
+GAINS = {"kp": "60 V/m", "kd": "4 V s/m"}
+
+
+def log(path, heads, *columns, separator=",", form="{:.12g}"):
+    """Write columns below their heads; texts stand as they are."""
+    rows = (
+        separator.join(x if isinstance(x, str) else form.format(x) for x in row) for row in zip(*columns, strict=True)
+    )
+    path.write_text(separator.join(heads) + "\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def convert(path, *options):
+    return CliRunner().invoke(group, ["convert", str(path), "--out", str(path.with_suffix(".toml")), *options])
+
+
+def refusal(path, **options):
+    with pytest.raises(InputError) as refused:
+        read_log(path, **options)
+    return str(refused.value).removeprefix(f"{path}: ")
+
+
+def evidence(reading, quantity):
+    return next(guess for guess in reading.guesses if guess.quantity == quantity)
+
+
+# ---- cells
+
+
+@pytest.mark.parametrize(("on", "off"), [("True", "False"), ("true", "false"), ("TRUE", "FALSE"), ("on", "off")])
+def test_words_for_on_and_off_are_read(tmp_path, on, off):
+    enabled = [on if t < 0.5 else off for t in T]
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "voltage", "enable"), T, R, Y, U, enabled)
+    assert np.array_equal(read_record(path).enabled, T < 0.5)
+    path.write_text(path.read_text() + f"{T[-1] + 1},0,0,0,maybe\n")
+    assert f"line {T.size + 2}, enabled: 'maybe' is neither on nor off" in refusal(path)
+
+
+def test_switches_of_a_workbook_are_read(tmp_path):
+    pytest.importorskip("python_calamine")
+    columns = {"time": T, "reference": R, "position": Y, "voltage": U, "enabled": T < 0.5}
+    pd.DataFrame(columns).to_excel(tmp_path / "a.xlsx", index=False)
+    assert np.array_equal(read_record(tmp_path / "a.xlsx").enabled, T < 0.5)
+
+
+def german(value):
+    return f"{value:,.1f}".translate(str.maketrans(",.", ".,"))
+
+
+@pytest.mark.parametrize(
+    ("separator", "form"),
+    [(";", german), (";", "{:,.1f}".format), ("\t", german), (",", lambda x: f'"{x:,.1f}"'), ("\t", "{:,.1f}".format)],
+    ids=["German", "US", "German tabs", "US quoted", "US tabs"],
+)
+def test_separated_thousands_are_read_where_a_number_shows_both_signs(tmp_path, separator, form):
+    heads = ("Time [ms]", "target [um]", "actual [um]", "u [mV]")
+    columns = [[form(x) for x in values] for values in (T * 1e3, R * 1e6, Y * 1e6, U * 1e3)]
+    record = read_record(log(tmp_path / "a.csv", heads, *columns, separator=separator))
+    assert record.time == pytest.approx(T)
+    assert record.position == pytest.approx(Y, abs=1e-7)
+    assert record.voltage == pytest.approx(U, abs=1e-4)
+
+
+def test_whole_numbers_with_separated_thousands_are_read_where_others_show_both_signs(tmp_path):
+    heads = ("Zeit [ms]", "Soll [um]", "Ist [um]", "u [mV]")
+    columns = [
+        [f"{t * 1e3:,.0f}".replace(",", ".") for t in T],
+        *([german(x) for x in v] for v in (R * 1e6, Y * 1e6, U)),
+    ]
+    assert read_record(log(tmp_path / "a.csv", heads, *columns, separator=";")).time == pytest.approx(T)
+
+
+def test_points_that_may_separate_thousands_are_refused(tmp_path):
+    whole = [f"{y * 1e6:,.0f}".replace(",", ".") for y in Y]
+    path = log(
+        tmp_path / "a.csv", ("Zeit [ms]", "Ist [um]", "u [mV]"), np.arange(T.size) % 1000, whole, whole, separator=";"
+    )
+    said = refusal(path)
+    assert "may be a whole number with separated thousands, as may all numbers with a '.' here" in said
+    assert said.endswith("write all numbers with one decimal sign and without separators of thousands")
+
+
+def test_commas_beside_points_are_refused_by_a_true_sentence(tmp_path):
+    seconds = [f"{t:.3f}".replace(".", ",") for t in T]
+    path = log(tmp_path / "a.csv", ("Zeit [s]", "Soll [m]", "Ist [m]", "Spannung [V]"), seconds, R, Y, U, separator=";")
+    assert refusal(path) == (
+        "line 2, time: '0,000' has a comma where other numbers have points; write all numbers with one decimal sign and"
+        " without separators of thousands"
+    )
+
+
+def test_a_velocity_with_a_gap_can_be_left_out(tmp_path):
+    path = log(
+        tmp_path / "a.csv", ("time", "reference", "position", "voltage", "vel [m/s]"), T, R, Y, U, ["nan", *T[1:]]
+    )
+    assert refusal(path).endswith("fill or leave out such rows, or do without that column: --column velocity=-")
+    assert read_record(path, columns={"velocity": "-"}).velocity is None
