@@ -297,7 +297,7 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (",\n0,0\n1,1\n", NAMELESS.format(2, "0, 0")),
         (
             "time,position,position\n0,0,0\n1,1,1\n",
-            "2 columns are named 'position'; names must differ",
+            "2 columns are named 'position'; say which, e.g. --column position=2 or --column position=3",
         ),
         (GAIN + HEADER + "0,0,1\n0,1,1\n", "time must increase; sample 1 (0 s) repeats sample 0 (0 s)" + REGULAR),
         (GAIN + HEADER + "0,0,1\n2,1,1\n1,1,1\n", "time must increase; sample 2 (1 s) lies before sample 1 (2 s)"),
@@ -680,7 +680,7 @@ def test_index_of_a_dataframe_is_the_time(index):
         ),
         (
             pd.DataFrame([[0, 1, 2, 3], [1, 1, 2, 3]], columns=["time", "position", "position", "voltage"]),
-            "2 columns are named 'position'; names must differ",
+            "2 columns are named 'position'; say which, e.g. --column position=2 or --column position=3",
         ),
         (pd.DataFrame({"position": [0, 1.0]}), "no column named time; the columns are 'position'" + CLOCKLESS),
         (

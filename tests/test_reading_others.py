@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from servolens import lab
+from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record
@@ -38,6 +39,45 @@ def refusal(path, **options):
 
 def evidence(reading, quantity):
     return next(guess for guess in reading.guesses if guess.quantity == quantity)
+
+
+# ---- columns that share a name
+
+
+def test_columns_of_one_name_are_told_by_their_numbers(tmp_path):
+    path = log(tmp_path / "a.csv", ("time [s]", "Value [m]", "Value [m]", "Value [V]"), T, R, Y, U)
+    assert refusal(path) == (
+        "no column named position; the columns are 'time, 2 (Value), 3 (Value), 4 (Value)' (say which by name or"
+        " number, e.g. --column position=2)"
+    )
+    assert refusal(path, columns={"position": "Value"}) == (
+        "3 columns are named 'Value'; say which, e.g. --column position=2 or --column position=3 or --column position=4"
+    )
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        ["--columns", "time,reference,position,voltage"],
+        ["--column", "position=3", "--column", "reference=2", "--column", "voltage=4"],
+    ],
+    ids=["order", "numbers"],
+)
+def test_a_campaign_holds_the_numbers_of_columns_that_share_a_name(tmp_path, answer):
+    path = log(tmp_path / "a.csv", ("time [s]", "Value [m]", "Value [m]", "Value [V]"), T, R, Y, U)
+    done = convert(path, *answer)
+    assert done.exit_code == 0, done.output
+    assert "3 (Value)" in done.output
+    (record,) = read_records(path.with_suffix(".toml"))
+    for values, truth in ((record.position, Y), (record.reference, R), (record.voltage, U)):
+        assert values == pytest.approx(truth)
+
+
+def test_a_number_that_is_another_column_s_name_is_no_address(tmp_path):
+    path = log(tmp_path / "a.csv", ("time", "2", "Value", "Value"), T, R, Y, U)
+    assert "3 (Value), 4 (Value)" in refusal(path)
+    assert read_log(path, columns={"position": "3", "reference": "2", "voltage": "4"}).columns["position"] == "3"
+    assert "'3, 2, Value, 4 (Value)'" in refusal(log(tmp_path / "b.csv", ("3", "2", "Value", "Value"), T, R, Y, U))
 
 
 # ---- cells

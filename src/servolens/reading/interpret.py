@@ -109,7 +109,7 @@ def interpret(
     guesses = [
         Guess(
             quantity=signal,
-            source=choice.address,
+            source=choice.label,
             value=found[signal][0] or "",
             evidence="; ".join(part for part in (choice.evidence, found[signal][1]) if part),
             is_stated=_is_stated(choice, signal in stated, found[signal]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
     from servolens.reading.table import Column, Table
 
-__all__ = ["Choice", "check_mapping", "choose", "offer"]
+__all__ = ["Choice", "check_mapping", "choose", "offer", "typed"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -34,6 +35,8 @@ LOADED, TURNS = 0.3, 0.2
 travel: a command that turns it round does not stay so near to its mean."""
 NONE, NAMED, ITS_NAME = "-", "named by you", "its name"
 """Stands for a signal that is in no column; how the column of another is known."""
+MOST_SHOWN = 4
+"""Columns that a question names."""
 SAME = 1e-6
 """Relative difference up to which two columns are one quantity in two units: logs print six digits and more."""
 DERIVATIVE = 0.98
@@ -72,6 +75,14 @@ class Choice:
     def unit(self) -> str | None:
         """Unit that the file states."""
         return self.meaning.unit
+
+    @property
+    def label(self) -> str:
+        """What people call the column: its address, and where that is a number its name too."""
+        name = unit_behind(self.column.name)[0]
+        return (
+            f"{self.address} ({name})" if self.address.isdecimal() and name not in ("", self.address) else self.address
+        )
 
     def because(self, evidence: str, *, is_stated: bool = False) -> Choice:
         """Return the choice with its evidence."""
@@ -139,24 +150,24 @@ def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str
 
 def offer(found: Iterable[Choice]) -> str:
     """Return which columns there are, as part of a sentence."""
-    names = ", ".join(choice.address for choice in found if choice.address)
+    names = ", ".join(choice.label for choice in found if choice.label)
     return f"the columns are {quote(names)}" if names else "the table has no named columns"
 
 
 def _candidates(tables: Sequence[Table]) -> list[Choice]:
     """Return every column with what its heading says, and the shortest address that is its own."""
     plain = [(i, column, unit_behind(column.name)[0]) for i, table in enumerate(tables) for column in table.columns]
-    several = len(tables) > 1
-    names = [name for _, _, name in plain]
-    counted = {name: names.count(name) for name in set(names)} if several else {}
+    everywhere = Counter(name for _, _, name in plain)
+    inside = Counter((i, name) for i, _, name in plain)
+
+    def address(number: int, table: int, name: str) -> str:
+        if inside[table, name] > 1 and str(number) not in everywhere:
+            return str(number)
+        return f"{tables[table].name}/{name}" if everywhere[name] > inside[table, name] else name
+
     return [
-        Choice(
-            column,
-            i,
-            f"{tables[i].name}/{name}" if several and counted[name] > 1 else name,
-            meaning(column.name, column.unit),
-        )
-        for i, column, name in plain
+        Choice(column, i, address(number, i, name), meaning(column.name, column.unit))
+        for number, (i, column, name) in enumerate(plain, start=1)
     ]
 
 
@@ -166,7 +177,7 @@ def _mapped(name: str, signal: str, found: Sequence[Choice]) -> Choice:
         hits = [found[int(name) - 1]]
     if not hits:
         raise InputError(f"no column named {quote(name)} for {signal}; {offer(found)}")
-    return _single(hits, name).because(NAMED, is_stated=True)
+    return _single(hits, name, signal).because(NAMED, is_stated=True)
 
 
 def _named(signal: str, found: Sequence[Choice]) -> Choice | None:
@@ -178,15 +189,16 @@ def _named(signal: str, found: Sequence[Choice]) -> Choice | None:
         if len({c.table for c in hits}) > 1:
             return None  # each table has one
         if hits:
-            choice = _single(hits, wanted)
+            choice = _single(hits, wanted, signal)
             is_stated = choice.meaning.where in ("", "in brackets", "stated beside its name")
             return choice.because(ITS_NAME, is_stated=is_stated)
     return None
 
 
-def _single(hits: Sequence[Choice], name: str) -> Choice:
+def _single(hits: Sequence[Choice], name: str, signal: str) -> Choice:
     if len(hits) > 1:
-        raise InputError(f"{len(hits)} columns are named {quote(name)}; names must differ")
+        which = " or ".join(f"--column {signal}={typed(hit.address)}" for hit in hits[:MOST_SHOWN])
+        raise InputError(f"{len(hits)} columns are named {quote(name)}; say which, e.g. {which}")
     return hits[0]
 
 
@@ -228,7 +240,7 @@ def _commands(left: Sequence[Choice]) -> tuple[list[Choice], str]:
     kept = [c for c in moving if COMMAND_KINDS.index(c.meaning.kind) == first]
     grade = min(c.meaning.grade for c in kept)
     kept = [c for c in kept if c.meaning.grade == grade]
-    others = [quote(c.address) for c in left if c not in kept and len(c.column.values)]
+    others = [quote(c.label) for c in left if c not in kept and len(c.column.values)]
     return kept, f"; preferred to {', '.join(others[:3])}" if others and len(kept) == 1 else ""
 
 
@@ -252,10 +264,10 @@ def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping
     others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
     if turns or (others and _is_supply(choice)):
         other = f", and {quote(others[0].address)} may be the command" if others else " while the axis turns round"
-        instead = _typed(others[0].address) if others else f"{NONE} if no command was logged"
+        instead = typed(others[0].address) if others else f"{NONE} if no command was logged"
         raise InputError(
             f"column {quote(choice.address)} hardly varies, as the voltage of a supply{other}; say --column"
-            f" voltage={_typed(choice.address)} or --column voltage={instead}"
+            f" voltage={typed(choice.address)} or --column voltage={instead}"
         )
 
 
@@ -335,7 +347,7 @@ def _decide(found: Sequence[Choice], chosen: dict[str, Choice], absent: set[str]
                 why = f"the name {quote(choice.address)}, and it is not the derivative of the position (r = {r:.2f})"
         open_roles = [role for role in open_roles if role not in (*chosen, *absent)]
         if len(open_roles) > 1:
-            readings = " or ".join(f"--column {role}={_typed(choice.address)}" for role in open_roles)
+            readings = " or ".join(f"--column {role}={typed(choice.address)}" for role in open_roles)
             raise InputError(f"column {quote(choice.address)} may be {' or '.join(open_roles)}; say {readings}")
         if open_roles:
             chosen[open_roles[0]] = choice.because(why)
@@ -367,15 +379,14 @@ def _clock(found: Sequence[Choice], position: Choice) -> Choice | None:
 
 
 def _question(signal: str, left: Sequence[Choice]) -> str:
-    names = [c.address for c in left[:4]]
-    others = len(left) - len(names)
+    others = len(left) - len(left[:MOST_SHOWN])
     more = f" and {others} other{'s' if others > 1 else ''}" if others else ""
-    readings = " or ".join(f"--column {signal}={_typed(name)}" for name in names[:2])
-    shown = ", ".join(quote(name) for name in names)
+    readings = " or ".join(f"--column {signal}={typed(c.address)}" for c in left[:2])
+    shown = ", ".join(quote(c.label) for c in left[:MOST_SHOWN])
     return f"the {signal} may be one of {shown}{more}; say which, e.g. {readings}"
 
 
-def _typed(name: str) -> str:
+def typed(name: str) -> str:
     """Return a column's name as it is to be typed after an option."""
     shown = quote(name)
     return shown if " " in name or len(name) > 40 else shown[1:-1]
@@ -397,7 +408,10 @@ def _clockless(missing: Sequence[str]) -> str:
 def _check_found(chosen: Mapping[str, Choice], found: Sequence[Choice]) -> None:
     missing = [signal for signal in ("time", "position") if signal not in chosen]
     if missing:
+        numbered = next((c.address for c in found if c.address != c.label), None)
+        how = f"say which by name or number, e.g. --column {missing[0]}={numbered}"
+        if numbered is None:
+            how = f"map names of your own, e.g. --column {missing[0]}=NAME"
         raise InputError(
-            f"no column named {' and none named '.join(missing)}; {offer(found)}"
-            f" (map names of your own, e.g. --column {missing[0]}=NAME{_clockless(missing)})"
+            f"no column named {' and none named '.join(missing)}; {offer(found)} ({how}{_clockless(missing)})"
         )
