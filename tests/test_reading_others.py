@@ -12,6 +12,7 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record
+from servolens.reading.words import meaning
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
 T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
@@ -78,6 +79,100 @@ def test_a_number_that_is_another_column_s_name_is_no_address(tmp_path):
     assert "3 (Value), 4 (Value)" in refusal(path)
     assert read_log(path, columns={"position": "3", "reference": "2", "voltage": "4"}).columns["position"] == "3"
     assert "'3, 2, Value, 4 (Value)'" in refusal(log(tmp_path / "b.csv", ("3", "2", "Value", "Value"), T, R, Y, U))
+
+
+# ---- clocks
+
+
+def test_a_time_named_by_the_user_keeps_the_unit_in_its_name(tmp_path):
+    path = log(tmp_path / "a.csv", ("time_min", "reference", "position", "voltage"), T / 60, R, Y, U)
+    for columns in ({"time": "time_min"}, None):
+        assert read_record(path, columns=columns).time == pytest.approx(T)
+    assert meaning("pos_min").roles == ()
+
+
+@pytest.mark.parametrize("start", [45717.5, 739000.25], ids=["spreadsheet", "matlab"])
+def test_dates_in_days_are_no_seconds(tmp_path, start):
+    days = [f"{start + t / 86400:.12f}" for t in T]
+    reading = read_log(log(tmp_path / "a.csv", ("Zeit", "Soll", "Ist", "u"), days, R, Y, U))
+    assert reading.record.time == pytest.approx(T, abs=2e-5)
+    assert evidence(reading, "time").value == "day"
+    assert "values that are dates in days" in evidence(reading, "time").evidence
+
+
+def test_steps_that_are_plausible_in_days_only_are_a_question_where_the_values_are_no_dates(tmp_path):
+    path = log(tmp_path / "a.csv", ("Zeit", "Soll", "Ist", "u"), T / 86400, R, Y, U)
+    assert "which are plausible in days; say --unit time=day or --unit time=s" in refusal(path)
+    assert read_record(path, units={"time": "day"}).time == pytest.approx(T)
+
+
+@pytest.mark.parametrize(
+    ("head", "period", "start", "factor"),
+    [
+        ("micros", 2**32, 2**32 - 200_000, 1e6),
+        ("t_us", 2**16, 65_000, 1e6),
+        ("millis", 2**16, 65_300, 1e3),
+        ("t_s", 86400, 86399.5, 1.0),
+    ],
+)
+def test_a_counter_that_begins_again_is_counted_on(tmp_path, head, period, start, factor):
+    ticks = (start + np.round(T * factor, 6)) % period
+    record = read_record(log(tmp_path / "a.csv", (head, "reference", "position", "voltage"), ticks, R, Y, U))
+    assert record.time - record.time[0] == pytest.approx(T, abs=1e-8)
+    (remark,) = (remark for remark in record.remarks if remark.code == "clock_wrapped")
+    assert f"fall back by {period} at sample" in remark.message
+
+
+def test_a_clock_goes_on_past_midnight(tmp_path):
+    seconds = (86399.4 + T) % 86400
+    stamps = [f"{int(s // 3600):02d}:{int(s // 60 % 60):02d}:{s % 60:06.3f}" for s in np.round(seconds, 3)]
+    record = read_record(log(tmp_path / "a.txt", ("Time", "ref", "pos", "u"), stamps, R, Y, U, separator="\t"))
+    assert record.time == pytest.approx(T, abs=1e-6)
+    assert "as a clock does at midnight" in record.remarks[0].message
+
+
+@pytest.mark.parametrize("fall", [0.3, 65.0, 65.536 + 0.01], ids=["any", "nearly", "far"])
+def test_a_clock_that_falls_back_otherwise_is_refused(tmp_path, fall):
+    time = np.where(T < 0.4, 100 + T, 100 + T - fall) * 1e3
+    path = log(tmp_path / "a.csv", ("millis", "reference", "position", "voltage"), np.round(time), R, Y, U)
+    assert refusal(path).startswith("time must increase; sample 400 ")
+
+
+@pytest.mark.parametrize("where", ["caller", "file"])
+def test_a_stated_sample_time_is_said_to_be_stated(tmp_path, where):
+    path = log(tmp_path / "a.csv", ("millis", "reference", "position", "voltage"), np.floor(T * 500), R, Y, U)
+    settings = {"sample_time": "1 ms"} if where == "caller" else None
+    if where == "file":
+        path.write_text("# sample_time = 1 ms\n" + path.read_text())
+    guess = evidence(read_log(path, settings=settings), "time")
+    by = "by you" if where == "caller" else "by the file"
+    assert (guess.source, guess.value, guess.evidence, guess.is_stated) == ("stated", "1 ms", by, True)
+
+
+LVM = """LabVIEW Measurement\t
+Separator\tTab
+Decimal_Separator\t.
+X_Columns\tNo
+***End_of_Header***\t
+\t
+Channels\t3\t\t\t
+Samples\t5\t5\t5\t
+X_Dimension\tTime\tTime\tTime\t
+X0\t0.5\t0.5\t0.5\t
+Delta_X\t0.001000\t0.001000\t0.001000\t
+***End_of_Header***\t\t\t\t
+X_Value\tSetpoint\tPosition\tVoltage\tComment
+"""
+
+
+@pytest.mark.parametrize("end", ["", "\t"], ids=["bare", "comment"])
+def test_labview_without_times_is_read_by_its_header(tmp_path, end):
+    path = tmp_path / "a.lvm"
+    path.write_text(LVM + "".join(f"\t{r:.6f}\t{y:.6f}\t{u:.6f}{end}\n" for r, y, u in zip(R, Y, U, strict=True)))
+    reading = read_log(path)
+    assert reading.record.time == pytest.approx(0.5 + T)
+    assert reading.record.position == pytest.approx(Y, abs=1e-6)
+    assert evidence(reading, "time").source == "delta_x"
 
 
 # ---- cells

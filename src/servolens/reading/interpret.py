@@ -8,18 +8,21 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.reading.clock import unwrapped, with_clock
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.roles import NAMED, NONE, Choice, check_mapping, choose
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
-from servolens.reading.table import Column, Table
-from servolens.reading.words import BY_PROTOCOL, allows, unit_behind
+from servolens.reading.words import BY_PROTOCOL, allows
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from servolens.reading.table import Table
 
     Values = NDArray[np.float64]
 
@@ -31,11 +34,6 @@ SURE_UNITS = ("in brackets", "behind its name", "stated beside its name")
 """Where a unit is one, whatever the signal; letters at the end of a name may be something else."""
 SMOOTH_SIGNALS = ("position", "velocity")
 GAIN_NAMES = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
-_INTERVALS = {
-    **dict.fromkeys(("delta_x", "sample_time", "sample time", "sampletime", "sampling time", "dt", "abtastzeit"), "s"),
-    "sampletime[ms]": "ms",
-}
-"""What preambles call the sample time, and its unit where none stands there."""
 BY_CALLER = "unit given by you"
 
 
@@ -58,6 +56,8 @@ class Interpretation:
         Signal to the address of its column.
     found_gains : bool
         Whether gains among the comments were found beside the columns rather than stated as settings.
+    remarks : tuple of Finding
+        What was done to the columns.
     """
 
     signals: Mapping[str, Values]
@@ -66,6 +66,7 @@ class Interpretation:
     guesses: tuple[Guess, ...]
     columns: Mapping[str, str]
     found_gains: bool = False
+    remarks: tuple[Finding, ...] = ()
 
 
 def interpret(
@@ -91,7 +92,7 @@ def interpret(
     InputError
         With one sentence: what is missing, or both readings where two are plausible.
     """
-    tables = [_with_clock(table, settings) for table in tables if table.columns]
+    tables = [with_clock(table, settings) for table in tables if table.columns]
     if not tables:
         raise InputError("holds no columns of numbers")
     chosen = choose(tables, columns)
@@ -106,14 +107,9 @@ def interpret(
         _check_stated(tables)
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
+    signals["time"], wrapped = unwrapped(signals["time"], _factor(texts["time"]))
     guesses = [
-        Guess(
-            quantity=signal,
-            source=choice.label,
-            value=found[signal][0] or "",
-            evidence="; ".join(part for part in (choice.evidence, found[signal][1]) if part),
-            is_stated=_is_stated(choice, signal in stated, found[signal]),
-        )
+        choice.column.origin or _guess(signal, choice, found[signal], by_caller=signal in stated)
         for signal, choice in chosen.items()
     ]
     guesses += [
@@ -127,6 +123,7 @@ def interpret(
         guesses=tuple(guesses),
         columns={signal: choice.address for signal, choice in chosen.items()}
         | {signal: NONE for signal, name in (columns or {}).items() if name == NONE},
+        remarks=(Finding(code="clock_wrapped", severity="note", message=wrapped),) if wrapped else (),
         found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
     )
 
@@ -145,33 +142,6 @@ def _check_stated(tables: Sequence[Table]) -> None:
         " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5 or"
         " --reference-file FILE"
     )
-
-
-def _with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
-    """Add the time to a table that states its sample time instead of logging it."""
-    text = (settings or {}).get("sample_time", table.comments.get("sample_time"))
-    label = "s"
-    if text is None:
-        known = [(key, label) for key, label in _INTERVALS.items() if key in table.properties]
-        if not known or any("time" in c.name.lower() for c in table.columns):
-            return table
-        text, label = table.properties[known[0][0]].replace(",", "."), known[0][1]
-    try:
-        value, unit = split_number(str(text))
-    except InputError:
-        return table
-    parsed = parse_unit(unit or label)
-    if parsed is None or dict(parsed.dimension) != {"s": 1.0} or not value > 0 or not table.columns:
-        return table
-    count = table.columns[0].values.size
-    time = Column("time", value * parsed.factor * np.arange(count, dtype=np.float64), "s")
-    # a number names the column of the file: the clock takes the place of that which is there, or comes last
-    names = [unit_behind(column.name)[0].strip().lower() for column in table.columns]
-    logged = [name in ("time", "t", "x_value") for name in names]
-    columns = tuple(time if is_time else column for column, is_time in zip(table.columns, logged, strict=True))
-    if sum(logged) != 1:
-        columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
-    return Table(columns, table.name, table.comments, table.properties, table.has_names)
 
 
 def _constant_gains(tables: Sequence[Table], at: int, stated: Mapping[str, object]) -> dict[str, str]:
@@ -279,8 +249,15 @@ def _check_numbers(signal: str, choice: Choice) -> None:
         raise InputError(choice.column.fault.sentence(signal) + instead)
 
 
-def _is_stated(choice: Choice, by_caller: bool, found: tuple[str | None, str]) -> bool:
-    return choice.is_stated and (by_caller or found[0] is None or choice.unit is not None)
+def _guess(signal: str, choice: Choice, found: tuple[str | None, str], *, by_caller: bool) -> Guess:
+    """Return how a signal was found."""
+    return Guess(
+        quantity=signal,
+        source=choice.label,
+        value=found[0] or "",
+        evidence="; ".join(part for part in (choice.evidence, found[1]) if part),
+        is_stated=choice.is_stated and (by_caller or found[0] is None or choice.unit is not None),
+    )
 
 
 def _on_one_clock(

@@ -109,7 +109,7 @@ def made(
     si = units_of(record)
     guesses = [guess if guess.value else replace(guess, value=si.get(guess.quantity, "")) for guess in guesses]
     return Reading(
-        record=_with_remark(record, guesses),
+        record=_with_remarks(record, guesses, found.remarks),
         guesses=tuple(guesses),
         columns=found.columns,
         units={signal: text for signal, text in found.units.items() if text},
@@ -122,8 +122,9 @@ def _states_loop(settings: Mapping[str, object], found: Interpretation) -> bool:
     return any(key in settings for key in LOOP if not (found.found_gains and key in GAINS))
 
 
-def _with_remark(record: Record, guesses: Sequence[Guess]) -> Record:
-    """Return the record with a note of what was guessed, if anything was."""
+def _with_remarks(record: Record, guesses: Sequence[Guess], remarks: Sequence[Finding]) -> Record:
+    """Return the record with notes of what was done to its columns, and of what was guessed, if anything was."""
+    record = replace(record, remarks=(*record.remarks, *(replace(remark, record=record.name) for remark in remarks)))
     phrase = told(guesses)
     if not phrase:
         return record

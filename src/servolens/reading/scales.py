@@ -25,6 +25,9 @@ LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
 SAMPLE_TIMES = (25e-6, 0.1)
 """Sample times that servo drives and hobby loops have [s]: 40 kHz current loops to 10 Hz loggers."""
+DAY = 86400.0
+DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
+"""Dates as numbers [day]: 1954 to 2064 as spreadsheets count them, 1916 to 2190 as MATLAB does."""
 FEWEST_SAMPLES = 20
 """Samples below which a rate and a travel say nothing."""
 LONGEST_AXIS = 10.0
@@ -49,9 +52,11 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return None, "seconds are assumed"
     interval = float(np.median(np.diff(values)))
+    low, high = SAMPLE_TIMES
+    if low <= interval * DAY <= high:
+        return _days(choice, interval)
     if not interval >= LONGEST_SAMPLE_TIME:
         return None, "seconds are assumed"
-    low, high = SAMPLE_TIMES
     fits = [unit for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= interval * factor <= high]
     if len(fits) > 1:
         readings = " or ".join(f"--unit time={unit}" for unit in fits)
@@ -63,6 +68,16 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         return None, "seconds are assumed"
     rate = 1 / (interval * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[fits[0]])
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
+
+
+def _days(choice: Choice, interval: float) -> tuple[str | None, str]:
+    """Return days as the unit of a time with steps that no log has in seconds, if its values are dates."""
+    if not any(first <= float(choice.column.values[0]) <= last for first, last in DATES):
+        raise InputError(
+            f"column {quote(choice.label)} has steps of {interval:.3g}, which are plausible in days; say"
+            " --unit time=day or --unit time=s"
+        )
+    return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
 
 
 def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from servolens.reading.guess import Guess
+
 __all__ = ["MOST_COLUMNS", "Column", "Fault", "Table"]
 
 MOST_COLUMNS = 1000
@@ -46,12 +48,15 @@ class Column:
         Where the file states it beside the name, as a row of units does.
     fault : Fault or None
         Of the first cell that is no number.
+    origin : Guess or None
+        What the column was made of, where the file does not log it.
     """
 
     name: str
     values: NDArray[np.float64]
     unit: str | None = None
     fault: Fault | None = None
+    origin: Guess | None = None
 
 
 @final

@@ -103,6 +103,7 @@ _UNITS = {
     "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
     "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
     "ampere": "A",
+    "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
     "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip

@@ -1,0 +1,129 @@
+"""The clock of a log that states its sample time instead of logging it, and time stamps that fall back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.reading.guess import Guess
+from servolens.reading.table import Column, Table
+from servolens.reading.words import unit_behind
+from servolens.units import parse_unit, split_number
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    Values = NDArray[np.float64]
+
+__all__ = ["unwrapped", "with_clock"]
+
+_INTERVALS = {
+    **dict.fromkeys(("delta_x", "sample_time", "sample time", "sampletime", "sampling time", "dt", "abtastzeit"), "s"),
+    "sampletime[ms]": "ms",
+}
+"""What preambles call the sample time, and its unit where none stands there."""
+COUNTERS = (2.0**32, 2.0**16)
+"""Ticks after which a microcontroller's counter begins again."""
+DAY = 86400.0
+LONGEST_STEP = 2.0
+"""Longest step over a wrap, in sample times: one sample may be lost there."""
+
+
+def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
+    """Add the time to a table that states its sample time instead of logging it.
+
+    Parameters
+    ----------
+    table : Table
+        Of the file.
+    settings : mapping, optional
+        From the caller; their ``sample_time`` wins.
+    """
+    found = _interval(table, settings)
+    if found is None or not table.columns:
+        return table
+    interval, origin = found
+    start = _number(table.properties.get("x0")) if origin.source == "delta_x" else 0.0
+    instants = start + interval * np.arange(table.columns[0].values.size, dtype=np.float64)
+    time = Column("time", instants, "s", origin=origin)
+    # a number names the column of the file: the clock takes the place of that which is there, or comes last
+    names = [unit_behind(column.name)[0].strip().lower() for column in table.columns]
+    logged = [name in ("time", "t", "x_value") for name in names]
+    columns = tuple(time if is_time else column for column, is_time in zip(table.columns, logged, strict=True))
+    if sum(logged) != 1:
+        columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
+    return replace(table, columns=columns)
+
+
+def _interval(table: Table, settings: Mapping[str, object] | None) -> tuple[float, Guess] | None:
+    """Return the sample time [s] that is stated, and by whom, or None."""
+    text, label, source, evidence = (settings or {}).get("sample_time"), "s", "stated", "by you"
+    if text is None:
+        text, evidence = table.comments.get("sample_time"), "by the file"
+    if text is None:
+        known = [key for key in _INTERVALS if key in table.properties]
+        if not known or any("time" in column.name.lower() for column in table.columns):
+            return None
+        source, label, evidence = (
+            known[0],
+            _INTERVALS[known[0]],
+            "the sample time that the file states above its numbers",
+        )
+        text = table.properties[source].replace(",", ".")
+    try:
+        value, unit = split_number(str(text))
+    except InputError:
+        return None
+    parsed = parse_unit(unit or label)
+    if parsed is None or dict(parsed.dimension) != {"s": 1.0} or not value > 0:
+        return None
+    shown = f"{value:g} {unit or label}"
+    return value * parsed.factor, Guess(quantity="time", source=source, value=shown, evidence=evidence, is_stated=True)
+
+
+def _number(text: str | None) -> float:
+    try:
+        return split_number((text or "0").replace(",", "."))[0]
+    except InputError:
+        return 0.0
+
+
+def unwrapped(time: Values, factor: float) -> tuple[Values, str]:
+    """Return time stamps that go on where a counter began again, or the clock at midnight, and what was done.
+
+    Stamps that fall back by anything else are returned as they are, with an empty text.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        As logged.
+    factor : float
+        Seconds of one unit.
+
+    Examples
+    --------
+    >>> unwrapped(np.array([65534.0, 65535.0, 0.0, 1.0]), 1e-3)[0]
+    array([65534., 65535., 65536., 65537.])
+    """
+    if time.dtype.kind not in "iuf" or not np.isfinite(time).all():
+        return time, ""
+    steps = np.diff(time.astype(np.float64))
+    back, forth = np.flatnonzero(steps < 0), steps[steps > 0]
+    if not 0 < back.size < forth.size:
+        return time, ""
+    longest = LONGEST_STEP * float(np.median(forth))
+    for period in (*COUNTERS, DAY / factor):
+        jumps = steps[back] + period
+        if np.all((jumps > 0) & (jumps <= longest)):
+            turns = np.zeros(time.size)
+            turns[back + 1] = 1
+            what = "as a clock does at midnight" if period not in COUNTERS else "as a counter that begins again"
+            where = f"sample {back[0] + 1}" + (f" and {back.size - 1} times later" if back.size > 1 else "")
+            said = f"the time stamps fall back by {period:.0f} at {where}, {what}; they were counted on."
+            return time + period * np.cumsum(turns), said
+    return time, ""
