@@ -42,6 +42,112 @@ def evidence(reading, quantity):
     return next(guess for guess in reading.guesses if guess.quantity == quantity)
 
 
+# ---- commands
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "Stellspannung",
+        "Ankerspannung",
+        "Klemmenspannung",
+        "Führungsspannung",
+        "Umotor",
+        "Umotor [V]",
+        "UMotor",
+        "Ua",
+        "UA [V]",
+    ],
+)
+def test_a_voltage_of_the_motor_is_the_command(tmp_path, name):
+    reading = read_log(log(tmp_path / "a.csv", ("t", "Soll", "Ist", name), T, R, Y, U))
+    assert np.array_equal(reading.record.voltage, read_record(tmp_path / "a.csv", columns={"voltage": "4"}).voltage)
+    assert evidence(reading, "kp").value == "60 V/m"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("Versorgungsspannung", "Zwischenkreisspannung", "Betriebsspannung", "Netzspannung", "Batteriespannung"),
+        *("Busspannung", "Bordnetzspannung", "Speisespannung", "supply_voltage", "Riemenspannung", "Vorspannung"),
+    ],
+)
+def test_the_voltage_of_a_supply_or_a_tension_is_not_the_command(tmp_path, name):
+    path = log(tmp_path / "a.csv", ("t", "Soll", "Ist", name), T, R, Y, U)
+    assert meaning(name).roles == ()
+    assert read_record(path, settings=GAINS).voltage is None
+
+
+def test_a_column_in_volts_that_no_word_tells_is_asked_about_where_the_gains_are_unknown(tmp_path):
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "Drive [V]", "n"), T, R, Y, U, T)
+    assert refusal(path) == (
+        "the gains are unknown and no column is known as the command; if it is 'Drive' (in volts), name it, e.g."
+        " --column voltage=Drive, else give kp and kd (on the command line --record-kp and --record-kd)"
+    )
+    assert convert(path, "--column", "voltage=Drive").exit_code == 0
+    assert read_records(path.with_suffix(".toml"))[0].voltage == pytest.approx(U)
+
+
+def test_a_column_in_volts_beside_stated_gains_is_a_remark(tmp_path):
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "Drive [V]"), T, R, Y, U)
+    (remark,) = read_record(path, settings=GAINS).remarks
+    assert (remark.code, remark.severity) == ("command_not_known", "note")
+    assert "if it is 'Drive' (in volts), name it, e.g. --column voltage=Drive." in remark.message
+    assert read_record(path, settings=GAINS, columns={"voltage": "-"}).remarks == ()
+
+
+def test_the_columns_that_are_left_are_named_where_neither_gains_nor_command_are_known(tmp_path):
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "mv"), T, R, Y, U)
+    assert "if it is 'mv', name it, e.g. --column voltage=mv, else give kp and kd" in refusal(path)
+
+
+def test_a_name_that_is_the_armature_s_voltage_or_a_command_in_amperes_is_a_question(tmp_path):
+    path = log(tmp_path / "a.csv", ("t", "Soll", "Ist", "U_A"), T, R, Y, U)
+    assert refusal(path) == (
+        "column 'U_A' may be the armature's voltage, or a command in A; say --unit voltage=V or --unit voltage=A"
+    )
+    assert read_record(path, units={"voltage": "V"}).command_unit == "V"
+    assert read_record(path, units={"voltage": "A"}).command_unit == "A"
+
+
+# ---- positions and their references
+
+
+@pytest.mark.parametrize(
+    ("reference", "position", "unit"),
+    [
+        ("theta_des", "theta", "rad"),
+        ("thetades", "theta", "rad"),
+        ("phisoll", "phi", "rad"),
+        ("x_des", "x", "m"),
+        ("xref", "x", "m"),
+        ("x_ref", "x", "m"),
+        ("q_des", "q", "m"),
+        ("des_y", "y", "m"),
+    ],
+)
+def test_what_is_asked_of_a_symbol_is_its_reference(tmp_path, reference, position, unit):
+    reading = read_log(log(tmp_path / "a.csv", ("t", reference, position, "u"), T, R, Y, U))
+    assert reading.columns["reference"] == reference
+    assert reading.columns["position"] == position
+    assert reading.record.length_unit == unit
+
+
+def test_d_behind_a_symbol_is_what_is_asked_of_it_or_its_derivative():
+    assert meaning("q_d").roles == meaning("theta_d").roles == ("reference", "velocity")
+
+
+def test_the_german_article_asks_for_nothing():
+    assert meaning("Lage des Wagens").roles == ("position",)
+
+
+def test_a_position_named_by_the_user_keeps_what_its_own_name_says(tmp_path):
+    path = log(tmp_path / "a.csv", ("t", "theta1", "theta2", "u"), T, Y, Y**2, U)
+    reading = read_log(path, columns={"position": "theta1"})
+    assert reading.record.length_unit == "rad"
+    assert evidence(reading, "position").evidence.startswith("named by you; rad is assumed")
+
+
 # ---- columns that share a name
 
 
@@ -54,6 +160,8 @@ def test_columns_of_one_name_are_told_by_their_numbers(tmp_path):
     assert refusal(path, columns={"position": "Value"}) == (
         "3 columns are named 'Value'; say which, e.g. --column position=2 or --column position=3 or --column position=4"
     )
+    asked = refusal(path, columns={"position": "3", "reference": "2"})
+    assert "if it is '4 (Value)' (in volts), name it, e.g. --column voltage=4" in asked
 
 
 @pytest.mark.parametrize(

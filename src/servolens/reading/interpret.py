@@ -12,7 +12,7 @@ from servolens.findings import Finding
 from servolens.reading.clock import unwrapped, with_clock
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
-from servolens.reading.roles import NAMED, NONE, Choice, check_mapping, choose
+from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, check_mapping, choose, typed, unknown
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
 from servolens.reading.words import BY_PROTOCOL, allows
 from servolens.units import parse_unit, split_number
@@ -105,9 +105,14 @@ def interpret(
         _check_numbers(signal, choice)
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
+    remarks = []
+    if "voltage" not in {*chosen, *(columns or {})}:
+        remarks = _about_command(tables, chosen, knows_gains="kp" in {**comments, **gains, **_given(settings)})
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
     signals["time"], wrapped = unwrapped(signals["time"], _factor(texts["time"]))
+    if wrapped:
+        remarks.append(Finding(code="clock_wrapped", severity="note", message=wrapped))
     guesses = [
         choice.column.origin or _guess(signal, choice, found[signal], by_caller=signal in stated)
         for signal, choice in chosen.items()
@@ -123,9 +128,13 @@ def interpret(
         guesses=tuple(guesses),
         columns={signal: choice.address for signal, choice in chosen.items()}
         | {signal: NONE for signal, name in (columns or {}).items() if name == NONE},
-        remarks=(Finding(code="clock_wrapped", severity="note", message=wrapped),) if wrapped else (),
+        remarks=tuple(remarks),
         found_gains=bool(gains) and not {"kp", "kd"} & {*comments, *(settings or {})},
     )
+
+
+def _given(settings: Mapping[str, object] | None) -> dict[str, object]:
+    return {key: value for key, value in (settings or {}).items() if value is not None}
 
 
 def _states_reference(settings: Mapping[str, object]) -> bool:
@@ -142,6 +151,29 @@ def _check_stated(tables: Sequence[Table]) -> None:
         " voltage=NAME, or state a reference that was not logged, e.g. --reference-step 0.1@0.5 or"
         " --reference-file FILE"
     )
+
+
+def _about_command(tables: Sequence[Table], chosen: Mapping[str, Choice], *, knows_gains: bool) -> list[Finding]:
+    """Refuse a log without command and gains by the columns that may be the command; with gains, remark on volts."""
+    left = unknown(tables, chosen)
+    volts = [choice for choice in left if _is_voltage(choice.unit)]
+    if not left or (knows_gains and not volts):
+        return []
+    shown = ", ".join(quote(choice.label) for choice in (volts or left)[:MOST_SHOWN])
+    answer = f"--column voltage={typed((volts or left)[0].address)}"
+    which = f"{shown} (in volts)" if volts else shown
+    if knows_gains:
+        message = f"no column is known as the command; if it is {which}, name it, e.g. {answer}."
+        return [Finding(code="command_not_known", severity="note", message=message)]
+    raise InputError(
+        f"the gains are unknown and no column is known as the command; if it is {which}, name it, e.g. {answer}, else"
+        " give kp and kd (on the command line --record-kp and --record-kd)"
+    )
+
+
+def _is_voltage(text: str | None) -> bool:
+    unit, volt = parse_unit(text or "1"), parse_unit("V")
+    return unit is not None and volt is not None and unit.dimension == volt.dimension
 
 
 def _constant_gains(tables: Sequence[Table], at: int, stated: Mapping[str, object]) -> dict[str, str]:
@@ -222,7 +254,8 @@ def _length(
     if settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
         return None, ""
     if choice.evidence == NAMED and not _states_length(settings):
-        length_unit(choice, other[0] if other else None)  # asks where metres are not plausible
+        unit = length_unit(choice, other[0] if other else None)  # asks where metres are not plausible
+        return unit if choice.meaning.kind == "angle" else (None, "")
     if choice.is_stated:
         return None, ""
     if _states_length(settings):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from servolens.reading.table import Column, Table
 
-__all__ = ["Choice", "check_mapping", "choose", "offer", "typed"]
+__all__ = ["Choice", "check_mapping", "choose", "offer", "typed", "unknown"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -146,6 +146,17 @@ def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str
         if not isinstance(text, str):
             raise InputError(f"{what}: {signal} must be a text, got {quote(text)}")
     return checked
+
+
+def unknown(tables: Sequence[Table], chosen: Mapping[str, Choice]) -> list[Choice]:
+    """Return the columns beside the position that are numbers and of which no word says what they are."""
+    taken = {id(choice.column) for choice in chosen.values()}
+    home = chosen["position"].table
+    return [
+        c
+        for c in _candidates(tables)
+        if c.table == home and id(c.column) not in taken and c.column.fault is None and c.label and not c.meaning.words
+    ]
 
 
 def offer(found: Iterable[Choice]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading.files import quote
+from servolens.reading.words import ARMATURE
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -144,9 +145,14 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
     Raises
     ------
     InputError
-        If it may be counts of a PWM register as well.
+        If it may be counts of a PWM register as well, or what its name says is a current or a voltage.
     """
     values = choice.column.values
+    if choice.meaning.words == ARMATURE[0] and choice.meaning.rest == {ARMATURE[1]}:
+        raise InputError(
+            f"column {quote(choice.label)} may be the armature's voltage, or a command in A; say --unit voltage=V or"
+            " --unit voltage=A"
+        )
     if values.size >= FEWEST_SAMPLES and np.isfinite(values).all() and np.array_equal(values, np.round(values)):
         largest = float(np.max(np.abs(values)))
         if largest in FULL_SCALES:

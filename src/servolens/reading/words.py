@@ -12,7 +12,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
+__all__ = ["ARMATURE", "BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
@@ -28,7 +28,7 @@ _WORDS: Mapping[str, str] = {
         "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
         "xdot dot dq tacho"
     ),
-    "voltage": "voltage volt volts spannung vir vm uout umot",
+    "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
     "current": "strom amps ampere iq",
     "torque": "torque tau moment momenten drehmoment drehmomenten effort",
@@ -50,6 +50,7 @@ _WORDS: Mapping[str, str] = {
     "other": (
         "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
         "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
+        "batterie netz betrieb speise bord vorspannung zugspannung riemenspannung federspannung "
         "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
         "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
         "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
@@ -76,14 +77,19 @@ _LETTERS: Mapping[str, tuple[str, ...]] = {
     "q": ("position",),
     "v": ("velocity", "voltage"),
     "i": ("voltage",),
+    "ua": ("voltage",),
     "qm": ("position",),
     "qg": ("reference",),
     "yd": ("reference",),
     "xd": ("reference",),
-    "qd": ("reference", "velocity"),
+    **dict.fromkeys(("qd", "thetad", "phid"), ("reference", "velocity")),
 }
 """Symbols that stand alone; of two meanings the data or the other columns must decide."""
-_ANGLES = frozenset({"theta", "phi", "psi", "alpha"})
+_ANGLES = frozenset({"theta", "phi", "psi", "alpha", "thetad", "phid"})
+_PLACES = ("x", "y", "z", "q", "theta", "phi", "psi", "alpha")
+"""Symbols of positions, to which names append what is asked of them: xref, theta_des, qSoll."""
+_LETTER_KINDS = {"i": "current", "ua": "voltage"}
+"""Kind of the command that a symbol stands for."""
 _COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
 _IMPLIED = {
     "millis": "ms",
@@ -108,6 +114,8 @@ _UNITS = {
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
 """Units at a heading's end, in small letters."""
+ARMATURE = ("u", "a")
+"""Of a heading ``U_A``: the armature's voltage, or a command in amperes."""
 BY_PROTOCOL = "which servos of that protocol count in"
 _CONVENTIONS = (
     (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
@@ -124,7 +132,7 @@ _CONVENTIONS = (
 _CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
-_TOKEN = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-zäöüß]+|\d+")
+_TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
 _ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
 _BRACKETS = re.compile(r"(.*?)\s*([\[({<])\s*([^\[\]{}<>]*?)\s*[\])}>]\s*", re.DOTALL)
 _SLASH = re.compile(r"(.+?)(?:\s*/\s*|\s+in\s+|\s*,\s+)([^/,]+(?:/[A-Za-z]+)?)\s*", re.DOTALL)
@@ -239,8 +247,26 @@ def _tokens(name: str) -> tuple[str, ...]:
             continue
         for token in _TOKEN.findall(part):
             plain = token.lower().translate(_UMLAUTS)
-            found += _compound(plain) or [plain]
+            found += _compound(plain) or _marked(plain) or _a_voltage(plain) or [plain]
+    for i in range(len(found) - 1, 0, -1):
+        if found[i] == "d" and found[i - 1] + "d" in _LETTERS:  # q_d is qd
+            found[i - 1 : i + 1] = [found[i - 1] + "d"]
     return tuple(found)
+
+
+def _marked(token: str) -> list[str] | None:
+    """Return the symbol of a position and what stands behind it: ``xref``, ``thetasoll``."""
+    for symbol in _PLACES:
+        mark = token.removeprefix(symbol)
+        if mark != token and (mark == "des" or _CLASS.get(mark) in ("reference", "actual")):
+            return [symbol, mark]
+    return None
+
+
+def _a_voltage(token: str) -> list[str] | None:
+    """Return which voltage a German compound names: ``Ankerspannung``."""
+    head = token.removesuffix("spannung")
+    return [head, "spannung"] if head != token and head else None
 
 
 @cache
@@ -261,6 +287,8 @@ def _compound(token: str) -> list[str] | None:
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
     """Return the tokens without the units at their end, and these."""
+    if tokens == ARMATURE:
+        return tokens, None
     if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in _UNITS and tokens[-2] not in ("s", "ms", "us"):
         kept = tokens[:-3] if tokens[-2] == "per" else tokens[:-2]
         return kept, f"{_UNITS[tokens[-2]]}/s"
@@ -278,7 +306,7 @@ def _convention(name: str) -> tuple[str, str] | None:
 
 
 def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) -> Meaning:
-    kinds = [_CLASS.get(token, "") for token in tokens]
+    kinds = _kinds(tokens)
     rest = frozenset(token for token, kind in zip(tokens, kinds, strict=True) if kind in ("", "neutral"))
     rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
     implied = next((_IMPLIED[token] for token in tokens if token in _IMPLIED), None)
@@ -300,6 +328,16 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     roles = _agreeing(roles, unit, kind, asked)
     grade = 0 if asked else 2 if measured else 1
     return Meaning(roles, unit, words, where, symbol, kind, grade, rest)
+
+
+def _kinds(tokens: Sequence[str]) -> list[str]:
+    """Return the kind of each word; "des" is "desired" where it begins or ends a name, else a German article."""
+    kinds = [_CLASS.get(token, "") for token in tokens]
+    words = [i for i, token in enumerate(tokens) if not token.isdecimal()]
+    for i in {words[0], words[-1]} if len(words) > 1 else ():
+        if tokens[i] == "des":
+            kinds[i] = "reference"
+    return kinds
 
 
 def _roles(
@@ -339,7 +377,7 @@ def _bare(kinds: Sequence[str], symbols: Sequence[str], *, measured: bool) -> tu
     if measured:
         return ("position",), kind, False
     if symbols:
-        return _LETTERS[symbols[0]], "current" if symbols[0] == "i" else kind, True
+        return _LETTERS[symbols[0]], _LETTER_KINDS.get(symbols[0], kind), True
     return (), "", False
 
 
