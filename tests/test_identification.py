@@ -42,7 +42,9 @@ from servolens.lab import (
 from servolens.lab.laws import ARRAYS, LAWS, Instant
 from servolens.plant import Plant
 from servolens.prediction import predict
+from servolens.record import Controller, Record
 from servolens.report.figures import varying_position
+from servolens.simulation import simulate
 from servolens.simulation.rates import rate_of
 from servolens.summaries import identification_summary
 
@@ -50,6 +52,28 @@ from servolens.summaries import identification_summary
 def plant_of(truth: Truth) -> Plant:
     effects = [Plant.effect_from(name, values) for name, values in truth.effects.items()]
     return Plant(gain=truth.gain, damping=truth.damping, effects=tuple(effects))
+
+
+@pytest.mark.parametrize("free", [None, 2.0])
+def test_samples_of_a_motor_that_is_off_do_not_bias_gain_and_damping(free):
+    """The command goes on while the motor is off, and moves nothing."""
+    truth = Plant(gain=1.9, damping=6.0, free_damping=free)
+    time = 1e-3 * np.arange(1500.0)
+    asked = Record(
+        name="off",
+        time=time,
+        position=0.0 * time,
+        reference=np.full(time.size, 0.1),
+        controller=Controller(kp=60.0, kd=1.0),
+        enabled=((time < 0.06) | (time >= 0.15)).astype(float),
+    )
+    run = simulate(truth, asked)
+    noise = np.random.default_rng(3).normal(0.0, 1e-5, time.size)
+    found = identify(asked.with_({"position": run.position + noise, "voltage": run.voltage}), model="constant").model
+    for name, true in (("gain", 1.9), ("damping", 6.0)):
+        quantity = found.quantities[name]
+        assert quantity.value == pytest.approx(true, rel=0.01)
+        assert abs(quantity.value - true) < 4.0 * quantity.stderr
 
 
 @pytest.mark.parametrize("truth", [LM1, LM3], ids=["Lm1", "Lm3"])

@@ -512,6 +512,14 @@ def test_small_motion_is_a_warning():
     assert finding.severity == "warning"
 
 
+def test_motor_that_is_off_throughout_tells_nothing():
+    record = lab.step_record(lab.NLM1, 60.0, noise=1e-5, seed=1)
+    off = record.with_({"enabled": np.zeros(len(record))})
+    assert codes(off) == ["motor_off"]
+    assert not assess(off).usable
+    assert codes(record.with_({"enabled": np.ones(len(record))})) == []
+
+
 def test_dead_voltage_is_said():
     record = simulated()
     assert codes(record.with_({"voltage": np.zeros(1500)})) == ["dead_voltage"]

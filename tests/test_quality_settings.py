@@ -32,7 +32,7 @@ def told(record):
 
 
 @pytest.mark.parametrize("world", WORLDS)
-@pytest.mark.parametrize("rounding", [0.0, 0.01])
+@pytest.mark.parametrize("rounding", [0.0, 0.01, 0.02, 0.1])
 def test_loop_as_stated_raises_nothing(world, rounding):
     assert told(logged(world, rounding=rounding, ki=40.0, derivative_filter=0.3, setpoint_weight=0.7,
                        stated={"ki": 40.0, "derivative_filter": 0.3, "setpoint_weight": 0.7})) == {}  # fmt: skip
@@ -85,6 +85,28 @@ def test_wrong_sign_of_any_column_is_fatal(column, levels):
     (finding,) = fatal(check(mirrored))
     assert finding.code == "wrong_sign"
     assert column in finding.message
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("rounding", [0.0, 0.02])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_command_that_was_logged_without_its_sign_is_fatal(world, rounding, sign, stated):
+    """Duty and direction are often two columns."""
+    record = logged(world, levels=(0.1, 0.02, 0.07), rounding=rounding)
+    unsigned = record.with_({"voltage": sign * np.abs(record.voltage)})
+    (finding,) = fatal(check(unsigned if stated else unsigned.with_({"controller": None})))
+    assert finding.code == "unsigned_voltage"
+
+
+def test_command_of_one_sign_is_no_magnitude():
+    """A weight is held with it."""
+    truth = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 30.0}})
+    rig = lab.Setup(controller=Controller(kp=60.0, kd=4.0, integral_before=30.0 / 1.9))
+    record = lab.step_record(truth, seed=2, reference=(0.05, 0.1), duration=0.6, noise=1e-5, setup=rig)
+    assert record.voltage.min() > 0.0
+    assert fatal(check(record)) == ()
+    assert fatal(check(record.with_({"controller": Controller(kp=60.0, kd=4.0)}))) == ()
 
 
 @pytest.mark.parametrize("levels", [(0.1,), (0.1, 0.02, 0.07)], ids=["one", "three"])

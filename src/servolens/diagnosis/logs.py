@@ -28,6 +28,7 @@ BEYOND = 1.3
 BLAMED = (
     "units_contradict",
     "wrong_sign",
+    "unsigned_voltage",
     "impossible_controller",
     "onset_missed",
     "reference_shifted",

@@ -87,9 +87,9 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     """Cut `records` into stretches of motion.
 
     A record is split where its reference jumps, or, when it follows a trajectory or states no reference, where the axis
-    turns round; and where samples are lost. Each stretch begins when the axis first
-    leaves its initial position and ends a tenth of its length after the axis was last outside 1 % of the step (or
-    four standard deviations of the noise, or one and a half encoder steps, whichever is larger).
+    turns round; where samples are lost; and where its motor is off, which is left out. Each stretch begins when the
+    axis first leaves its initial position and ends a tenth of its length after the axis was last outside 1 % of the
+    step (or four standard deviations of the noise, or one and a half encoder steps, whichever is larger).
 
     Raises
     ------
@@ -278,12 +278,18 @@ def _sample_time(record: Record) -> float:
 
 
 def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]]:
-    """Return first sample, the one after the last, and whether the stretch goes on with a motion begun before."""
+    """Return first sample, the one after the last, and whether the stretch goes on with a motion begun before.
+
+    Of an axis whose motor is off the command says nothing: these samples are left out.
+    """
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
     cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
     gaps = (np.flatnonzero(np.rint(np.diff(record.time) / sample_time) > 1) + 1).tolist()
-    return [(first, stop, first not in cuts) for first, stop in pairwise(sorted({*cuts, *gaps, len(record)}))]
+    is_on = np.ones(len(record)) if record.enabled is None else record.enabled
+    switched = (np.flatnonzero(np.diff(is_on)) + 1).tolist()
+    every = pairwise(sorted({*cuts, *gaps, *switched, len(record)}))
+    return [(first, stop, first not in cuts) for first, stop in every if is_on[first]]
 
 
 def _reversals(record: Record, sample_time: float) -> list[int]:

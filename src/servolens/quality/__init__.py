@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RecordQuality", "assess", "fatal", "of_the_loop"]
 
-FATAL = ("wrong_sign", "units_contradict")
+FATAL = ("wrong_sign", "unsigned_voltage", "units_contradict")
 """Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
 OF_THE_LOOP = (
     "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
@@ -103,11 +103,11 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
 
     Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
     ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
-    ``weak_excitation``, ``dead_voltage``, ``wrong_sign``, ``units_contradict``, ``unstable_log``,
-    ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``, ``gains_contradict_log``,
-    ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``, ``voltage_shifted``,
-    ``position_shifted``, ``reference_shifted``, ``position_wraps``, ``position_jumps``, ``position_spikes``,
-    ``gains_unknown``, ``no_reference``, ``onset_missed``, ``voltage_reconstructed``.
+    ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``unsigned_voltage``, ``units_contradict``,
+    ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
+    ``gains_contradict_log``, ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``,
+    ``voltage_shifted``, ``position_shifted``, ``reference_shifted``, ``position_wraps``, ``position_jumps``,
+    ``position_spikes``, ``gains_unknown``, ``no_reference``, ``onset_missed``, ``voltage_reconstructed``.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
 
 
 def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings for which no model is to be written: a wrong sign, a wrong unit.
+    """Return the findings for which no model is to be written: a wrong or missing sign, a wrong unit.
 
     Other errors make a record unfit: nothing can be identified from it at all.
 

@@ -203,6 +203,12 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
         return _shifted(other, _named(record, fit.kp, fit.kd))
     if other.kind == "scale":
         return _scaled(other, left)
+    if other.kind == "unsigned":
+        message = (
+            f"the {other.column} has one sign throughout, and is the magnitude of what the control law asks for"
+            f" ({left}); log it with its sign, or give it the sign of the direction that was logged beside it."
+        )
+        return Finding(code="unsigned_voltage", severity="error", message=message)
     settings = [name for name in other.changed if name not in GAINS]
     loop = other.controller
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:

@@ -44,6 +44,12 @@ def _excitation(record: Record, seen: Sampling) -> Finding | None:
     if record.voltage is not None and not record.voltage.any():
         message = "the logged voltage is 0 throughout while the axis moves; log what the controller asks for."
         return Finding(code="dead_voltage", severity="warning", message=message)
+    if record.enabled is not None and not record.enabled.any():
+        message = (
+            "by its column enabled the motor is off throughout, so that nothing tells its gain; log a run with the"
+            " motor on, or correct the column (1 is on), or leave it out."
+        )
+        return Finding(code="motor_off", severity="error", message=message)
     largest = max(seen.noise, seen.step or 0.0)
     if seen.travel < 50 * largest:
         message = f"{travel}, {seen.travel / largest:.0f} times noise or encoder step; 50 times and more tell the gain."

@@ -63,6 +63,8 @@ STRIDE, REFINED = 4, 3
 """Every fourth of these is tried with all other settings, and refined with the three that leave least."""
 CLAMPED = 2
 """Times that an integral is clamped anew by the fitted gains: the second time they are those of the true samples."""
+SIGNED = 8
+"""Times that the signs of a magnitude and the gains are fitted in turn."""
 HOLDS = 1e-3
 """Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
@@ -84,8 +86,8 @@ class Alternative:
         Gains and settings that fit.
     changed : tuple of str
         Those of its fields that differ from what is stated.
-    kind : {"", "shift", "scale"}
-        What is wrong with a column, if one is.
+    kind : {"", "shift", "scale", "unsigned"}
+        What is wrong with a column, if one is; of an unsigned one the magnitude was logged.
     column : str
         Which.
     value : float
@@ -127,7 +129,7 @@ class _Case(NamedTuple):
             return record.with_({self.column: _moved(getattr(record, self.column), int(self.value))})
         if self.kind == "scale":
             return record.with_({self.column: getattr(record, self.column) / self.value})
-        return record
+        return _signed(record) if self.kind == "unsigned" else record
 
     @property
     def cost(self) -> int:
@@ -168,7 +170,8 @@ def find_alternative(record: Record, used: Rows) -> Alternative | None:
     part, rows, begun = _stretch(record, used)
     fit, free = LawFit.of(part, rows), () if record.controller else GAINS
     stated = fit.missed(fit.fitted(free)) if free else voltage_of(part) - controller_voltage(part)
-    rounding, size = AS_WELL * _rounding(part), rms(fit.voltage[rows])
+    size = rms(fit.voltage[rows])
+    rounding = AS_WELL * _rounding(part) / size if size > 0.0 else 0.0
     before = rms(stated[rows]) / size if size > 0.0 else 0.0
     if not max(HOLDS, rounding) < before < math.inf:
         return None
@@ -210,9 +213,8 @@ def _share(missed: NDArray[np.float64], fit: LawFit, one: _Tried) -> float:
 
 
 def _rounding(record: Record) -> float:
-    """Return the rounding of the logged voltage, as a share of it."""
-    voltage = voltage_of(record)
-    return (quantisation_step(voltage) or 0.0) / math.sqrt(12.0) / rms(voltage)
+    """Return the r.m.s. rounding of the logged voltage [the record's command unit]."""
+    return (quantisation_step(voltage_of(record)) or 0.0) / math.sqrt(12.0)
 
 
 def _felt(record: Record) -> float:
@@ -269,6 +271,9 @@ def _simplest(tried: list[_Tried], bound: float, free: tuple[str, ...], *, begun
 def _cases(record: Record, rows: Rows) -> Iterator[_Case]:
     """Yield what may be wrong, the likeliest first."""
     yield from _rescaled()
+    voltage = voltage_of(record)
+    if voltage.min() >= 0.0 or voltage.max() <= 0.0:
+        yield _Case("unsigned", "voltage")
     for column, value in product(("position", "reference"), (-1.0, *UNITS)):
         yield _Case("scale", column, value)
     yield from _shifts()
@@ -287,6 +292,17 @@ def _rescaled() -> Iterator[_Case]:
     yield _Case("scale", "voltage", -1.0)
     for column, value in product(RESCALED, POWERS):
         yield _Case("scale", column, value)
+
+
+def _signed(record: Record) -> Record:
+    """Return the record with a voltage that has the sign of what the law asks for whose magnitude fits it best."""
+    fit = LawFit.of(record, np.ones(len(record), dtype=bool))
+    size, asked = np.abs(fit.voltage), fit.columns[0]
+    for _ in range(SIGNED):
+        voltage = np.copysign(size, asked)
+        fit = LawFit.over_rows(fit.controller, fit.columns, voltage, fit.rows)
+        asked = fit.asked(fit.fitted(GAINS))
+    return record.with_({"voltage": voltage})
 
 
 def _shifts() -> Iterator[_Case]:
