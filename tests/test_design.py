@@ -236,8 +236,8 @@ def test_plant_that_does_not_answer_to_the_voltage_is_told_in_one_sentence(gain:
     comparison = compare(MODELS["Lm1"], cart(gain, 6.0), spec)
     design = comparison.nonlinear
     assert design.reason == (
-        f"the plant does not answer to the voltage: with a gain of {gain:.2g} m/s²/V it stays where it is, and no gain"
-        " of a loop follows"
+        f"the plant does not answer to the voltage: with a gain of {gain:.2g} m/s²/V and kp = 1e+02 it stays where"
+        " it is, and no gain of a loop follows"
     )
     assert (design.feasible, design.certificate.searched) == (False, (0.0, 0.0))
     assert comparison.linear.kd is not None

@@ -11,7 +11,14 @@ import pytest
 from servolens import Controller, lab, simulate_loop
 from servolens.design import PDSpec, recommend, settling_time, trust, tune
 from servolens.design.scenarios import UnexplainedForce, drawn
-from servolens.effects import CoulombFriction, DeadZone, PeriodicDisturbance, VelocityDecayDamping
+from servolens.effects import (
+    ConstantForce,
+    CoulombFriction,
+    DeadZone,
+    PeriodicDisturbance,
+    ReturnSpring,
+    VelocityDecayDamping,
+)
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.model_evidence import DataRange, Evidence, Missed, Remainder
@@ -297,6 +304,17 @@ def test_gain_is_withheld_where_an_immaterial_remainder_may_break_the_band(least
     _, of_gain = lights(least, Evidence(range=SHOWN, remainder=left, heldout_of_step=0.001))
     assert of_gain.light == "red"
     assert of_gain.sentence.endswith("with what the model leaves unexplained.")
+
+
+def test_steps_that_miss_the_spec_are_named_and_no_force_where_none_is_tried():
+    """Weight and spring are in balance at the reference; at 0 the weight alone leaves 4.4 % of the step."""
+    weight = Plant(gain=1.9, damping=6.0, effects=(ConstantForce(acceleration=-0.5), ReturnSpring(stiffness=5.0)))
+    spec = PDSpec(kp=60.0, settling_time=0.6, band=0.02)
+    design = recommend(weight, tune(weight, spec), scenarios=40)
+    assert design.recommended.probability < 0.9
+    assert design.recommended.hardest == "0 % of the steps back"
+    sentence = trust(Model(plant=weight), design)[1].sentence
+    assert sentence.endswith(" % of 40, and in 0 % of the steps back.")
 
 
 def test_held_out_error_beyond_the_band_is_a_doubt(least):

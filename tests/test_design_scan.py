@@ -170,6 +170,26 @@ def test_an_infeasible_spec_names_what_conflicts_and_what_can_be_met(
         assert evaluate(plant, replace(spec, **dict(relaxed.changes)), relaxed.kd).meets
 
 
+@pytest.mark.parametrize(
+    ("asked", "conflict", "said"),
+    [
+        ({"ki": 1e9}, "ki", "stabilises the loop with kp = 60 and ki = 1e+09; choose a smaller ki"),
+        ({"ki": 4000.0}, "ki", "without ki = 4000 a gain meets it; choose a smaller ki"),
+        ({"setpoint_weight": 0.0}, "setpoint_weight", "does not follow its reference; give ki or a weight"),
+    ],
+)
+def test_an_integral_or_a_weight_that_keeps_the_loop_from_the_spec_is_blamed(
+    asked: dict[str, float], conflict: str, said: str
+) -> None:
+    """Routh and Hurwitz: the loop is stable where ki < kp (c + β kd)."""
+    spec = PDSpec(kp=60.0, settling_time=0.6, **asked)
+    design = tune(Plant(gain=1.9, damping=6.0), spec)
+    assert design.conflict == (conflict,)
+    assert design.reason is not None
+    assert said in design.reason
+    assert tune(Plant(gain=1.9, damping=6.0), PDSpec(kp=60.0, settling_time=0.6)).kd is not None
+
+
 def test_an_unstable_gain_is_evaluated_without_a_crash() -> None:
     response = evaluate(UNSTABLE, PDSpec(kp=1e4, settling_time=0.1), 20.0)
     assert not response.stable

@@ -110,6 +110,12 @@ def test_reason_stands_only_where_no_standard_error_does() -> None:
         ),
         ('{"schema": "servolens.model/1", "gain": {"value": "1"}, "damping": {"value": 1}}', "must be a number"),
         ('{"schema": "servolens.model/1", "gain": {"value": NaN}, "damping": {"value": 1}}', "gain must lie in"),
+        ('{"gain": {"value": 1, "stderr": -0.1}, "damping": {"value": 1}}', "stderr of gain must be 0 or positive"),
+        ('{"gain": {"value": 1, "stderr": NaN}, "damping": {"value": 1}}', "stderr of gain must be 0 or positive"),
+        ('{"gain": {"value": 1}, "damping": {"value": 1, "stderr": "1"}}', "stderr of damping must be 0 or positive"),
+        ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[1, 2], [2, 1]]}', "positive semidefinite"),
+        ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[1, 0.5], [0, 1]]}', "symmetric"),
+        ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[-1, 0], [0, 1]]}', "positive semidefinite"),
     ],
 )
 def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) -> None:

@@ -32,6 +32,8 @@ UNDETERMINED = "the data do not determine it"
 """Reason for which a number has no standard error, and tells nothing."""
 NOT_REACHED = "the records do not reach it"
 """The same of a limit: where it lies beyond is not known."""
+SYMMETRIC = 1e-6
+"""Share of its size by which a covariance may miss its symmetry, and its correlations their bounds, by rounding."""
 OPTIONAL = ("inertia", "free_damping")
 """Numbers of a plant that stand in its file where they are known."""
 
@@ -327,9 +329,22 @@ def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | 
     held = data.get("covariance")
     if held is None:
         return _of_errors(data, plant)
-    if isinstance(held, dict):
-        return placed(plant, held["matrix"], list(held["names"]), "covariance")
-    return placed(plant, held, None, "covariance")
+    numbers, names = (held["matrix"], list(held["names"])) if isinstance(held, dict) else (held, None)
+    found = placed(plant, numbers, names, "covariance")
+    if not _is_covariance(found):
+        raise InputError("covariance must be symmetric and positive semidefinite; state standard errors alone instead")
+    return found
+
+
+def _is_covariance(matrix: NDArray[np.float64]) -> bool:
+    """Tell whether errors can have a covariance, but for its rounding; what is not known (NaN) may be anything."""
+    if not np.allclose(matrix, matrix.T, rtol=SYMMETRIC, atol=0.0, equal_nan=True):
+        return False
+    known = np.isfinite(np.diag(matrix))
+    spread = np.nan_to_num(matrix[np.ix_(known, known)])
+    size = np.sqrt(np.abs(np.diag(spread)))
+    scale = np.where(size > 0.0, size, 1.0)
+    return not spread.size or bool(np.linalg.eigvalsh(spread / np.outer(scale, scale)).min() >= -SYMMETRIC)
 
 
 def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
@@ -340,7 +355,13 @@ def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | N
     errors = {name: quantity.get("stderr") for name, quantity in stated.items()}
     if all(error is None for error in errors.values()):
         return None
-    return np.diag([np.nan if (e := errors.get(name)) is None else float(e) ** 2 for name in plant.parameters])
+    return np.diag([np.nan if (e := errors.get(name)) is None else _error(e, name) ** 2 for name in plant.parameters])
+
+
+def _error(stated: Any, name: str) -> float:
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0.0 <= stated < np.inf:
+        raise InputError(f"stderr of {name} must be 0 or positive, or null; got {str(stated)[:40]!r}")
+    return float(stated)
 
 
 def _named_matrix(plant: Plant, matrix: NDArray[np.float64] | None) -> dict[str, Any] | None:

@@ -177,8 +177,9 @@ def about(*files: str) -> Iterator[None]:
         yield
     except ServolensError as error:
         shown = ", ".join(files) if len(files) <= 3 else f"{files[0]} and {len(files) - 1} more"
-        alone = f"{Path(shown).stem}: " if len(files) == 1 else ""  # of a record that is called like its file
-        said = f"{error}".removeprefix(alone)
+        said = f"{error}"
+        if len(files) == 1:  # told by the reader, or of a record that is called like its file
+            said = said.removeprefix(f"{shown}: ").removeprefix(f"{Path(shown).stem}: ")
         raise type(error)(f"{shown}: {said}") from error
 
 

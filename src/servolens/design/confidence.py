@@ -119,7 +119,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
             light="red",
             sentence=(
                 f"No gain meets the spec in nine of ten plants: the best of them in {100 * chosen.probability:.3g} % of"
-                f" {chosen.scenarios}, with what the model leaves unexplained."
+                f" {chosen.scenarios}{_with(models)}, and in {chosen.hardest}."
             ),
         )
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
@@ -130,6 +130,12 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
         return Light(light="amber", sentence=warning)
     why = f"{design.spec.free} = {kd:.4g} meets the spec on the model" if chosen is None else chosen.why
     return Light(light="green", sentence=_sentence(why))
+
+
+def _with(models: Sequence[Model]) -> str:
+    """Say that the scenarios carry what the models leave unexplained, if they leave anything."""
+    left = (model.evidence.remainder for model in models if model.evidence is not None)
+    return ", with what the model leaves unexplained" if any(one is not None and one.rms > 0.0 for one in left) else ""
 
 
 def _warning(models: Sequence[Model], design: Design) -> str:

@@ -60,12 +60,26 @@ def explain(
     if any(model.gain < 0 for model in models):
         reason = "the plant's gain is negative, so a positive kp drives the axis away; invert the command"
         return reason, ("kp",), ()
-    steps = [step for step in (_step(models, spec, kd) for kd in gains) if step is not None]
+    if spec.controller == "pd" and spec.ki == spec.setpoint_weight == 0:
+        reason = (
+            "without an integral a loop with setpoint_weight = 0 does not follow its reference; give ki or a weight"
+        )
+        return reason, ("setpoint_weight",), ()
+    steps = _steps(models, spec, gains)
+    without = _steps(models, replace(spec, ki=0.0, anti_windup="none"), gains) if spec.ki else []
     if not steps:
-        return f"{searched} stabilises the loop with kp = {spec.kp:g}; choose a smaller kp", ("kp",), ()
-    conflict = _conflict(spec, steps)
+        cause = "ki" if without else "kp"
+        with_ki = f" and ki = {spec.ki:g}" if spec.ki else ""
+        return f"{searched} stabilises the loop with kp = {spec.kp:g}{with_ki}; choose a smaller {cause}", (cause,), ()
+    integral_keeps = any(_holds(spec, step, _stated(spec)) for step in without)
+    conflict = ("ki",) if integral_keeps else _conflict(spec, steps)
     nearest = _nearest(models, spec, steps, gains)
-    reason = f"{searched} meets the spec; {_conflict_text(spec, conflict, models[0].command_unit)}"
+    text = (
+        f"the integral keeps the loop from it: without ki = {spec.ki:g} a gain meets it; choose a smaller ki"
+        if integral_keeps
+        else _conflict_text(spec, conflict, models[0].command_unit)
+    )
+    reason = f"{searched} meets the spec; {text}"
     closest = _closest(spec, steps)
     settles = f"settles in {closest.settling_time:.4g} s"
     if not np.isfinite(closest.settling_time):
@@ -90,9 +104,15 @@ def unanswered(models: Iterable[Plant], spec: PDSpec) -> str | None:
         if share < FEASIBLE:
             return (
                 f"the plant does not answer to the voltage: with a gain of {model.gain:.2g}"
-                f" {model.length_unit}/s²/{model.command_unit} it stays where it is, and no gain of a loop follows"
+                f" {model.length_unit}/s²/{model.command_unit} and kp = {spec.kp:.2g} it stays where it is, and no gain"
+                " of a loop follows"
             )
     return None
+
+
+def _steps(models: Sequence[Plant], spec: PDSpec, gains: Iterable[float]) -> list[_Step]:
+    """Return what those gains do with which all loops are stable."""
+    return [step for step in (_step(models, spec, kd) for kd in gains) if step is not None]
 
 
 def _step(models: Iterable[Plant], spec: PDSpec, kd: float) -> _Step | None:

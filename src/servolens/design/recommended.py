@@ -22,6 +22,7 @@ from servolens.design.settle import evaluate
 from servolens.errors import InputError
 from servolens.inputs import as_models
 from servolens.processors import in_parallel
+from servolens.units import readable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -116,7 +117,7 @@ def recommend(
     least = in_parallel(lambda one: one.response(design.kd or 0.0), tests)
     swings = {**design.hunting, "recommended": hunting([model.plant for model in known], design.spec, choice.kd)}
     moves = tracking(known[0].plant, design.spec, choice.kd, tests[:CHOICE])
-    return replace(design, recommended=_told(design, choice, own, found, least), hunting=swings, tracking=moves)
+    return replace(design, recommended=_told(design, choice, own, tests, found, least), hunting=swings, tracking=moves)
 
 
 @final
@@ -249,7 +250,12 @@ def _margins(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], sc
 
 
 def _told(
-    design: Design, choice: Choice, own: Sequence[Response], found: Sequence[Response], least: Sequence[Response]
+    design: Design,
+    choice: Choice,
+    own: Sequence[Response],
+    tests: Sequence[Scenario],
+    found: Sequence[Response],
+    least: Sequence[Response],
 ) -> Recommended:
     probability, interval = counted(found)
     result = Recommended(
@@ -263,8 +269,22 @@ def _told(
         scenarios=len(found),
         why="",
         risk=_risk(design, least),
+        hardest=_hardest(tests, found, design.plants[0].length_unit),
     )
     return replace(result, why=_why(result, choice.unkept))
+
+
+def _hardest(tests: Sequence[Scenario], found: Sequence[Response], unit: str) -> str:
+    """Return which steps meet the spec most seldom, if in fewer than nine of ten scenarios."""
+    shares: dict[tuple[float, bool], list[bool]] = {}
+    for scenario, response in zip(tests, found, strict=True):
+        shares.setdefault((scenario.spec.reference, scenario.back), []).append(response.meets)
+    (size, back), met = min(shares.items(), key=lambda item: sum(item[1]) / len(item[1]))
+    share = sum(met) / len(met)
+    if share >= NINE_OF_TEN:
+        return ""
+    sizes = f" of {readable(abs(size), unit)}" if len({size for size, _ in shares}) > 1 else ""
+    return f"{100.0 * share:.3g} % of the steps{sizes} {'back' if back else 'up'}"
 
 
 def _slowness(response: Response) -> tuple[float, float]:
