@@ -17,7 +17,7 @@ from servolens.design.extrapolation import BEYOND, FAR, within
 from servolens.design.found import Design, Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
-from servolens.design.scenarios import counted, drawn
+from servolens.design.scenarios import TOLERANCE, counted, drawn
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
 from servolens.inputs import as_models
@@ -193,7 +193,10 @@ def _watched(
 
 
 def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit: float | None) -> Choice:
-    """Return the gain of those that fail in the fewest scenarios that is farthest from the others."""
+    """Return the gain of those that fail in the fewest scenarios that is farthest from the others.
+
+    Where none keeps the overshoot's limit, that with the least overshoot which stands its own tolerance.
+    """
     gains = np.concatenate(grids)
     order = np.argsort(-_margins(grids, np.ones(gains.size, dtype=bool), scale), kind="stable")
     rows = dict(zip(order, race.rows([float(kd) for kd in gains[order]]), strict=True))
@@ -204,7 +207,9 @@ def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit
     if (safest & mild).any():
         best = int(np.argmax(np.where(safest & mild, _margins(grids, safest, scale), -1.0)))
         return Choice(float(gains[best]), int(failures[best]), None, _halfway(grids, safest, best))
-    best = int(np.argmin(np.where(safest, overshoots.mean(axis=1), np.inf)))
+    places = np.arcsinh(np.outer((1.0, 1.0 + TOLERANCE), gains) / scale)
+    steady = safest & (_margins(grids, safest, scale) >= places[1] - places[0])
+    best = int(np.argmin(np.where(steady if steady.any() else safest, overshoots.mean(axis=1), np.inf)))
     return Choice(float(gains[best]), int(failures[best]), limit, _halfway(grids, safest, best))
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from servolens.model_evidence import Remainder
     from servolens.plant import Plant
 
-__all__ = ["Scenario", "UnexplainedForce", "counted", "drawn", "without_force"]
+__all__ = ["TOLERANCE", "Scenario", "UnexplainedForce", "counted", "drawn", "without_force"]
 
 TOLERANCE = 0.02
 """By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
