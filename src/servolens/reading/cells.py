@@ -22,6 +22,8 @@ __all__ = [
     "stamps", "values_of",
 ]  # fmt: skip
 
+SEARCHED = 250_000
+"""Bytes at the beginning and at the end of a long text that are searched for separated thousands: thousands of rows."""
 REWRITE = "write all numbers with one decimal sign and without separators of thousands"
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
@@ -49,7 +51,8 @@ _BOTH_IN_QUOTES = {
 def decimal_sign(content: bytes, separator: str) -> str:
     """Return the decimal sign of a text, and behind it the separator of thousands where a number has both.
 
-    The decimal sign is a comma where digits stand around commas and nowhere around points.
+    The decimal sign is a comma where digits stand around commas and nowhere around points. Of a long text beginning and
+    end are searched for separated thousands.
 
     Examples
     --------
@@ -57,12 +60,14 @@ def decimal_sign(content: bytes, separator: str) -> str:
     (',', ',.', '.')
     """
     proofs = _BOTH_IN_QUOTES if separator == "," else _BOTH
-    proven = [signs for signs, form in proofs.items() if b"," in content and form.search(content)]
+    searched = content if len(content) <= 2 * SEARCHED else content[:SEARCHED] + b"\n" + content[-SEARCHED:]
+    may_be = b"," in searched and b"." in searched and (separator != "," or b'"' in searched)
+    proven = [signs for signs, form in proofs.items() if may_be and form.search(searched)]
     if len(proven) == 1:
         return proven[0]
     if separator == "," or not _DECIMAL_COMMA.search(content):
         return "."
-    return "." if _DECIMAL_POINT.search(content) else ","
+    return "." if b"." in content and _DECIMAL_POINT.search(content) else ","
 
 
 def grouped_or_decimal(body: bytes, separator: str, decimal: str) -> str:
