@@ -307,6 +307,15 @@ def test_gain_is_withheld_where_an_immaterial_remainder_may_break_the_band(least
     assert of_gain.sentence.endswith("with what the model leaves unexplained.")
 
 
+def test_one_further_step_is_a_number(least):
+    known = Model(plant=NLM3)
+    one, listed = (recommend(known, least, scenarios=4, references=r).recommended for r in (0.02, [0.02]))
+    assert one == listed
+    for wrong in (None, "0.02"):
+        with pytest.raises(InputError, match="references must be sizes of steps, got "):
+            recommend(known, least, references=wrong)
+
+
 def test_gain_with_the_least_overshoot_stands_its_own_tolerance():
     """Overshoot falls towards the end of the interval: 1.5 % before it the least was taken."""
     rubbing = Plant(gain=0.0102, damping=1.984, effects=(LoadFriction(share=0.115),), command_unit="A")

@@ -13,6 +13,7 @@ from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record
 from servolens.reading.words import meaning
+from servolens.record import Controller
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
 T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
@@ -354,3 +355,13 @@ def test_a_velocity_with_a_gap_can_be_left_out(tmp_path):
     )
     assert refusal(path).endswith("fill or leave out such rows, or do without that column: --column velocity=-")
     assert read_record(path, columns={"velocity": "-"}).velocity is None
+
+
+def test_gains_are_keywords_of_every_reader(tmp_path):
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{0.001 * k:.3f},0.1,{0.0001 * k:.4f},{6 - 0.006 * k:.3f}\n" for k in range(50))
+    path.write_text(f"time [s],reference [m],position [m],voltage [V]\n{rows}")
+    assert read_record(path, kp=60, kd="0.5 V s/m").controller == Controller(kp=60.0, kd=0.5)
+    assert [one.controller for one in read_records(path, kp="0.06 V/mm")] == [Controller(kp=60.0)]
+    with pytest.raises(InputError, match="no setting is named 'kpp'; did you mean 'kp'"):
+        read_record(path, kpp=60)

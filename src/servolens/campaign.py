@@ -36,6 +36,7 @@ def read_records(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     data_root: StrPath | None = None,
+    **stated: object,
 ) -> tuple[Record, ...]:
     """Read the records of one axis.
 
@@ -50,6 +51,8 @@ def read_records(
     data_root : path, optional
         Files named by a campaign or found in a folder may lie anywhere below it; by default only below the
         campaign's own folder.
+    **stated
+        The same as `settings`, as keywords: ``kp=60``.
 
     Returns
     -------
@@ -68,7 +71,8 @@ def read_records(
         ...
     servolens.errors.InputError: no records are given; name files, folders or a campaign TOML
     """
-    logs = read_logs(paths, settings=settings, columns=columns, units=units, data_root=data_root)
+    known = {**(settings or {}), **stated}
+    logs = read_logs(paths, settings=known, columns=columns, units=units, data_root=data_root)
     return tuple(log.reading.record for log in logs)
 
 

@@ -7,6 +7,7 @@ bound.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -19,14 +20,12 @@ from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import TOLERANCE, counted, drawn
 from servolens.design.settle import evaluate
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 from servolens.inputs import as_models
 from servolens.processors import in_parallel
 from servolens.units import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from servolens.design.response import Response
@@ -54,7 +53,7 @@ def recommend(
     scenarios: int = 200,
     seed: int = 0,
     overshoot: float | None = 0.05,
-    references: Sequence[float] = (),
+    references: float | Sequence[float] = (),
 ) -> Design:
     """Add the gain to use to a `design`: the one that keeps farthest from where the spec breaks.
 
@@ -79,7 +78,7 @@ def recommend(
     overshoot : float or None
         Largest overshoot as a fraction of the step, where the spec states none; None is no limit. Where no gain keeps
         it, the least overshoot is taken, and `why` says so.
-    references : sequence of float
+    references : float or sequence of float
         Sizes of further steps that have to meet the spec [m or rad].
 
     Returns
@@ -107,7 +106,10 @@ def recommend(
         raise InputError("a recommended gain needs at least one model and one scenario")
     if design.kd is None:
         return design
-    specs = [design.spec, *(replace(design.spec, reference=size) for size in references)]
+    sizes = (references,) if isinstance(references, int | float) else references
+    if isinstance(sizes, str) or not isinstance(sizes, Iterable):
+        raise InputError(f"references must be sizes of steps, got {described(references)}")
+    specs = [design.spec, *(replace(design.spec, reference=size) for size in sizes)]
     limit = overshoot if design.spec.overshoot is None else design.spec.overshoot
     choosing, telling = (np.random.default_rng([seed, which]) for which in (0, 1))
     choice = _chosen(known, design, drawn(known, specs, CHOICE, choosing), limit)

@@ -36,6 +36,7 @@ def read_record(
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
     label: str | None = None,
+    **stated: object,
 ) -> Record:
     """Read one measured run from a log.
 
@@ -53,6 +54,8 @@ def read_record(
         Signal to unit, e.g. ``{"time": "ms"}``; wins over the headings.
     label : str, optional
         What refusals call the file; by default its path.
+    **stated
+        The same as `settings`, as keywords: ``kp=60``.
 
     Returns
     -------
@@ -64,7 +67,7 @@ def read_record(
     InputError
         With one sentence: what arrived and where, what is admissible, what to do.
     """
-    return read_log(path, settings=settings, columns=columns, units=units, label=label).record
+    return read_log(path, settings={**(settings or {}), **stated}, columns=columns, units=units, label=label).record
 
 
 def read_log(

@@ -236,7 +236,7 @@ def candidates_figure(key: str, diagnosis: Diagnosis) -> Drawing:
     caption = "What is left in the training records when one effect is added to gain and damping, the best first."
     caption += _answer_told(chosen)
     if len(chosen) == 1 and not rows[0][2]:
-        caption += " It explains the most for its number of parameters; others may leave a smaller error."
+        caption += " Others leave a smaller error with more parameters, or follow the noise."
     rest = len(best) - len(shown)
     if rest > 0:
         caption += f" {rest} more effects were tried."

@@ -66,6 +66,7 @@
       this.mark = document.createElementNS(this.right.svg.namespaceURI, "circle");
       this.mark.setAttribute("class", "now");
       this.mark.setAttribute("r", 4.5);
+      this.mark.setAttribute("visibility", "hidden");
       this.right.group.append(this.mark);
     }
     get gains() {
@@ -123,6 +124,7 @@
       const at = found.settling === null ? this.right.whole.y[1] : found.settling;
       this.mark.setAttribute("cx", this.right.place("x", gains.free));
       this.mark.setAttribute("cy", this.right.place("y", at));
+      this.mark.setAttribute("visibility", "visible");
       this.mark.classList.toggle("late", !found.meets);
       this.say(found, gains);
     }

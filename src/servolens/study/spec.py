@@ -10,6 +10,7 @@ import numpy as np
 from servolens.design import PDSpec, evaluate
 from servolens.design.extrapolation import BEYOND
 from servolens.errors import InputError
+from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -146,9 +147,20 @@ def _loop_of(record: Record) -> dict[str, Any]:
 
 
 def _step_of(records: Sequence[Record]) -> dict[str, float]:
-    """Return the largest step, to three digits as its owner may have set it."""
-    step = max((record.largest_step for record in records), default=0.0)
-    return {"reference": float(f"{step:.3g}")} if step > 0 else {}
+    """Return the largest step, to three digits as its owner may have set it, and to no more than its noise lets see.
+
+    A record that begins with its step knows where the axis was by one sample of the position.
+    """
+    if not records:
+        return {}
+    record = max(records, key=lambda one: one.largest_step)
+    step = record.largest_step
+    if not step > 0:
+        return {}
+    begins_so = record.reference is not None and step == abs(float(record.reference[0] - record.position[0]))
+    noise = 2.0 * noise_level(record) if begins_so else 0.0
+    seen = round(step, -math.ceil(math.log10(noise))) if 0.0 < noise < step else 0.0
+    return {"reference": float(f"{seen or step:.3g}")}
 
 
 def _possible(**fields: Any) -> PDSpec | None:

@@ -27,7 +27,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     source: Plants | Records,
     spec: PDSpec,
     *,
-    references: Sequence[float] = (),
+    references: float | Sequence[float] = (),
     heldout: Records = (),
     priors: Priors | None = None,
     effort: str = "normal",
@@ -47,7 +47,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         identify, diagnose (:func:`servolens.study_records`).
     spec : PDSpec
         What to reach.
-    references : sequence of float
+    references : float or sequence of float
         Sizes of further steps that the recommended gain has to meet [m or rad].
     heldout, priors, effort
         For records, as in :func:`servolens.diagnose`.

@@ -67,7 +67,7 @@ def study_records(
     records: Records,
     spec: PDSpec | None = None,
     *,
-    references: Sequence[float] = (),
+    references: float | Sequence[float] = (),
     heldout: Records = (),
     priors: Priors | None = None,
     effort: str = "normal",
@@ -83,7 +83,7 @@ def study_records(
         Runs of one axis.
     spec : PDSpec, optional
         What to reach; when None, a spec that suits the records is chosen.
-    references : sequence of float
+    references : float or sequence of float
         Sizes of further steps that the recommended gain has to meet [m or rad].
     heldout : the same
         Other runs of it that only test what was found.
@@ -206,7 +206,11 @@ def _in_doubt(model: Model, why: str) -> Model:
 
 
 def _designed(
-    found: Study, records: Sequence[Record], spec: PDSpec | None, references: Sequence[float], progress: Progress
+    found: Study,
+    records: Sequence[Record],
+    spec: PDSpec | None,
+    references: float | Sequence[float],
+    progress: Progress,
 ) -> Study:
     """Add the designs on the linear, the speed-dependent and the diagnosed model."""
     fit = found.fit

@@ -79,7 +79,7 @@ def kinds_sentence(diagnosis: Diagnosis) -> str:
     if ITS_END in kinds:
         end = f"Its end: the last {100 * (1 - KEPT):.0f} % of the record, by a model fitted to its beginning"
         alone = len(diagnosis.experiments) == 1
-        told.append(f"{end}." if alone else f"{end} and to the others, whose commands are much smaller.")
+        told.append(f"{end}." if alone else f"{end} and to the others, whose commands are smaller.")
     return " ".join(told)
 
 
@@ -108,6 +108,8 @@ def candidates_table(diagnosis: Diagnosis) -> Table | None:
         note="Leaves: r.m.s. error of the training records, simulated from their voltage, with the noise estimated anew"
         " for each effect; not held out. Evidence: increase of twice the log-likelihood, less a penalty for each"
         " parameter; none where gain and damping alone are as likely, if need be beside something that shakes the axis."
+        " The answer need not have the most: of effects that leave nothing that depends on the inputs, it is the one"
+        " with the fewest parameters."
         + (" *: likeliest beside something that shakes the axis; error of the simulated loop." if shaken else ""),
     )
 
