@@ -270,6 +270,16 @@ def test_unstable_loop_is_a_numerical_error_that_names_the_plant() -> None:
         simulate_loop(LINEAR, Controller(kp=5e4), time, np.full(time.size, 0.1))
 
 
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf")])
+def test_sample_that_is_not_finite_is_no_unstable_loop(wrong: float) -> None:
+    time = grid(0.1)
+    given = np.where(time == time[20], wrong, 0.1)
+    with pytest.raises(InputError, match="not finite"):
+        simulate_loop(LINEAR, Controller(kp=60.0), time, given)
+    with pytest.raises(InputError, match="not finite"):
+        simulate_voltage(LINEAR, time, given)
+
+
 def test_control_period_must_be_whole_samples() -> None:
     time = grid(0.1)
     with pytest.raises(InputError, match="the longer must be a whole multiple of the shorter"):

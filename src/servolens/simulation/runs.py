@@ -151,7 +151,7 @@ def run_one(
     Raises
     ------
     InputError
-        If the samples do not fit together.
+        If the samples do not fit together, or one is not finite.
     NumericalError
         If it diverges, or more pieces than granted would be needed.
     """
@@ -162,6 +162,8 @@ def run_one(
             "a step would need more parts than allowed"
         )
     if done < inputs.time.size:
+        if not all(np.isfinite(signal).all() for signal in inputs if signal is not None):
+            raise InputError("a sample of the voltage, the reference or what disturbs the simulation is not finite")
         raise NumericalError(
             f"the simulation of the axis diverges (gain {plant.gain:g}, damping {plant.damping:g}); "
             "the loop is unstable with these gains"
