@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +14,19 @@ from servolens.reading.files import quote
 from servolens.reading.table import Fault
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
 __all__ = [
-    "REWRITE", "decimal_sign", "fault_in", "fault_of", "grouped_or_decimal", "is_stamp", "kind_of", "number", "numbers",
-    "stamps", "values_of",
+    "REWRITE", "decimal_sign", "fault_in", "fault_of", "fields_of", "grouped_or_decimal", "is_stamp", "is_switch",
+    "kind_of", "number", "numbers", "stamps", "switched",
 ]  # fmt: skip
 
 SEARCHED = 250_000
 """Bytes at the beginning and at the end of a long text that are searched for separated thousands: thousands of rows."""
+MOST_LINES = 200
+"""Lines with separated thousands that are looked at for being rows of numbers: preambles are shorter."""
 REWRITE = "write all numbers with one decimal sign and without separators of thousands"
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
 _STAMP = re.compile(
@@ -51,8 +54,8 @@ _BOTH_IN_QUOTES = {
 def decimal_sign(content: bytes, separator: str) -> str:
     """Return the decimal sign of a text, and behind it the separator of thousands where a number has both.
 
-    The decimal sign is a comma where digits stand around commas and nowhere around points. Of a long text beginning and
-    end are searched for separated thousands.
+    The decimal sign is a comma where digits stand around commas and in no row of numbers around points. Separated
+    thousands are searched for in rows of numbers too, of a long text at its beginning and its end.
 
     Examples
     --------
@@ -60,34 +63,82 @@ def decimal_sign(content: bytes, separator: str) -> str:
     (',', ',.', '.')
     """
     proofs = _BOTH_IN_QUOTES if separator == "," else _BOTH
-    searched = content if len(content) <= 2 * SEARCHED else content[:SEARCHED] + b"\n" + content[-SEARCHED:]
+    searched = _ends(content)
     may_be = b"," in searched and b"." in searched and (separator != "," or b'"' in searched)
-    proven = [signs for signs, form in proofs.items() if may_be and form.search(searched)]
+    proven = [signs for signs, form in proofs.items() if may_be and _stands_in_row(form, searched, separator, signs)]
     if len(proven) == 1:
         return proven[0]
-    if separator == "," or not _DECIMAL_COMMA.search(content):
+    if separator == "," or b"," not in content or not _DECIMAL_COMMA.search(content):
         return "."
-    return "." if b"." in content and _DECIMAL_POINT.search(content) else ","
+    return "." if b"." in searched and _stands_in_row(_DECIMAL_POINT, searched, separator, ",") else ","
+
+
+def _ends(content: bytes) -> bytes:
+    """Return beginning and end of a long text, in whole lines, else all of it."""
+    if len(content) <= 2 * SEARCHED:
+        return content
+    return content[:SEARCHED].rpartition(b"\n")[0] + b"\n" + content[-SEARCHED:].partition(b"\n")[2]
+
+
+def fields_of(line: str, separator: str) -> list[str]:
+    """Return the cells of a line."""
+    if separator == " ":
+        return re.sub(r"\s+(?=[\[(])", "", line.strip()).split()
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except (csv.Error, StopIteration):
+        return line.split(separator)
+
+
+def _stands_in_row(form: re.Pattern[bytes], text: bytes, separator: str, signs: str) -> bool:
+    """Tell whether a form stands in a row of numbers: those are more than one, and most of its cells."""
+    end = tried = 0
+    while tried < MOST_LINES and (match := form.search(text, end)):
+        tried += 1
+        start, end = text.rfind(b"\n", 0, match.start()) + 1, text.find(b"\n", match.end())
+        end = len(text) if end < 0 else end
+        cells = [cell for cell in fields_of(text[start:end].decode(errors="replace"), separator) if cell.strip()]
+        good = sum(number(cell, signs) is not None or is_stamp(cell) for cell in cells)
+        if good > 1 and 2 * good > len(cells):
+            return True
+    return False
 
 
 def grouped_or_decimal(body: bytes, separator: str, decimal: str) -> str:
     r"""Return a number of which nobody can tell whether its decimal sign separates thousands, empty without such.
 
-    So it is where whole numbers of up to three digits stand beside numbers with just three digits behind the sign, and
-    none has a leading zero, another count of digits or an exponent.
+    So it is where one column holds whole numbers of up to three digits, numbers with just three digits behind the sign
+    and no leading zero, and nothing else. Of a long text beginning and end are looked at.
 
     Examples
     --------
     >>> grouped_or_decimal(b"0;998\n1;1.002", ";", "."), grouped_or_decimal(b"0;0.998\n1;1.002", ";", ".")
     ('1.002', '')
     """
-    sign, between = re.escape(decimal).encode(), re.escape(separator).encode()
-    plain = rb"\b0\d*S\d|(?<!\d)S\d|\dS(?!\d{3}(?!\d))|(?<![\dS])\d{4}|\d[eE]".replace(b"S", sign)
-    if decimal.encode() not in body or re.search(plain, body):
+    if separator == decimal or decimal.encode() not in body:
         return ""
-    grouped = re.search(rb"(?<![\dS])[1-9]\d{0,2}(?:S\d{3})+(?![\dS])".replace(b"S", sign), body)
-    whole = re.search(rb"(?:^|[\nB])[+-]?\d{1,3}(?=[\nB]|$)".replace(b"B", between), body)
-    return grouped[0].decode() if grouped and whole else ""
+    form = re.compile(r"[+-]?(?:\d{1,3}|([1-9]\d{0,2}(?:S\d{3})+))".replace("S", re.escape(decimal)))
+    rows = [line.split(None if separator == " " else separator) for line in _ends(body).decode().split("\n")]
+    for cells in zip(*(row for row in rows if len(row) == len(rows[0])), strict=True):
+        given = (cell.strip('" \t') for cell in cells)
+        found = _all_matches(form, (cell for cell in given if cell))
+        grouped = next((match[1] for match in found if match[1]), "")
+        if grouped and any(match[1] is None for match in found):
+            return grouped
+    return ""
+
+
+def _all_matches(form: re.Pattern[str], cells: Iterable[str]) -> list[re.Match[str]]:
+    """Return the matches of a form, none where some cell does not match it."""
+    found: list[re.Match[str]] = []
+    for cell in cells:
+        match = form.fullmatch(cell)
+        if match is None:
+            return []
+        found.append(match)
+    return found
 
 
 def number(text: str, decimal: str = ".") -> float | None:
@@ -135,23 +186,26 @@ def kind_of(cell: str) -> str:
     """
     if not cell.strip():
         return ""
-    return "stamp" if is_stamp(cell) else "switch" if cell.strip().lower() in _SWITCHES else "number"
+    return "stamp" if is_stamp(cell) else "switch" if is_switch(cell) else "number"
 
 
-def values_of(cells: Sequence[str], kind: str, decimal: str = ".") -> NDArray[Any]:
-    """Return a column's instants, its numbers, or 1 for on and 0 for off; nan or NaT for what is none."""
-    if kind == "stamp":
-        return stamps(cells)
-    if kind == "switch":
-        return np.array([_SWITCHES.get(cell.strip().lower(), math.nan) for cell in cells])
-    return numbers(cells, decimal)
+def is_switch(cell: str) -> bool:
+    """Tell whether a cell says on or off in a word."""
+    return cell.strip().lower() in _SWITCHES
+
+
+def switched(cell: str) -> float:
+    """Return 1 for on and 0 for off."""
+    return _SWITCHES[cell.strip().lower()]
 
 
 def fault_in(cell: str, where: str, kind: str, decimal: str = ".") -> Fault:
     """Return what is wrong with a cell of a column of some kind, and what to do."""
     what = fault_of(cell, decimal) or ""
-    if kind != "number" and cell.strip():
-        return Fault(where, f"{quote(cell.strip())} is {'no time stamp' if kind == 'stamp' else 'neither on nor off'}")
+    if kind == "stamp" and cell.strip():
+        return Fault(where, f"{quote(cell.strip())} is no time stamp")
+    if kind == "switch" and cell.strip() and not is_switch(cell):
+        return Fault(where, f"{quote(cell.strip())} is neither on nor off")
     is_comma = decimal == "." and number(cell) is None and number(cell, ",") is not None
     return Fault(where, what, REWRITE) if is_comma else Fault(where, what)
 

@@ -126,16 +126,18 @@ def _packed(table: Table) -> dict[str, Any]:
         "properties": dict(table.properties),
         "has_names": table.has_names,
         "columns": [
-            [c.name, c.values.size, c.unit, [c.fault.where, c.fault.what] if c.fault else None] for c in table.columns
+            [c.name, c.values.size, c.unit, *([f.where, f.what] if f else None for f in (c.fault, c.switches))]
+            for c in table.columns
         ],
     }
 
 
 def _unpacked(table: dict[str, Any], output: IO[bytes]) -> Table:
     columns = []
-    for name, size, unit, fault in table["columns"]:
+    for name, size, unit, *faults in table["columns"]:
         values = np.frombuffer(output.read(8 * size), dtype="<f8").astype(np.float64)
-        columns.append(Column(name, values, unit, Fault(*fault) if fault else None))
+        fault, switches = (Fault(*one) if one else None for one in faults)
+        columns.append(Column(name, values, unit, fault, switches))
     return Table(tuple(columns), table["name"], properties=table["properties"], has_names=table["has_names"])
 
 

@@ -141,6 +141,8 @@ def _unit(reference: Column) -> tuple[str, Unit] | None:
 
 
 def _check(time: Values, reference: Column) -> None:
+    if reference.switches is not None:
+        raise InputError(reference.switches.sentence("reference"))
     for name, values in (("time", time), ("reference", reference.values)):
         if values.size == 0 or not np.isfinite(values).all():
             wrong = int(np.argmin(np.isfinite(values))) if values.size else 0

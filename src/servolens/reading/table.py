@@ -48,6 +48,8 @@ class Column:
         Where the file states it beside the name, as a row of units does.
     fault : Fault or None
         Of the first cell that is no number.
+    switches : Fault or None
+        Of the first cell that says on or off, for every signal but one that is on or off; None without such cells.
     origin : Guess or None
         What the column was made of, where the file does not log it.
     """
@@ -56,6 +58,7 @@ class Column:
     values: NDArray[np.float64]
     unit: str | None = None
     fault: Fault | None = None
+    switches: Fault | None = None
     origin: Guess | None = None
 
 

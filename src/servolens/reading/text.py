@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
@@ -13,17 +12,16 @@ from servolens.errors import InputError
 from servolens.reading.cells import (
     REWRITE,
     decimal_sign,
-    fault_in,
+    fields_of,
     grouped_or_decimal,
     is_stamp,
-    kind_of,
     number,
-    values_of,
 )
+from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of
 from servolens.reading.settings import comment_settings
-from servolens.reading.table import MOST_COLUMNS, Column, Fault, Table
+from servolens.reading.table import MOST_COLUMNS, Column, Table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -161,25 +159,24 @@ def _recoded(content: bytes, encoding: str) -> bytes:
 def _form(content: bytes, comments: Sequence[str]) -> _Form:
     """Find separator, decimal sign and layout from the first lines.
 
-    Of several separators one by which the head names as many columns as there are, then the one that leaves the largest
-    share of cells that are numbers, then the most of them.
+    Of several separators the one that leaves the largest share of cells that are numbers, blank ones left out; of equal
+    ones one by which the head names as many columns as there are, then the one that leaves the most numbers.
     """
     lines = [(i, line) for i, line in enumerate(content.split(b"\n", LAYOUT_LINES)[:LAYOUT_LINES]) if line.strip()]
     if not lines:
         raise InputError("holds no header row and no numbers")
     texts = [line.decode(errors="replace") for _, line in lines]
     skipped = max((k + 1 for k, text in enumerate(texts) if text.startswith(_END_OF_HEADER)), default=0)
-    found: list[tuple[tuple[bool, bool, float, int], str, str, Layout]] = []
+    found: list[tuple[tuple[float, bool, bool, int], str, str, Layout]] = []
     for separator in SEPARATORS:
         decimal = decimal_sign(content, separator)
-        rows = [_fields(text, separator) for text in texts[skipped:]]
+        rows = [fields_of(text, separator) for text in texts[skipped:]]
         layout = find_layout(rows, decimal)
         if layout is not None:
-            row = rows[layout.first]
+            row = [cell for cell in rows[layout.first] if cell.strip()]
             good = sum(number(cell, decimal) is not None or is_stamp(cell) for cell in row)
-            found.append(
-                ((layout.has_names, not layout.other_width, good / len(row), good), separator, decimal, layout)
-            )
+            rank = (good / max(len(row), 1), layout.has_names, not layout.other_width, good)
+            found.append((rank, separator, decimal, layout))
     if not found:
         raise InputError(_nothing(texts))
     _, separator, decimal, layout = max(found, key=lambda item: item[0])
@@ -190,7 +187,7 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
         raise InputError(
             f"the rows have {len(layout.names)} values where the header row has {layout.other_width}{hint}"
         )
-    above = properties_of(_fields(text, separator) for text in texts[:skipped])
+    above = properties_of(fields_of(text, separator) for text in texts[:skipped])
     layout = replace(layout, properties={**above, **layout.properties})
     if not layout.has_names and comments:
         layout = _names_in_comment(layout, comments[-1], separator)
@@ -198,14 +195,14 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
 
 
 def _nothing(texts: Sequence[str]) -> str:
-    if any(len(_fields(text, separator)) > 1 for text in texts[-1:] for separator in SEPARATORS[:3]):
+    if any(len(fields_of(text, separator)) > 1 for text in texts[-1:] for separator in SEPARATORS[:3]):
         return "the header row is not followed by numbers"
     return "is text without a table of numbers; a record has a row of names and rows of numbers below it"
 
 
 def _names_in_comment(layout: Layout, line: str, separator: str) -> Layout:
     """Take the names from a comment line, as ``numpy.savetxt`` writes them."""
-    cells = [cell.strip() for cell in _fields(line.lstrip("#%/ \t"), separator)]
+    cells = [cell.strip() for cell in fields_of(line.lstrip("#%/ \t"), separator)]
     if len(cells) != len(layout.names) or "=" in line or any(number(cell) is not None for cell in cells):
         return layout
     return replace(layout, names=tuple(cells), has_names=True)
@@ -234,7 +231,7 @@ def _without_last_words(body: bytes, form: _Form) -> bytes:
     """Leave out what a program has written below the numbers: lines of one cell that is no number."""
     for _ in range(LAST_WORDS):
         at = body.rfind(b"\n")
-        cells = _fields(body[at + 1 :].decode(errors="replace").strip(), form.separator)
+        cells = fields_of(body[at + 1 :].decode(errors="replace").strip(), form.separator)
         given = [cell for cell in cells if cell.strip()]
         if at < 0 or len(given) != 1 or number(given[0], form.decimal) is not None or is_stamp(given[0]):
             break
@@ -322,30 +319,14 @@ def _arrow(body: bytes, separator: str, width: int) -> Matrix | None:
 def _slow(body: bytes, form: _Form) -> tuple[Column, ...]:
     """Split the lines, and remember for each column the first cell that is no number."""
     layout = form.layout
-    parts: list[list[NDArray[Any]]] = [[] for _ in layout.names]
-    faults: dict[int, Fault] = {}
-    kinds = [""] * len(layout.names)
+    columns = [ColumnCells(form.decimal) for _ in layout.names]
     for lines, rows in _rows(body, form):
-        for j, cells in enumerate(zip(*rows, strict=True)):
-            kinds[j] = kinds[j] or kind_of(next((cell for cell in cells if cell.strip()), ""))
-            values = values_of(cells, kinds[j], form.decimal)
-            parts[j].append(values)
-            odd = np.flatnonzero(~np.isfinite(values))
-            if odd.size and j not in faults:
-                faults[j] = fault_in(cells[odd[0]], f"line {lines[odd[0]]}", kinds[j], form.decimal)
+        places = [f"line {line}" for line in lines]
+        for column, cells in zip(columns, zip(*rows, strict=True), strict=True):
+            column.add(cells, places)
     return tuple(
-        Column(name, _joined(parts[j]), "s" if kinds[j] == "stamp" else layout.units[j], faults.get(j))
-        for j, name in enumerate(layout.names)
+        column.column(name, unit) for column, name, unit in zip(columns, layout.names, layout.units, strict=True)
     )
-
-
-def _joined(parts: Sequence[NDArray[Any]]) -> Matrix:
-    """Return a column in one piece; time stamps as seconds from the first one."""
-    values = np.concatenate(parts)
-    if values.dtype.kind != "M":
-        return values
-    first = values[np.argmin(np.isnat(values))]
-    return np.asarray((values - first) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
 
 
 def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]]]:
@@ -365,7 +346,7 @@ def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]
         for i, text in enumerate(texts, start=1):
             line += 1
             if text.strip():
-                fields = _fields(text, form.separator)
+                fields = fields_of(text, form.separator)
                 rows.append(_whole(fields, width, line, is_last=end == len(body) and i == len(texts)))
                 places.append(line)
         yield places, rows
@@ -378,14 +359,3 @@ def _whole(fields: list[str], width: int, line: int, *, is_last: bool) -> list[s
         return fields[:width]
     hint = "; if the log was cut off there, delete this last line" if is_last and len(fields) < width else ""
     raise InputError(f"line {line} has {len(fields)} values where the header row has {width}{hint}")
-
-
-def _fields(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return re.sub(r"\s+(?=[\[(])", "", line.strip()).split()
-    if '"' not in line:
-        return line.split(separator)
-    try:
-        return next(csv.reader([line], delimiter=separator))
-    except (csv.Error, StopIteration):
-        return line.split(separator)

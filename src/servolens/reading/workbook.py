@@ -5,11 +5,10 @@ from __future__ import annotations
 import datetime
 from typing import TYPE_CHECKING
 
-import numpy as np
 from python_calamine import CalamineError, CalamineWorkbook
 
 from servolens.errors import InputError
-from servolens.reading.cells import fault_in, kind_of, values_of
+from servolens.reading.column_cells import ColumnCells
 from servolens.reading.layout import find_layout
 from servolens.reading.table import Column, Table
 
@@ -72,11 +71,6 @@ def _text(cell: object) -> str:
 
 
 def _column(name: str, cells: Sequence[str], lines: Sequence[int], unit: str | None) -> Column:
-    kind = kind_of(next((cell for cell in cells if cell), ""))
-    values = values_of(cells, kind)
-    if kind == "stamp":
-        values = np.asarray((values - values[0]) / np.timedelta64(1, "ns") * 1e-9, dtype=np.float64)
-        unit = "s"
-    odd = np.flatnonzero(~np.isfinite(values))
-    fault = fault_in(cells[int(odd[0])], f"row {lines[int(odd[0])]}", kind) if odd.size else None
-    return Column(name, values, unit, fault)
+    column = ColumnCells()
+    column.add(cells, [f"row {line}" for line in lines])
+    return column.column(name, unit)
