@@ -79,6 +79,27 @@ def test_the_voltage_of_a_supply_or_a_tension_is_not_the_command(tmp_path, name)
     assert read_record(path, settings=GAINS).voltage is None
 
 
+SENSED = (
+    *("Potispannung", "Referenzspannung", "Seilspannung", "Gurtspannung", "Kettenspannung", "Bandspannung"),
+    *("Feldspannung", "Logikspannung", "Biegespannung", "Tachospannung"),
+)
+
+
+@pytest.mark.parametrize("name", SENSED)
+@pytest.mark.parametrize("command", ["Stellgroesse", "Spannung", "Strom [A]", "iq"])
+def test_the_voltage_of_a_sensor_or_a_tension_is_never_preferred_to_a_command(tmp_path, name, command):
+    path = log(tmp_path / "a.csv", ("t", "Soll", "Ist", name, command), T, R, Y, Y * 50 + 2, U)
+    reading = read_log(path)
+    assert reading.columns["voltage"] == command.removesuffix(" [A]")
+    assert np.array_equal(reading.record.voltage, read_record(path, columns={"voltage": "5"}).voltage)
+
+
+def test_the_voltage_of_a_sensor_is_asked_about_where_nothing_else_may_be_the_command(tmp_path):
+    path = log(tmp_path / "a.csv", ("t", "Soll", "Ist", "Potispannung"), T, R, Y, Y * 50 + 2)
+    assert "if it is 'Potispannung', name it" in refusal(path)
+    assert read_record(path, settings=GAINS).voltage is None
+
+
 def test_a_column_in_volts_that_no_word_tells_is_asked_about_where_the_gains_are_unknown(tmp_path):
     path = log(tmp_path / "a.csv", ("time", "reference", "position", "Drive [V]", "n"), T, R, Y, U, T)
     assert refusal(path) == (
@@ -100,6 +121,17 @@ def test_a_column_in_volts_beside_stated_gains_is_a_remark(tmp_path):
 def test_the_columns_that_are_left_are_named_where_neither_gains_nor_command_are_known(tmp_path):
     path = log(tmp_path / "a.csv", ("time", "reference", "position", "mv"), T, R, Y, U)
     assert "if it is 'mv', name it, e.g. --column voltage=mv, else give kp and kd" in refusal(path)
+    path = log(tmp_path / "b.csv", ("time", "reference", "position", "foo", "bar"), T, R, Y, U, -U)
+    assert "if it is one of 'foo', 'bar', name it, e.g. --column voltage=foo, else" in refusal(path)
+
+
+def test_only_what_may_be_a_command_is_offered_as_one(tmp_path):
+    rows = {"still": T * 0, "switch": ["on" if t < 0.5 else "off" for t in T], "hot [K]": U, "place [mm]": U}
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", *rows), T, R, Y, *rows.values())
+    assert refusal(path).startswith("no voltage is logged and the gains are unknown; give kp and kd")
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", *rows, "foo"), T, R, Y, *rows.values(), U)
+    assert "if it is 'foo', name it" in refusal(path)
+    assert refusal(path, settings={"ki": "1"}) == "ki is given without kp; give both"
 
 
 def test_a_name_that_is_the_armature_s_voltage_or_a_command_in_amperes_is_a_question(tmp_path):
@@ -109,6 +141,12 @@ def test_a_name_that_is_the_armature_s_voltage_or_a_command_in_amperes_is_a_ques
     )
     assert read_record(path, units={"voltage": "V"}).command_unit == "V"
     assert read_record(path, units={"voltage": "A"}).command_unit == "A"
+    path = log(tmp_path / "b.csv", ("t", "Soll", "Ist", "axis.U_A"), T, R, Y, U)
+    for columns in ({"voltage": "axis.U_A"}, None):
+        assert "'axis.U_A' may be the armature's voltage, or a command in A" in refusal(path, columns=columns)
+    assert read_record(path, columns={"voltage": "4"}, units={"voltage": "V"}).command_unit == "V"
+    path = log(tmp_path / "c.csv", ("t", "Soll", "Ist", "U_A [V]"), T, R, Y, U)
+    assert read_record(path, columns={"voltage": "U_A"}).command_unit == "V"
 
 
 # ---- positions and their references
@@ -135,7 +173,18 @@ def test_what_is_asked_of_a_symbol_is_its_reference(tmp_path, reference, positio
 
 
 def test_d_behind_a_symbol_is_what_is_asked_of_it_or_its_derivative():
-    assert meaning("q_d").roles == meaning("theta_d").roles == ("reference", "velocity")
+    for name in ("q_d", "theta_d", "x_d", "y_d", "xd", "yd"):
+        assert meaning(name).roles == ("reference", "velocity")
+
+
+@pytest.mark.parametrize("name", ["x_d", "xd"])
+def test_d_behind_x_is_the_velocity_or_the_desired_position_by_the_numbers(tmp_path, name):
+    path = log(tmp_path / "a.csv", ("t", "x", name, "u"), T, Y, np.gradient(Y, T), U)
+    assert read_log(path).columns == {"time": "t", "position": "x", "voltage": "u", "velocity": name}
+    path = log(tmp_path / "a.csv", ("t", "x", name, "u"), T, Y, np.full(T.size, 0.1), U)
+    assert read_log(path).columns == {"time": "t", "position": "x", "voltage": "u", "reference": name}
+    path = log(tmp_path / "a.csv", ("t", "x", name, "u"), T, Y, T * 0, U)
+    assert f"column '{name}' may be reference or velocity" in refusal(path)
 
 
 def test_the_german_article_asks_for_nothing():
@@ -209,10 +258,16 @@ def test_dates_in_days_are_no_seconds(tmp_path, start):
     assert "values that are dates in days" in evidence(reading, "time").evidence
 
 
-def test_steps_that_are_plausible_in_days_only_are_a_question_where_the_values_are_no_dates(tmp_path):
-    path = log(tmp_path / "a.csv", ("Zeit", "Soll", "Ist", "u"), T / 86400, R, Y, U)
-    assert "which are plausible in days; say --unit time=day or --unit time=s" in refusal(path)
-    assert read_record(path, units={"time": "day"}).time == pytest.approx(T)
+@pytest.mark.parametrize("interval", [0.2, 0.5])
+def test_slow_dates_in_days_are_no_seconds(tmp_path, interval):
+    days = [f"{45717.5 + k * interval / 86400:.9f}" for k in range(T.size)]
+    record = read_record(log(tmp_path / "a.csv", ("Zeit", "Soll", "Ist", "u"), days, R, Y, U))
+    assert record.time == pytest.approx(interval * np.arange(T.size), abs=1e-4)
+
+
+def test_short_steps_from_zero_are_seconds(tmp_path):
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "voltage"), T * 1e-3, R, Y, U)
+    assert read_record(path).time == pytest.approx(T * 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -296,6 +351,32 @@ def test_words_for_on_and_off_are_read(tmp_path, on, off):
     assert f"line {T.size + 2}, enabled: 'maybe' is neither on nor off" in refusal(path)
 
 
+def test_zeros_and_ones_may_stand_among_switches(tmp_path):
+    enabled = [("1", "on", "True")[k % 3] if t < 0.5 else ("off", "0")[k % 2] for k, t in enumerate(T)]
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "voltage", "enabled"), T, R, Y, U, enabled)
+    assert np.array_equal(read_record(path).enabled, T < 0.5)
+
+
+@pytest.mark.parametrize("signal", ["reference", "position", "voltage"])
+@pytest.mark.parametrize("cells", ["all", "first", "late"])
+def test_switches_are_no_numbers(tmp_path, signal, cells):
+    columns = {"time": list(T), "reference": list(R), "position": list(Y), "voltage": list(U)}
+    if cells == "all":
+        columns[signal] = ["on" if t < 0.5 else "off" for t in T]
+    else:
+        columns[signal][{"first": 0, "late": 9}[cells]] = "on"
+    said = f"line {11 if cells == 'late' else 2}, {signal}: 'on' is not a number; fill or leave out such rows"
+    assert refusal(log(tmp_path / "a.csv", tuple(columns), *columns.values())) == said
+
+
+def test_switches_of_a_workbook_are_no_voltage(tmp_path):
+    pytest.importorskip("python_calamine")
+    pd.DataFrame({"time": T, "reference": R, "position": Y, "voltage": T < 0.5}).to_excel(
+        tmp_path / "a.xlsx", index=False
+    )
+    assert "row 2, voltage: 'True' is not a number" in refusal(tmp_path / "a.xlsx")
+
+
 def test_switches_of_a_workbook_are_read(tmp_path):
     pytest.importorskip("python_calamine")
     columns = {"time": T, "reference": R, "position": Y, "voltage": U, "enabled": T < 0.5}
@@ -338,6 +419,35 @@ def test_points_that_may_separate_thousands_are_refused(tmp_path):
     said = refusal(path)
     assert "may be a whole number with separated thousands, as may all numbers with a '.' here" in said
     assert said.endswith("write all numbers with one decimal sign and without separators of thousands")
+
+
+@pytest.mark.parametrize("sign", [".", ","])
+def test_a_column_that_always_shows_three_decimals_is_no_question(tmp_path, sign):
+    shown = [f"{100 + 1000 * y:.3f}".replace(".", sign) for y in Y]
+    heads = ("time_ms", "pos_mm", "u")
+    whole = (np.arange(T.size), shown, np.round(20 * U))
+    assert read_record(log(tmp_path / "a.csv", heads, *whole, separator=";")).position == pytest.approx(
+        0.1 + Y, abs=1e-6
+    )
+
+
+@pytest.mark.parametrize("line", ["Masse 1.234,5 g", "Impulse je Meter: 1,234.5", "Masse;1.234,5", "Version 1.5"])
+@pytest.mark.parametrize("sign", [".", ","])
+def test_a_number_above_the_head_does_not_decide_how_the_rows_are_read(tmp_path, line, sign):
+    shown = [[f"{x:.6f}".replace(".", sign) for x in column] for column in (T, R, Y, U)]
+    path = log(tmp_path / "a.csv", ("time", "reference", "position", "voltage"), *shown, separator=";")
+    path.write_text(f"{line}\n{path.read_text()}")
+    assert read_record(path).position == pytest.approx(Y, abs=1e-6)
+
+
+@pytest.mark.parametrize("separator", ["\t", " ", ";"])
+@pytest.mark.parametrize("above", ["Anlage,Kran,Halle,Mai", "Zeit,Soll,Ist,Spannung", "Zeit,Soll"])
+def test_a_line_with_commas_above_does_not_make_decimal_commas_separators(tmp_path, separator, above):
+    shown = [[f"{x:.6f}".replace(".", ",") for x in column] for column in (T, R, Y, U)]
+    path = log(tmp_path / "a.csv", shown[0][:1], *shown, separator=separator)
+    path.write_text(above + path.read_text()[8:])
+    columns = {"time": "1", "reference": "2", "position": "3", "voltage": "4"}
+    assert read_record(path, columns=columns).position == pytest.approx(Y, abs=1e-6)
 
 
 def test_commas_beside_points_are_refused_by_a_true_sentence(tmp_path):

@@ -14,7 +14,7 @@ from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, check_mapping, choose, typed, unknown
 from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
-from servolens.reading.words import BY_PROTOCOL, allows
+from servolens.reading.words import BY_ARMATURE, BY_PROTOCOL, allows
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ SURE_UNITS = ("in brackets", "behind its name", "stated beside its name")
 """Where a unit is one, whatever the signal; letters at the end of a name may be something else."""
 SMOOTH_SIGNALS = ("position", "velocity")
 GAIN_NAMES = {"kp": ("kp", "k_p", "p_gain", "pgain", "pos_gain"), "kd": ("kd", "k_d", "d_gain", "dgain")}
+GAINS_BESIDE = {"kd", "ki", "kv", "kiv"}
+"""Gains that are refused without kp."""
 BY_CALLER = "unit given by you"
 
 
@@ -106,8 +108,9 @@ def interpret(
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
     remarks = []
-    if "voltage" not in {*chosen, *(columns or {})}:
-        remarks = _about_command(tables, chosen, knows_gains="kp" in {**comments, **gains, **_given(settings)})
+    known = {**comments, **gains, **_given(settings)}
+    if "voltage" not in {*chosen, *(columns or {})} and ("kp" in known or not GAINS_BESIDE & set(known)):
+        remarks = _about_command(tables, chosen, knows_gains="kp" in known)
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
     signals["time"], wrapped = unwrapped(signals["time"], _factor(texts["time"]))
@@ -160,6 +163,7 @@ def _about_command(tables: Sequence[Table], chosen: Mapping[str, Choice], *, kno
     if not left or (knows_gains and not volts):
         return []
     shown = ", ".join(quote(choice.label) for choice in (volts or left)[:MOST_SHOWN])
+    shown = f"one of {shown}" if len(volts or left) > 1 else shown
     answer = f"--column voltage={typed((volts or left)[0].address)}"
     which = f"{shown} (in volts)" if volts else shown
     if knows_gains:
@@ -238,7 +242,7 @@ def _unstated(
         return time_unit(choice)
     if signal in ("position", "reference"):
         return _length(choice, found.get("reference" if signal == "position" else "position"), settings)
-    if signal == "voltage" and not choice.is_stated:
+    if signal == "voltage" and (not choice.is_stated or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
     if signal == "velocity" and (not choice.is_stated or choice.evidence == NAMED):
         return velocity_unit(choice, chosen, {key: text for key, (text, _) in found.items()})
@@ -277,6 +281,8 @@ def _states_length(settings: Mapping[str, object]) -> bool:
 
 
 def _check_numbers(signal: str, choice: Choice) -> None:
+    if choice.column.switches is not None and signal != "enabled":
+        raise InputError(choice.column.switches.sentence(signal))
     if choice.column.fault is not None:
         instead = f", or do without that column: --column {signal}={NONE}" if signal == "velocity" else ""
         raise InputError(choice.column.fault.sentence(signal) + instead)

@@ -13,7 +13,7 @@ from servolens.errors import InputError, names_like
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
 from servolens.record import SIGNALS
-from servolens.units import parse_unit
+from servolens.units import COMMAND_UNITS, parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -149,14 +149,28 @@ def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str
 
 
 def unknown(tables: Sequence[Table], chosen: Mapping[str, Choice]) -> list[Choice]:
-    """Return the columns beside the position that are numbers and of which no word says what they are."""
+    """Return the columns beside the position that vary, no switches, and of which no word says what they are.
+
+    They have no unit, or one of a command.
+    """
     taken = {id(choice.column) for choice in chosen.values()}
     home = chosen["position"].table
     return [
         c
         for c in _candidates(tables)
-        if c.table == home and id(c.column) not in taken and c.column.fault is None and c.label and not c.meaning.words
+        if c.table == home
+        and id(c.column) not in taken
+        and c.column.fault is c.column.switches is None
+        and c.label
+        and not c.meaning.words
+        and np.ptp(c.column.values) > 0
+        and _may_command(c.unit)
     ]
+
+
+def _may_command(text: str | None) -> bool:
+    unit, known = parse_unit(text or ""), [parse_unit(one) for one in COMMAND_UNITS]
+    return text is None or any(unit and one and unit.dimension == one.dimension for one in known)
 
 
 def offer(found: Iterable[Choice]) -> str:
@@ -373,6 +387,8 @@ def _correlation(choice: Choice, position: Choice, time: Choice) -> float:
     if np.any(steps <= 0):
         return 0.7
     slope, middle = (y[2 * width :] - y[: -2 * width]) / steps, v[width:-width]
+    if np.ptp(slope) != 0 and np.ptp(middle) == 0 and middle[0] and "reference" in choice.meaning.roles:
+        return 0.0  # a level that is held while the axis moves
     if np.ptp(slope) == 0 or np.ptp(middle) == 0:
         return 0.7  # nothing moves: undecided
     return abs(float(np.corrcoef(slope, middle)[0, 1]))

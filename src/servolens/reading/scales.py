@@ -8,7 +8,7 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading.files import quote
-from servolens.reading.words import ARMATURE
+from servolens.reading.words import BY_ARMATURE
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -29,6 +29,8 @@ SAMPLE_TIMES = (25e-6, 0.1)
 DAY = 86400.0
 DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
 """Dates as numbers [day]: 1954 to 2064 as spreadsheets count them, 1916 to 2190 as MATLAB does."""
+ROUNDING = 1e-3
+"""Of sample times from dates, which programs round to about 0.1 ms."""
 FEWEST_SAMPLES = 20
 """Samples below which a rate and a travel say nothing."""
 LONGEST_AXIS = 10.0
@@ -54,8 +56,8 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         return None, "seconds are assumed"
     interval = float(np.median(np.diff(values)))
     low, high = SAMPLE_TIMES
-    if low <= interval * DAY <= high:
-        return _days(choice, interval)
+    if _is_date(values) and low <= interval * DAY <= (1 + ROUNDING) * LONGEST_SAMPLE_TIME:
+        return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
     if not interval >= LONGEST_SAMPLE_TIME:
         return None, "seconds are assumed"
     fits = [unit for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= interval * factor <= high]
@@ -71,14 +73,8 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
 
 
-def _days(choice: Choice, interval: float) -> tuple[str | None, str]:
-    """Return days as the unit of a time with steps that no log has in seconds, if its values are dates."""
-    if not any(first <= float(choice.column.values[0]) <= last for first, last in DATES):
-        raise InputError(
-            f"column {quote(choice.label)} has steps of {interval:.3g}, which are plausible in days; say"
-            " --unit time=day or --unit time=s"
-        )
-    return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
+def _is_date(values: Values) -> bool:
+    return any(first <= float(values[0]) <= last for first, last in DATES)
 
 
 def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
@@ -148,7 +144,7 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
         If it may be counts of a PWM register as well, or what its name says is a current or a voltage.
     """
     values = choice.column.values
-    if choice.meaning.words == ARMATURE[0] and choice.meaning.rest == {ARMATURE[1]}:
+    if choice.meaning.where == BY_ARMATURE:
         raise InputError(
             f"column {quote(choice.label)} may be the armature's voltage, or a command in A; say --unit voltage=V or"
             " --unit voltage=A"

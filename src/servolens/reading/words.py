@@ -12,7 +12,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["ARMATURE", "BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
+__all__ = ["BY_ARMATURE", "BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
@@ -80,9 +80,7 @@ _LETTERS: Mapping[str, tuple[str, ...]] = {
     "ua": ("voltage",),
     "qm": ("position",),
     "qg": ("reference",),
-    "yd": ("reference",),
-    "xd": ("reference",),
-    **dict.fromkeys(("qd", "thetad", "phid"), ("reference", "velocity")),
+    **dict.fromkeys(("qd", "xd", "yd", "thetad", "phid"), ("reference", "velocity")),
 }
 """Symbols that stand alone; of two meanings the data or the other columns must decide."""
 _ANGLES = frozenset({"theta", "phi", "psi", "alpha", "thetad", "phid"})
@@ -90,6 +88,13 @@ _PLACES = ("x", "y", "z", "q", "theta", "phi", "psi", "alpha")
 """Symbols of positions, to which names append what is asked of them: xref, theta_des, qSoll."""
 _LETTER_KINDS = {"i": "current", "ua": "voltage"}
 """Kind of the command that a symbol stands for."""
+_MOTOR_VOLTAGES = frozenset(
+    (
+        *("stell", "anker", "klemmen", "steuer", "ansteuer", "ansteuerungs", "regel", "motoren", "aktor", "aktuator"),
+        *("umrichter", "verstaerker", "treiber", "endstufen", "spulen"),
+    )
+)
+"""What stands before "spannung" where that is the command, beside the words that are known."""
 _COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
 _IMPLIED = {
     "millis": "ms",
@@ -114,8 +119,9 @@ _UNITS = {
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
 """Units at a heading's end, in small letters."""
-ARMATURE = ("u", "a")
-"""Of a heading ``U_A``: the armature's voltage, or a command in amperes."""
+_ARMATURE = ("u", "a")
+BY_ARMATURE = "perhaps at the end of its name"
+"""Where the unit of ``U_A`` stands: it is the armature's voltage, or a command in amperes."""
 BY_PROTOCOL = "which servos of that protocol count in"
 _CONVENTIONS = (
     (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
@@ -264,9 +270,9 @@ def _marked(token: str) -> list[str] | None:
 
 
 def _a_voltage(token: str) -> list[str] | None:
-    """Return which voltage a German compound names: ``Ankerspannung``."""
+    """Return which voltage of the motor a German compound names: ``Ankerspannung``; others are sensors' or tensions."""
     head = token.removesuffix("spannung")
-    return [head, "spannung"] if head != token and head else None
+    return [head, "spannung"] if head != token and head in _MOTOR_VOLTAGES else None
 
 
 @cache
@@ -287,7 +293,7 @@ def _compound(token: str) -> list[str] | None:
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
     """Return the tokens without the units at their end, and these."""
-    if tokens == ARMATURE:
+    if tokens[-2:] == _ARMATURE:
         return tokens, None
     if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in _UNITS and tokens[-2] not in ("s", "ms", "us"):
         kept = tokens[:-3] if tokens[-2] == "per" else tokens[:-2]
@@ -321,7 +327,7 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
     if unit is None:
-        unit, where = _convention(name) or (None, "")
+        unit, where = _convention(name) or (None, BY_ARMATURE if tokens[-2:] == _ARMATURE else "")
     if unit is None and kind in _ASSUMED:
         unit, where = _ASSUMED[kind], "which a column of that name is in"
     asked = asked or bool({"either", "input"} & set(kinds))
