@@ -12,6 +12,7 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record
+from servolens.reading.reference_file import read_reference_file
 from servolens.reading.words import meaning
 from servolens.record import Controller
 
@@ -375,6 +376,13 @@ def test_switches_of_a_workbook_are_no_voltage(tmp_path):
         tmp_path / "a.xlsx", index=False
     )
     assert "row 2, voltage: 'True' is not a number" in refusal(tmp_path / "a.xlsx")
+
+
+def test_switches_are_no_reference(tmp_path):
+    path = tmp_path / "reference.csv"
+    path.write_text("time,reference\n0,0\n0.1,on\n" + "".join(f"{k},1\n" for k in range(1, 30)))
+    with pytest.raises(InputError, match="line 3, reference: 'on' is not a number"):
+        read_reference_file(path)
 
 
 def test_switches_of_a_workbook_are_read(tmp_path):
