@@ -10,7 +10,7 @@ import pytest
 
 from servolens import Controller, lab, simulate_loop
 from servolens.design import PDSpec, evaluate, recommend, settling_time, trust, tune
-from servolens.design.scenarios import UnexplainedForce, drawn
+from servolens.design.scenarios import UnexplainedForce, drawn, missed_share
 from servolens.effects import (
     ConstantForce,
     CoulombFriction,
@@ -287,6 +287,7 @@ def test_what_an_immaterial_remainder_owes_to_the_inputs_is_no_force_that_goes_o
 def test_immaterial_remainder_that_the_inputs_make_leaves_less_of_the_band(least):
     left = replace(leaving(1.0, 0.5), of_travel=0.004)
     known = Model(plant=NLM3, evidence=Evidence(range=SHOWN, remainder=left, heldout_of_step=0.004))
+    assert missed_share(known) == pytest.approx(sqrt(3.0) * 0.004)
     scenarios = drawn([known], [SPEC], 400, np.random.default_rng(7))
     missed = np.array([SPEC.band - scenario.spec.band for scenario in scenarios])
     assert missed.min() >= 0.0
@@ -304,7 +305,7 @@ def test_gain_is_withheld_where_an_immaterial_remainder_may_break_the_band(least
     left = replace(leaving(1.0, 0.5), of_travel=2.0 * SPEC.band)
     _, of_gain = lights(least, Evidence(range=SHOWN, remainder=left, heldout_of_step=0.001))
     assert of_gain.light == "red"
-    assert of_gain.sentence.endswith("with what the model leaves unexplained.")
+    assert of_gain.sentence.endswith(", as simulations may miss up to 3.5 % of the step in a band of 1 %.")
 
 
 def test_one_further_step_is_a_number(least):
@@ -336,6 +337,17 @@ def test_steps_that_miss_the_spec_are_named_and_no_force_where_none_is_tried():
     assert design.recommended.hardest == "0 % of the steps back"
     sentence = trust(Model(plant=weight), design)[1].sentence
     assert sentence.endswith(" % of 40, and in 0 % of the steps back.")
+
+
+def test_model_and_size_whose_steps_miss_the_spec_are_named():
+    """A force holds one of two models off its reference; friction does of the smaller of two sizes."""
+    free, held = Plant(gain=1.9, damping=6.0), Plant(gain=1.9, damping=6.0, effects=(ConstantForce(acceleration=5.0),))
+    spec = PDSpec(kp=60.0, settling_time=0.6)
+    design = replace(tune(free, spec), plants=(free, held))
+    assert recommend([free, held], design, scenarios=40).recommended.hardest == "0 % of the steps of model 2"
+    rubbing = Plant(gain=1.9, damping=6.0, effects=(CoulombFriction(level=0.05),))
+    found = recommend(rubbing, tune(rubbing, spec), scenarios=40, references=0.005).recommended
+    assert found.hardest.endswith(" % of the steps of 5 mm")
 
 
 def test_held_out_error_beyond_the_band_is_a_doubt(least):

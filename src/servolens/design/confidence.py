@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.design.extrapolation import BEYOND, extrapolation
 from servolens.design.found import Light
 from servolens.design.recommended import NINE_OF_TEN
+from servolens.design.scenarios import is_pushed, missed_share
 from servolens.inputs import as_models
 from servolens.model_evidence import MATERIAL
 from servolens.units import readable
@@ -119,7 +120,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
             light="red",
             sentence=(
                 f"No gain meets the spec in nine of ten plants: the best of them in {100 * chosen.probability:.3g} % of"
-                f" {chosen.scenarios}{_with(models)}, and in {chosen.hardest}."
+                f" {chosen.scenarios}{_with(models, design.spec)}{chosen.hardest and ', and in '}{chosen.hardest}."
             ),
         )
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
@@ -132,10 +133,15 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     return Light(light="green", sentence=_sentence(why))
 
 
-def _with(models: Sequence[Model]) -> str:
-    """Say that the scenarios carry what the models leave unexplained, if they leave anything."""
-    left = (model.evidence.remainder for model in models if model.evidence is not None)
-    return ", with what the model leaves unexplained" if any(one is not None and one.rms > 0.0 for one in left) else ""
+def _with(models: Sequence[Model], spec: PDSpec) -> str:
+    """Say what the scenarios carry of that which the models leave unexplained; empty if nothing."""
+    missed = max(map(missed_share, models))
+    told = (
+        f", as simulations may miss up to {_share(missed)} of the step in a band of {_share(spec.band)}"
+        if missed
+        else ""
+    )
+    return told + (", with what the model leaves unexplained as a force" if any(map(is_pushed, models)) else "")
 
 
 def _warning(models: Sequence[Model], design: Design) -> str:

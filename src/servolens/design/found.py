@@ -123,8 +123,8 @@ class Recommended:
     risk : str
         One sentence: what the least gain risks.
     hardest : str
-        Which steps meet the spec most seldom, and how often, as "2.5 % of the steps back"; empty where all kinds of
-        steps meet it in nine of ten scenarios.
+        Which steps meet the spec most seldom, and how often, as "2.5 % of the steps back", where others of their kind
+        meet it in nine of ten scenarios; else empty.
     """
 
     kp: float

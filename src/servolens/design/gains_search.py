@@ -16,7 +16,7 @@ from servolens.design.gains_program import GAINS, WATCHED, Limits, local_gains
 from servolens.design.linear_limits import keeps
 from servolens.design.margins import LinearLoops
 from servolens.design.rest import rest_of
-from servolens.design.scenarios import counted, drawn, without_force
+from servolens.design.scenarios import counted, drawn, missed_share, without_force
 from servolens.design.settle import evaluate
 from servolens.errors import InputError
 from servolens.processors import in_parallel
@@ -286,6 +286,17 @@ class GainsSearch:
                 best = tried
         return best
 
+    @property
+    def beyond_band(self) -> str:
+        """Say that the model's own error may fill the band, so that no gains can be promised; empty if it cannot."""
+        missed = max(map(missed_share, self.models)) if self.scenarios else 0.0
+        if missed < self.spec.band:
+            return ""
+        return (
+            f"simulations of the model may miss up to {100 * missed:.2g} % of the step, as much as the band of"
+            f" {100 * self.spec.band:.2g} % or more; ask for a wider band, or find what the model lacks"
+        )
+
     def told(self, best: Candidate | None, *, from_program: bool) -> GainsFound:
         """Return the result."""
         if best is None:
@@ -298,7 +309,9 @@ class GainsSearch:
             count = len(self.scenarios)
             where = f" on the model and in {count} scenarios of what may be otherwise" if count else ""
             where += ", also when the axis is let go with the step" if self._begins_released else ""
-            reason = f"no gains were found that meet everything{where}, with {' and '.join(ranges)}; ask for less"
+            reason = self.beyond_band or (
+                f"no gains were found that meet everything{where}, with {' and '.join(ranges)}; ask for less"
+            )
             return GainsFound(spec=self.spec, wishes=self.wishes, kd=None, reason=reason)
         gain, spec = best.margins.noise_gain, self.spec_of(best.gains)
         probability, interval = self._counted(spec, best.gains["kd"])

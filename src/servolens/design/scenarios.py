@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from servolens.model_evidence import Remainder
     from servolens.plant import Plant
 
-__all__ = ["TOLERANCE", "Scenario", "UnexplainedForce", "counted", "drawn", "without_force"]
+__all__ = [
+    "TOLERANCE", "Scenario", "UnexplainedForce", "counted", "drawn", "is_pushed", "missed_share", "without_force",
+]  # fmt: skip
 
 TOLERANCE = 0.02
 """By how much the realised gain of loop and amplifier may differ from what was set, as a share."""
@@ -176,24 +178,35 @@ def _within_covariance(model: Model, random: np.random.Generator) -> Plant:
     return model.plant
 
 
-def _narrowed(spec: PDSpec, model: Model, random: np.random.Generator) -> PDSpec:
-    """Return the spec with a band that leaves room for an error of the simulated position, if the inputs make one.
+def missed_share(model: Model) -> float:
+    """Return the largest error of the simulated position that scenarios try, as a share of the step; 0 for none.
 
-    As much as of the records, as a share of the step: evenly distributed, with their r.m.s.
+    Of what the inputs make and is immaterial: evenly distributed, with the r.m.s. of the records.
     """
     left = _left_by(model)
-    if left is None or not _returns(left):
+    return sqrt(3.0) * left.of_travel if left is not None and _returns(left) else 0.0
+
+
+def is_pushed(model: Model) -> bool:
+    """Tell whether scenarios try what a model leaves unexplained as a force."""
+    left = _left_by(model)
+    if left is None or _returns(left):
+        return False
+    return 0.0 < left.acceleration_rms < np.inf and left.correlation_time > 0.0
+
+
+def _narrowed(spec: PDSpec, model: Model, random: np.random.Generator) -> PDSpec:
+    """Return the spec with a band that leaves room for an error of the simulated position."""
+    largest = missed_share(model)
+    if not largest:
         return spec
-    missed = left.of_travel * sqrt(3.0) * float(random.uniform())
-    return replace(spec, band=max(spec.band - missed, NARROWEST))
+    return replace(spec, band=max(spec.band - largest * float(random.uniform()), NARROWEST))
 
 
 def _pushed(plant: Plant, model: Model, random: np.random.Generator) -> Plant:
     """Return the plant with what the model leaves unexplained, if that matters, and with what shakes the axis."""
     left = _left_by(model)
-    if left is None or _returns(left):
-        return plant
-    if not 0.0 < left.acceleration_rms < np.inf or not left.correlation_time > 0.0:
+    if left is None or not is_pushed(model):
         return plant
     return plant.with_effect(UnexplainedForce.draw(left.acceleration_rms, left.correlation_time, random))
 

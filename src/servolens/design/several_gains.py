@@ -78,6 +78,8 @@ def tune_gains(
     check_spec(spec)
     needed(wanted, GainWishes, "GainWishes(free=('kp', 'kd'))")
     search = GainsSearch(known, spec, wanted)
+    if search.beyond_band:
+        return search.told(None, from_program=False)
     progress("Trying gains", 0, 0)
     best = of_grid = search.best(search.grid())
     search.watch(best)
