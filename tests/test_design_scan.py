@@ -175,7 +175,8 @@ def test_an_infeasible_spec_names_what_conflicts_and_what_can_be_met(
     [
         ({"ki": 1e9}, "ki", "stabilises the loop with kp = 60 and ki = 1e+09; choose a smaller ki"),
         ({"ki": 4000.0}, "ki", "without ki = 4000 a gain meets it; choose a smaller ki"),
-        ({"setpoint_weight": 0.0}, "setpoint_weight", "does not follow its reference; give ki or a weight"),
+        ({"setpoint_weight": 0.0}, "setpoint_weight", "goes to that share of its reference, outside the band; give ki"),
+        ({"setpoint_weight": 0.98}, "setpoint_weight", "setpoint_weight = 0.98 goes to that share of its reference"),
     ],
 )
 def test_an_integral_or_a_weight_that_keeps_the_loop_from_the_spec_is_blamed(

@@ -110,12 +110,21 @@ def test_reason_stands_only_where_no_standard_error_does() -> None:
         ),
         ('{"schema": "servolens.model/1", "gain": {"value": "1"}, "damping": {"value": 1}}', "must be a number"),
         ('{"schema": "servolens.model/1", "gain": {"value": NaN}, "damping": {"value": 1}}', "gain must lie in"),
-        ('{"gain": {"value": 1, "stderr": -0.1}, "damping": {"value": 1}}', "stderr of gain must be 0 or positive"),
-        ('{"gain": {"value": 1, "stderr": NaN}, "damping": {"value": 1}}', "stderr of gain must be 0 or positive"),
-        ('{"gain": {"value": 1}, "damping": {"value": 1, "stderr": "1"}}', "stderr of damping must be 0 or positive"),
+        ('{"gain": {"value": 1, "stderr": -0.1}, "damping": {"value": 1}}', "stderr of gain must lie in"),
+        ('{"gain": {"value": 1, "stderr": NaN}, "damping": {"value": 1}}', "stderr of gain must lie in"),
+        ('{"gain": {"value": 1}, "damping": {"value": 1, "stderr": "1"}}', "stderr of damping must lie in"),
         ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[1, 2], [2, 1]]}', "positive semidefinite"),
         ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[1, 0.5], [0, 1]]}', "symmetric"),
         ('{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[-1, 0], [0, 1]]}', "positive semidefinite"),
+        ('{"gain": {"value": 1, "stderr": 1e200}, "damping": {"value": 1}}', "stderr of gain must lie in"),
+        (
+            '{"gain": {"value": 1, "stderr": -1}, "damping": {"value": 1}, "covariance": [[1, 0], [0, 1]]}',
+            "stderr of gain must lie in",
+        ),
+        (
+            '{"gain": {"value": 1}, "damping": {"value": 1}, "covariance": [[Infinity, 0], [0, 1]]}',
+            "positive semidefinite",
+        ),
     ],
 )
 def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) -> None:
@@ -125,6 +134,16 @@ def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) 
         read_model(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+
+
+def test_rounding_of_a_covariance_is_no_fault(tmp_path) -> None:
+    path = tmp_path / "model.json"
+    held = "[[1, 0, null], [1e-17, 1, null], [null, null, null]]"
+    path.write_text(
+        '{"gain": {"value": 1}, "damping": {"value": 1}, "effects": [{"effect": "coulomb_friction", "parameters":'
+        f' {{"level": {{"value": 1}}}}}}], "covariance": {held}}}'
+    )
+    np.testing.assert_array_equal(np.isnan(np.diag(read_model(path).covariance)), [False, False, True])
 
 
 def test_model_by_hand_needs_no_schema(tmp_path) -> None:

@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from servolens import lab
+from servolens import identify, lab
 from servolens.checking import check
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step, white_noise
+from servolens.errors import InputError
 from servolens.quality import assess, fatal
 from servolens.quality.beginning import beginning_findings
 from servolens.quality.sampling import measure
@@ -516,7 +517,8 @@ def test_motor_that_is_off_throughout_tells_nothing():
     record = lab.step_record(lab.NLM1, 60.0, noise=1e-5, seed=1)
     off = record.with_({"enabled": np.zeros(len(record))})
     assert codes(off) == ["motor_off"]
-    assert not assess(off).usable
+    with pytest.raises(InputError, match="while the motor is on"):
+        identify(off)
     assert codes(record.with_({"enabled": np.ones(len(record))})) == []
 
 

@@ -32,6 +32,8 @@ UNDETERMINED = "the data do not determine it"
 """Reason for which a number has no standard error, and tells nothing."""
 NOT_REACHED = "the records do not reach it"
 """The same of a limit: where it lies beyond is not known."""
+LARGEST = 1e150
+"""Standard error whose square is still a number."""
 SYMMETRIC = 1e-6
 """Share of its size by which a covariance may miss its symmetry, and its correlations their bounds, by rounding."""
 OPTIONAL = ("inertia", "free_damping")
@@ -326,9 +328,9 @@ def _command_unit(data: Mapping[str, Any]) -> str:
 
 def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
     """Return the covariance of all parameters, that of their standard errors alone where no more is stated."""
-    held = data.get("covariance")
+    alone, held = _of_errors(data, plant), data.get("covariance")
     if held is None:
-        return _of_errors(data, plant)
+        return alone
     numbers, names = (held["matrix"], list(held["names"])) if isinstance(held, dict) else (held, None)
     found = placed(plant, numbers, names, "covariance")
     if not _is_covariance(found):
@@ -338,13 +340,17 @@ def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | 
 
 def _is_covariance(matrix: NDArray[np.float64]) -> bool:
     """Tell whether errors can have a covariance, but for its rounding; what is not known (NaN) may be anything."""
-    if not np.allclose(matrix, matrix.T, rtol=SYMMETRIC, atol=0.0, equal_nan=True):
+    known = ~np.isnan(np.diag(matrix))
+    spread = np.nan_to_num(matrix[np.ix_(known, known)], posinf=np.inf, neginf=np.inf)
+    if not spread.size:
+        return True
+    if not np.isfinite(spread).all():
         return False
-    known = np.isfinite(np.diag(matrix))
-    spread = np.nan_to_num(matrix[np.ix_(known, known)])
     size = np.sqrt(np.abs(np.diag(spread)))
     scale = np.where(size > 0.0, size, 1.0)
-    return not spread.size or bool(np.linalg.eigvalsh(spread / np.outer(scale, scale)).min() >= -SYMMETRIC)
+    correlation = spread / np.outer(scale, scale)
+    is_symmetric = np.abs(correlation - correlation.T).max() <= SYMMETRIC
+    return bool(is_symmetric and np.linalg.eigvalsh(correlation).min() >= -SYMMETRIC)
 
 
 def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
@@ -359,8 +365,8 @@ def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | N
 
 
 def _error(stated: Any, name: str) -> float:
-    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0.0 <= stated < np.inf:
-        raise InputError(f"stderr of {name} must be 0 or positive, or null; got {str(stated)[:40]!r}")
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0.0 <= stated <= LARGEST:
+        raise InputError(f"stderr of {name} must lie in [0, {LARGEST:g}], or be null; got {str(stated)[:40]!r}")
     return float(stated)
 
 

@@ -60,9 +60,10 @@ def explain(
     if any(model.gain < 0 for model in models):
         reason = "the plant's gain is negative, so a positive kp drives the axis away; invert the command"
         return reason, ("kp",), ()
-    if spec.controller == "pd" and spec.ki == spec.setpoint_weight == 0:
+    if spec.controller == "pd" and spec.ki == 0 and abs(1.0 - spec.setpoint_weight) > spec.band:
         reason = (
-            "without an integral a loop with setpoint_weight = 0 does not follow its reference; give ki or a weight"
+            f"without an integral a loop with setpoint_weight = {spec.setpoint_weight:g} goes to that share of its"
+            " reference, outside the band; give ki, or a weight of 1"
         )
         return reason, ("setpoint_weight",), ()
     steps = _steps(models, spec, gains)

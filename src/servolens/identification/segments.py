@@ -138,6 +138,11 @@ def _too_little(records: Sequence[Record]) -> str:
     if 0 < most < encoder.FEWEST_SAMPLES:
         count = f"the record has {most}" if len(records) == 1 else f"none of the records has more than {most}"
         return f"{count} samples; at least {encoder.FEWEST_SAMPLES} are needed, log longer or faster"
+    if any(record.enabled is not None and not record.enabled.all() for record in records):
+        return (
+            f"while the motor is on the axis does not move by more than its noise for {FEWEST_SAMPLES} samples; log a"
+            " longer run with the motor on"
+        )
     if any(float(np.ptp(record.position)) > NO_REST * noise_level(record) for record in records):
         return (
             f"each motion is over, or interrupted by lost samples, after fewer than {FEWEST_SAMPLES} samples; log"

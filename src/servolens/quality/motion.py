@@ -46,10 +46,10 @@ def _excitation(record: Record, seen: Sampling) -> Finding | None:
         return Finding(code="dead_voltage", severity="warning", message=message)
     if record.enabled is not None and not record.enabled.any():
         message = (
-            "by its column enabled the motor is off throughout, so that nothing tells its gain; log a run with the"
-            " motor on, or correct the column (1 is on), or leave it out."
+            "by its column enabled the motor is off throughout, so that nothing here tells its gain; if it was on,"
+            " correct the column (1 is on), or leave it out."
         )
-        return Finding(code="motor_off", severity="error", message=message)
+        return Finding(code="motor_off", severity="warning", message=message)
     largest = max(seen.noise, seen.step or 0.0)
     if seen.travel < 50 * largest:
         message = f"{travel}, {seen.travel / largest:.0f} times noise or encoder step; 50 times and more tell the gain."
