@@ -99,6 +99,13 @@ def test_a_command_that_was_logged_without_its_sign_is_fatal(world, rounding, si
     assert finding.code == "unsigned_voltage"
 
 
+def test_magnitude_of_a_command_with_feedforward_is_one():
+    record = logged("white", levels=(0.1, 0.02, 0.07))
+    added = 0.5 * np.sin(20.0 * record.time)
+    unsigned = record.with_({"voltage": np.abs(record.voltage + added), "feedforward": added})
+    assert [finding.code for finding in fatal(check(unsigned))] == ["unsigned_voltage"]
+
+
 def test_command_of_one_sign_is_no_magnitude():
     """A weight is held with it."""
     truth = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 30.0}})

@@ -459,12 +459,14 @@ def test_design_says_what_the_least_gain_risks_after_naming_it_and_tables_no_sen
     assert sum("worst of 200 plants" in said for said in with_lights) == 1
 
 
-def test_step_is_known_no_better_than_the_sample_it_begins_with():
+def test_axis_that_begins_within_its_noise_of_0_begins_at_0():
     """A page told 0.0999 m of a step of 0.1 m."""
     record = lab.step_record(lab.NLM1, 60.0, noise=1e-4, encoder=0.0, seed=3)
     begun = record.with_({"position": record.position + (9e-5 - record.position[0])})
     assert begun.largest_step == pytest.approx(0.09991)
     assert completed_spec([begun], {"settling_time": 0.5}).reference == 0.1
+    elsewhere = begun.with_({"position": begun.position + 0.0151, "reference": begun.reference + 0.0151})
+    assert completed_spec([elsewhere], {"settling_time": 0.5}).reference == 0.0999
 
 
 def test_suggested_spec_can_be_met(cart):

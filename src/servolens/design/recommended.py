@@ -276,34 +276,28 @@ def _told(
         scenarios=len(found),
         why="",
         risk=_risk(design, least),
-        hardest=_hardest(tests, found, len(design.plants), design.plants[0].length_unit),
+        hardest=_hardest(tests, found, design.plants[0].length_unit),
     )
     return replace(result, why=_why(result, choice.unkept))
 
 
-def _hardest(tests: Sequence[Scenario], found: Sequence[Response], models: int, unit: str) -> str:
+def _hardest(tests: Sequence[Scenario], found: Sequence[Response], unit: str) -> str:
     """Return which steps meet the spec most seldom, where others of their kind meet it in nine of ten scenarios.
 
-    Kinds are up and back, the sizes, and the models, which take turns in the scenarios.
+    Kinds are up and back, the sizes, and the models.
     """
-    told: list[tuple[float, str]] = []
-    for kind in ("direction", "size", "model"):
-        shares: dict[str, list[bool]] = {}
-        for i, (scenario, response) in enumerate(zip(tests, found, strict=True)):
-            names = {
-                "direction": f"the steps {'back' if scenario.back else 'up'}",
-                "size": f"the steps of {readable(abs(scenario.spec.reference), unit)}",
-                "model": f"the steps of model {1 + i % models}",
-            }
-            shares.setdefault(names[kind], []).append(response.meets)
-        rates = {name: sum(met) / len(met) for name, met in shares.items()}
-        least = min(rates, key=lambda name: rates[name])
-        if rates[least] < NINE_OF_TEN <= max(rates.values()):
-            told.append((rates[least], least))
-    if not told:
-        return ""
-    share, name = min(told)
-    return f"{100.0 * share:.3g} % of {name}"
+    kinds = (
+        [f"the steps {'back' if one.back else 'up'}" for one in tests],
+        [f"the steps of {readable(abs(one.spec.reference), unit)}" for one in tests],
+        [f"the steps of model {one.model}" for one in tests],
+    )
+    told = []
+    for names in kinds:
+        met = {name: [r.meets for r, other in zip(found, names, strict=True) if other == name] for name in set(names)}
+        rates = sorted((sum(those) / len(those), name) for name, those in met.items())
+        if rates[0][0] < NINE_OF_TEN <= rates[-1][0]:
+            told.append(rates[0])
+    return f"{100.0 * min(told)[0]:.3g} % of {min(told)[1]}" if told else ""
 
 
 def _slowness(response: Response) -> tuple[float, float]:

@@ -93,6 +93,8 @@ class Scenario:
         What the gains of the loop are multiplied by.
     back : bool
         Whether the step is the one back, from the reference to 0.
+    model : int
+        Which of the models the plant was drawn from, counted from 1.
     noise : SensorNoise or None
         What the loop measures beside the position, as the records showed it.
     """
@@ -101,6 +103,7 @@ class Scenario:
     spec: PDSpec
     realised: float
     back: bool
+    model: int = 1
     noise: SensorNoise | None = None
 
     def in_loop(self, spec: PDSpec) -> Scenario:
@@ -115,14 +118,16 @@ class Scenario:
 
 def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: np.random.Generator) -> list[Scenario]:
     """Return scenarios: the models, the specs, and up and down in turn; all else drawn anew for each."""
-    turns = [(model, spec, back) for back in (False, True) for spec in specs for model in models]
+    turns = [(which, spec, back) for back in (False, True) for spec in specs for which in range(len(models))]
     found = []
     for i in range(count):
-        model, spec, back = turns[i % len(turns)]
+        which, spec, back = turns[i % len(turns)]
+        model = models[which]
         realised = 1.0 + float(random.uniform(-TOLERANCE, TOLERANCE))
         spec = _narrowed(spec.scaled(realised), model, random)
         plant = _pushed(_plant(model, random), model, random)
-        found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back, noise=_noise(model, random)))
+        noise = _noise(model, random)
+        found.append(Scenario(plant=plant, spec=spec, realised=realised, back=back, model=which + 1, noise=noise))
     return found
 
 

@@ -63,8 +63,6 @@ STRIDE, REFINED = 4, 3
 """Every fourth of these is tried with all other settings, and refined with the three that leave least."""
 CLAMPED = 2
 """Times that an integral is clamped anew by the fitted gains: the second time they are those of the true samples."""
-SIGNED = 8
-"""Times that the signs of a magnitude and the gains are fitted in turn."""
 HOLDS = 1e-3
 """Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
@@ -295,14 +293,21 @@ def _rescaled() -> Iterator[_Case]:
 
 
 def _signed(record: Record) -> Record:
-    """Return the record with a voltage that has the sign of what the law asks for whose magnitude fits it best."""
+    """Return the record with a voltage that has the sign of what the law asks for whose magnitude fits it best.
+
+    Signs and gains are fitted in turn as long as less is left: each of them leaves no more than the other did.
+    """
     fit = LawFit.of(record, np.ones(len(record), dtype=bool))
-    size, asked = np.abs(fit.voltage), fit.columns[0]
-    for _ in range(SIGNED):
-        voltage = np.copysign(size, asked)
-        fit = LawFit.over_rows(fit.controller, fit.columns, voltage, fit.rows)
-        asked = fit.asked(fit.fitted(GAINS))
-    return record.with_({"voltage": voltage})
+    logged = voltage_of(record)
+    added, asked, before = logged - fit.voltage, fit.columns[0], math.inf
+    while True:
+        voltage = np.copysign(logged, asked + added)
+        fit = LawFit.over_rows(fit.controller, fit.columns, voltage - added, fit.rows)
+        found = fit.fitted(GAINS)
+        left, asked = fit.left(found), fit.asked(found)
+        if not left < before:
+            return record.with_({"voltage": voltage})
+        before = left
 
 
 def _shifts() -> Iterator[_Case]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading.guess import Guess
+from servolens.reading.scales import DAY
 from servolens.reading.table import Column, Table
 from servolens.reading.words import unit_behind
 from servolens.units import parse_unit, split_number
@@ -29,7 +30,6 @@ _INTERVALS = {
 """What preambles call the sample time, and its unit where none stands there."""
 COUNTERS = (2.0**32, 2.0**16)
 """Ticks after which a microcontroller's counter begins again."""
-DAY = 86400.0
 LONGEST_STEP = 2.0
 """Longest step over a wrap, in sample times: one sample may be lost there."""
 

@@ -126,7 +126,12 @@ def _packed(table: Table) -> dict[str, Any]:
         "properties": dict(table.properties),
         "has_names": table.has_names,
         "columns": [
-            [c.name, c.values.size, c.unit, *([f.where, f.what] if f else None for f in (c.fault, c.switches))]
+            [
+                c.name,
+                c.values.size,
+                c.unit,
+                *([f.where, f.what, f.remedy] if f else None for f in (c.fault, c.switches)),
+            ]
             for c in table.columns
         ],
     }

@@ -147,20 +147,18 @@ def _loop_of(record: Record) -> dict[str, Any]:
 
 
 def _step_of(records: Sequence[Record]) -> dict[str, float]:
-    """Return the largest step, to three digits as its owner may have set it, and to no more than its noise lets see.
+    """Return the largest step, to three digits as its owner may have set it.
 
-    A record that begins with its step knows where the axis was by one sample of the position.
+    One sample tells where an axis was that begins with its step: within its noise of 0, that was at 0.
     """
     if not records:
         return {}
     record = max(records, key=lambda one: one.largest_step)
-    step = record.largest_step
-    if not step > 0:
-        return {}
-    begins_so = record.reference is not None and step == abs(float(record.reference[0] - record.position[0]))
-    noise = 2.0 * noise_level(record) if begins_so else 0.0
-    seen = round(step, -math.ceil(math.log10(noise))) if 0.0 < noise < step else 0.0
-    return {"reference": float(f"{seen or step:.3g}")}
+    step, first = record.largest_step, float(record.position[0])
+    if record.reference is not None and abs(first) <= 2.0 * noise_level(record):
+        begins_with = abs(float(record.reference[0]))
+        step = begins_with if step == abs(float(record.reference[0]) - first) else step
+    return {"reference": float(f"{step:.3g}")} if step > 0 else {}
 
 
 def _possible(**fields: Any) -> PDSpec | None:
