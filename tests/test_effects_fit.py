@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import servolens
 from servolens import Controller, Plant, Prior, Record, bootstrap, profile, read_model
@@ -260,6 +261,19 @@ def test_error_bars_allow_for_slow_noise_of_the_sensor(driven):
     assert fit.noise == pytest.approx(np.hypot(2e-5, SCATTER), rel=0.25)
     assert misses(fit, STICKY) == {}
     assert fit.at_noise
+
+
+def test_error_bars_allow_for_where_the_noise_in_the_loop_lets_the_axis_stop():
+    """It rests for most of a record: as noise of single samples, that place would be known far too well."""
+    cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    missed = []
+    for seed in range(16):
+        record = step_record(cart, kp=60, noise=3e-5, duration=1.2, sample_time=0.003, seed=seed)
+        quantities = servolens.fit("coulomb_friction", record, driven="closed_loop").quantities.values()
+        missed.append([(q.value - true) / q.stderr for q, true in zip(quantities, (1.9, 6.0, 0.3), strict=True)])
+    squares = np.sum(np.square(missed), axis=0)
+    assert np.all(squares < chi2.isf(1e-3, len(missed)))
+    assert np.all(squares > chi2.isf(1.0 - 1e-3, len(missed)))
 
 
 @pytest.mark.slow

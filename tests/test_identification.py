@@ -21,9 +21,10 @@ from servolens.identification import Prior, identify
 from servolens.identification.integral import Pieces, assemble, solve_integral
 from servolens.identification.later import Later
 from servolens.identification.options import FitOptions
-from servolens.identification.refine import refine_closed_loop
+from servolens.identification.refine import minimise_error
 from servolens.identification.regressors import regressor
-from servolens.identification.segments import motion_segments
+from servolens.identification.runs import ClosedRun
+from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.varying import fit_varying, piece_duration
 from servolens.lab import (
     LM1,
@@ -272,7 +273,8 @@ def test_program_with_loose_constraints_equals_plain_least_squares(plugin: str) 
 def test_steps_that_do_not_settle_are_not_taken_for_rests(dwell: float) -> None:
     record = step_record(LM1, 60.0, noise=1e-5, seed=1, reference=(0.1, 0.0, 0.1, 0.0), duration=dwell)
     start = Plant(gain=1.8, damping=6.0)
-    found = refine_closed_loop(start, [record], FitOptions(), noise=1e-5).plant
+    runs = [ClosedRun(step, 0) for step in settled_steps(record)]
+    found = minimise_error(start, runs, FitOptions(), noise=1e-5).plant
     assert found.gain == pytest.approx(LM1.gain, rel=1e-3)
     assert found.damping == pytest.approx(LM1.damping, rel=1e-3)
 

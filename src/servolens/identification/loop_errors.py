@@ -149,6 +149,7 @@ def drawn_loop_errors(
     noise: NoiseModel,
     ripples: Errors = (),
     unrounded: NDArray[np.float64] | None = None,
+    count: int = DRAWS,
 ) -> list[tuple[NDArray[np.float64], ...]]:
     """Return draws of what simulations in closed loop miss of the records if `plants` are the axis.
 
@@ -166,11 +167,11 @@ def drawn_loop_errors(
     still = _shown(plants, begun)
     step = noise.rounding if noise.rate == 0.0 else 0.0
     spectrum = spectrum_of(noise) * (1.0 - noise.share) if unrounded is None else unrounded
-    drawn = [drawn_noise(spectrum, len(record), stream) for record in records]
+    drawn = [drawn_noise(spectrum, len(record), stream, count) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]
-    shakes = [shaking(noise, record, stream) for record in records]
-    places = step * stream.uniform(-0.5, 0.5, DRAWS)
+    shakes = [shaking(noise, record, stream, count) for record in records]
+    places = step * stream.uniform(-0.5, 0.5, count)
 
     def one(k: int) -> tuple[NDArray[np.float64], ...] | None:
         moved = []
@@ -183,7 +184,7 @@ def drawn_loop_errors(
             return tuple(moved)
         return None
 
-    return [draw for draw in in_parallel(one, range(DRAWS)) if draw is not None]
+    return [draw for draw in in_parallel(one, range(count)) if draw is not None]
 
 
 class _Shares:

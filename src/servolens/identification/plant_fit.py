@@ -173,8 +173,9 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     gains; parameters in which a force is linear are solved for in the integral equation. What is minimised are the
     prediction errors of an observer under the applied voltage, whitened: its rate, and the colour of the sensor's
     noise, are those that make the records likeliest. Error bars follow from the curvature there and allow for what
-    colour is left. A model that does not reach the noise is fitted in closed loop instead, where that can be simulated:
-    what it lacks moves the measured voltage as well.
+    colour is left; in closed loop beside noise alone, for what the loop makes of that noise. A model that does not
+    reach the noise is fitted in closed loop instead, where that can be simulated: what it lacks moves the measured
+    voltage as well.
 
     Parameters
     ----------

@@ -11,9 +11,7 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.rounding import DRAWS, has_mean, own_spectra, parted, rounded
-from servolens.identification.runs import ClosedRun, VoltageRun
-from servolens.identification.segments import settled_steps
+from servolens.identification.rounding import has_mean, own_spectra, parted, rounded
 from servolens.identification.uncertainty import robust_covariance
 from servolens.identification.widths import linearised_widely
 
@@ -25,19 +23,16 @@ if TYPE_CHECKING:
     from servolens.identification.linear_model import Block
     from servolens.identification.options import FitOptions
     from servolens.identification.runs import Run
-    from servolens.identification.segments import Segment
     from servolens.plant import Plant
-    from servolens.record import Record
 
 __all__ = [
     "AT_NOISE",
     "DOWN_TO_NOISE",
     "Refinement",
     "Weights",
+    "beside_draws",
     "followed",
     "minimise_error",
-    "refine",
-    "refine_closed_loop",
 ]
 
 MOST_ITERATIONS = 60
@@ -141,53 +136,6 @@ class Refinement:
         return self.plant.with_named({name: float(found[group]) for name, found in self.local.items()})
 
 
-def refine(
-    plant: Plant,
-    segments: Sequence[Segment],
-    options: FitOptions,
-    *,
-    window: int = 21,
-) -> Refinement:
-    """Refine `plant` on stretches of motion, each driven by its voltage from an initial state of its own.
-
-    Parameters
-    ----------
-    plant : Plant
-        Start and structure.
-    segments : sequence of Segment
-        Stretches of motion.
-    options : FitOptions
-        What is held or bounded, and priors.
-    window : int
-        Samples of the smoothing derivative that gives the initial velocities.
-    """
-    runs: list[Run] = [VoltageRun(segment, 0, window) for segment in segments]
-    return minimise_error(plant, runs, options, noise=max(s.noise for s in segments))
-
-
-def refine_closed_loop(
-    plant: Plant,
-    records: Sequence[Record],
-    options: FitOptions,
-    *,
-    noise: float,
-) -> Refinement:
-    """Refine `plant` on whole steps in closed loop, each from rest at its first measured position.
-
-    Parameters
-    ----------
-    plant, options
-        As :func:`refine`.
-    records : sequence of Record
-        With reference and controller.
-    noise : float
-        Standard deviation of the position's noise, against which the priors are weighed.
-    """
-    steps = [step for record in records for step in settled_steps(record)]
-    runs: list[Run] = [ClosedRun(step, 0) for step in steps]
-    return minimise_error(plant, runs, options, noise=noise)
-
-
 def minimise_error(
     plant: Plant,
     runs: Sequence[Run],
@@ -269,6 +217,30 @@ def minimise_likewise(plant: Plant, runs: Sequence[Run], options: FitOptions, we
         problem.most_substeps = np.inf
     point, converged = descend(problem, point, MOST_ITERATIONS)
     return _finished(problem, point, [], converged=converged)
+
+
+def beside_draws(
+    refined: Refinement, runs: Sequence[Run], options: FitOptions, drawn: Sequence[NDArray[np.float64]]
+) -> Refinement:
+    """Return what was `refined` on `runs` with error bars of the noise that was `drawn`.
+
+    Parameters
+    ----------
+    drawn : sequence of ndarray, shape (m, draws)
+        What the noise adds to the residual of each run.
+
+    Raises
+    ------
+    NumericalError
+        If the plant cannot be simulated any more.
+    """
+    problem = Problem(refined.plant, runs, options, 1.0)
+    problem.noise, problem.outlier = refined.weights.noise, refined.weights.outlier
+    point = problem.at(refined.starts, refined.local)
+    problem.choose_substeps(point)
+    point.cost = problem.cost(point)
+    noise = _Rounding(means=refined.usual, drawn=tuple(drawn), moved=np.zeros(problem.free.size))
+    return _finished(problem, point, [], converged=refined.converged, rounding=noise)
 
 
 def followed(
@@ -411,7 +383,7 @@ def _covariances(
         of_runs = zip(rounding.drawn, blocks, strict=True)
         drawn = sum(draws.T @ block.jacobian[: draws.shape[0], index] for draws, block in of_runs)
         moved, last = inverse @ (drawn @ basis).T, basis.T @ rounding.moved[index]
-        robust = moved @ moved.T / DRAWS + inverse @ held @ inverse + np.outer(last, last)
+        robust = moved @ moved.T / moved.shape[1] + inverse @ held @ inverse + np.outer(last, last)
     return basis @ robust @ basis.T, basis @ inverse @ basis.T
 
 

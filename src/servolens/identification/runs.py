@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import TYPE_CHECKING, Any, Protocol, final
 
 import numpy as np
@@ -259,19 +260,20 @@ class ClosedRun(OneByOne):
     ) -> None:
         if in_motion:
             record = with_history(record)
-        self.group, self._loop, self._compared = group, ClosedLoop(record), compared
+        self.group, self.record, self._loop, self._compared = group, record, ClosedLoop(record), compared
         self.measured = applied_voltage(record) if compared == "voltage" else record.position
         self.samples = self.measured.size
         speed = np.abs(smooth(record.time, self.measured, min(21, self.samples))[1])
         self.whiten = Whitener(self.measured, speed, noise)
         self.sample_time = self._loop.sample_time
         self.start, self.shifts = _moving(record.time, record.position)
-        self._deviation = np.inf
+        self._deviation, self._still = np.inf, 1
         if not in_motion:
-            still = rest(record)
-            self.start, self.shifts = np.array([float(np.mean(record.position[:still]))]), self.shifts[:1]
-            self._deviation = max(noise_level(record) / np.sqrt(still), self.shifts[0])
+            self._still = rest(record)
+            self.start, self.shifts = np.array([float(np.mean(record.position[: self._still]))]), self.shifts[:1]
+            self._deviation = max(noise_level(record) / np.sqrt(self._still), self.shifts[0])
         self._begun = self.start
+        self._usual: NDArray[np.float64] | float = 0.0
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -285,7 +287,20 @@ class ClosedRun(OneByOne):
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
         away = (start - self._begun) / self._deviation
-        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away])
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away]) - self._usual
+
+    def less(self, usual: NDArray[np.float64]) -> ClosedRun:
+        """Return the same run, of whose measured position so much of an error is known beforehand, shape (n,)."""
+        other = copy(self)
+        other._usual = self.added(usual[:, None])[:, 0]
+        return other
+
+    def added(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what errors of the measured position, shape (n, k), add to the residual, shape (m, k)."""
+        away = np.broadcast_to(
+            np.mean(errors[: self._still], axis=0) / self._deviation, (self.start.size, errors.shape[1])
+        )
+        return -np.concatenate([self.whiten(errors), away])
 
 
 @final

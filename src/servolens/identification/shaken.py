@@ -81,11 +81,11 @@ def _measured(plant: Plant, begun: Beginning, disturbed: Disturbed) -> tuple[NDA
     return begun.simulated(plant, replace(record, voltage=voltage), **disturbed).measured, voltage
 
 
-def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator) -> NDArray[np.float64]:
+def shaking(noise: NoiseModel, record: Record, stream: np.random.Generator, draws: int = DRAWS) -> NDArray[np.float64]:
     """Return draws of the acceleration that shakes the axis [m/s² or rad/s²], shape (n, draws)."""
     from scipy.signal import lfilter
 
     kept, power = noise.shaking(record.sample_time)
-    white = stream.standard_normal((len(record), DRAWS))
+    white = stream.standard_normal((len(record), draws))
     white[1:] *= np.sqrt(1.0 - kept**2)
     return np.asarray(noise.spread * np.sqrt(power) * lfilter([1.0], [1.0, -kept], white, axis=0))

@@ -12,7 +12,8 @@ from servolens.findings import Finding
 from servolens.identification.damping_law import SHAPE, SIZE, fit_law
 from servolens.identification.explained import Explained, excerpt_of, explained
 from servolens.identification.fitted import model_of
-from servolens.identification.refine import refine, refine_closed_loop
+from servolens.identification.refine import minimise_error
+from servolens.identification.runs import ClosedRun, VoltageRun
 from servolens.identification.segments import motion_segments, settled_steps
 from servolens.identification.smoothing import smoothing_window
 from servolens.identification.varying import piece_duration
@@ -114,7 +115,8 @@ def _by_likelihood(start: Plant, segments: Sequence[Segment], options: FitOption
 def _optimum(left: Explained, start: Plant, segments: Sequence[Segment], options: FitOptions) -> Refinement:
     """Return the optimum on all records of `segments`; of stretches of motion, where whole ones cannot be simulated."""
     if left.hypothesis is None and left.loop is None:
-        return refine(start, segments, options.holding(SHAPE))
+        runs = [VoltageRun(segment, 0) for segment in segments]
+        return minimise_error(start, runs, options.holding(SHAPE), noise=max(s.noise for s in segments))
     return left.optimum(_records_of(segments))
 
 
@@ -145,7 +147,8 @@ def _in_closed_loop(
     slow = [trial for trial in trials if substeps_for(trial, step) <= most]
     if SIZE not in {*options.held, *options.bounds}:
         options = replace(options, bounds={**options.bounds, SIZE: (0.0, rate_within(most, step))})
-    found = [refine_closed_loop(trial, records, options, noise=noise) for trial in slow]
+    runs = [ClosedRun(one, 0) for record in records for one in settled_steps(record)]
+    found = [minimise_error(trial, runs, options, noise=noise) for trial in slow]
     return min(found, key=lambda refined: refined.rms_error, default=None)
 
 

@@ -27,14 +27,18 @@ def linearised_widely(problem: Problem, point: Point) -> tuple[Linearised, bool]
 
     Then standard errors depend on how far one looks, and small local minima would count as information. What
     contacts disturb is looked at as widely as the way was found; else the width is approached from above, for such
-    an error has many small widths that confirm themselves.
+    an error has many small widths that confirm themselves. Where wide differences claim to know a parameter better than
+    fine ones do, they are too wide: of parameters that are known together alone, a standard error of one moves much.
     """
-    found = problem.linearise(point)
-    fine = _widths(problem, point, found.information)
+    finely = problem.linearise(point)
+    fine = _widths(problem, point, finely.information)
     if fine is None:
-        return found, True
+        return finely, True
     narrow = np.minimum(fine, 0.1 * np.abs(point.values))
     found = problem.linearise_over(point, narrow)
+    seen = _widths(problem, point, found.information)
+    if seen is not None and (NON_SMOOTH * seen < fine).any():
+        return finely, True
     touched = problem.touched
     if touched.any():
         wide = problem.linearise_over(point, np.where(touched, problem.share_of(point, WIDER), narrow))
