@@ -207,7 +207,7 @@ def test_effect_that_does_not_say_how_it_goes_with_the_mass_is_refused_for_anoth
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
 def test_inertia_is_positive(wrong):
-    with pytest.raises(InputError, match="inertia must be positive"):
+    with pytest.raises(InputError, match="inertia must be a finite number larger than 0"):
         Plant(gain=GAIN, damping=DAMPING, inertia=wrong)
     with pytest.raises(InputError, match="inertia must be positive"):
         record(inertia=wrong)

@@ -199,7 +199,10 @@ def test_a_scaled_loop_asks_for_as_much_more(factor):
         ),
         (lambda: Controller.cascade(kp=1, kv=0), "kv must not be 0: the speed loop of a cascade needs it"),
         (lambda: Controller.cascade(kp=1, kv=1, kiv=-1), "kiv must have the sign of kv, got -1"),
-        (lambda: digital_controller(LAWS["pid"], 0.0), "sample_time must be positive and finite, got 0.0"),
+        (
+            lambda: digital_controller(LAWS["pid"], 0.0),
+            "sample_time must be a finite number larger than 0, got float 0.0",
+        ),
         (lambda: digital_controller(LAWS["clamping"], H), "anti_windup = clamping needs the limit of the command"),
         (
             lambda: simulate_loop(CART, LAWS["clamping"], TIME, 0 * TIME),

@@ -1058,7 +1058,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
     ),
     "prior without a width": (
         lambda: Prior(value=1.0, deviation=0.0),
-        "a prior needs a finite value and a positive standard deviation, got 1.0 and 0.0",
+        "a prior needs a finite value and a positive standard deviation, got float 1.0 and float 0.0",
     ),
 }
 
@@ -1081,7 +1081,7 @@ def test_profile_of_what_was_not_fitted_is_refused(friction_fit):
 
 
 def test_bootstrap_of_one_repeat_is_refused(friction_fit):
-    with pytest.raises(InputError, match="repeats must be at least 2, got 1"):
+    with pytest.raises(InputError, match="repeats must be a whole number of at least 2, got int 1"):
         bootstrap(friction_fit, repeats=1, seed=0)
 
 

@@ -17,17 +17,21 @@ from servolens import (
     Controller,
     CoulombFriction,
     Fit,
+    GainWishes,
     InputError,
     Model,
     PDSpec,
     Plant,
+    Prior,
     Record,
     assess,
     bootstrap,
     check,
+    check_response,
     closed_loop,
     compare,
     diagnose,
+    digital_controller,
     feedforward,
     fit,
     gain_map,
@@ -40,6 +44,7 @@ from servolens import (
     read_record,
     read_records,
     recommend,
+    record_from_dataframe,
     simulate,
     simulate_continuous,
     simulate_loop,
@@ -47,6 +52,7 @@ from servolens import (
     simulate_voltage,
     study_records,
     to_control,
+    trust,
     tune,
     tune_gains,
     write_report,
@@ -360,7 +366,7 @@ def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
         (lambda: Plant(gain=1, damping=1, effects=3), "effects with their numbers are needed, .*; got int 3"),
         (lambda: read_record(table()), "the path of a log is needed; got DataFrame .*record_from_dataframe"),
         (lambda: read_records(3), "paths of files, folders or campaigns are needed; got int 3"),
-        (lambda: closed_loop(PLANT, kp="60"), "kp and kd must be finite numbers, got '60'"),
+        (lambda: closed_loop(PLANT, kp="60"), "kp must be a finite number, got str '60'"),
         (lambda: held_response(PLANT, [0, 1], [1, 1]), "a system of python-control is needed, .*; got Plant"),
         (lambda: lab.step_record(PLANT, kp=60), "an axis is a Truth of servolens.lab, .*; got Plant"),
         (lambda: lab.Truth(gain=1, damping=1, effects=["delay"]), r"effects must be names .*; got list \['delay'\]"),
@@ -371,6 +377,185 @@ def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
 def test_what_cannot_be_used_is_said(ask, said):
     with pytest.raises(InputError, match=said):
         ask()
+
+
+LIMITED = Controller(kp=60.0, ki=5.0, anti_windup="clamping")
+SYSTEM = to_control(PLANT)
+
+
+def looped(**given):
+    return simulate_loop(
+        PLANT, given.pop("controller", LIMITED), RECORD.time, RECORD.reference, **{"limit": 10} | given
+    )
+
+
+def held(**given):
+    return held_response(SYSTEM, given.pop("time", [0, 1, 2]), given.pop("inputs", [1, 1, 1]), **given)
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: digital_controller(60, 0.001), "a Controller is needed, such as .*; got int 60"),
+        (lambda: digital_controller(LIMITED, "a"), "sample_time must be a finite number larger than 0, got str 'a'"),
+        (lambda: digital_controller(LIMITED, 0.1, limit=-1), "limit must be a finite number larger than 0, got int -1"),
+        (lambda: digital_controller(LIMITED, 0.1, limit=1, name=5), "name must be a text, got int 5"),
+        (lambda: to_control(PLANT, name=5), "name must be a text, got int 5"),
+        (lambda: to_control(PLANT, prefix=None), "prefix must be a text, got None"),
+        (
+            lambda: to_control(PLANT, friction_width="a"),
+            "friction_width must be a finite number larger than 0, got str",
+        ),
+        (lambda: held(inputs=[1, np.nan, 1]), "inputs must be finite; sample 1 is nan"),
+        (lambda: held(time=[0, 1, np.nan]), "time must be finite; sample 2 is nan"),
+        (lambda: held(time="a"), "time must hold numbers alone, got str 'a'"),
+        (lambda: held(initial_state=np.nan), "initial_state must be finite; sample 0 is nan"),
+        (lambda: held(params=5), "params must go by name, such as .*; got int 5"),
+        (lambda: held(params={"gain": np.nan}), "gain must be a finite number, got float nan"),
+        (lambda: held(check="no"), "check must be one of True, False; got str 'no'"),
+        (lambda: check_response(SYSTEM, 5), "a response of python-control is needed, .*; got int 5"),
+        (lambda: check_response(SYSTEM, held(), tolerance=np.nan), "tolerance must be a finite number of at least 0"),
+        (lambda: looped(controller=(60, 1)), "a Controller is needed, such as .*; got tuple"),
+        (lambda: looped(limit=np.nan), "limit must be a finite number larger than 0, got float nan"),
+        (lambda: looped(resolution=-1), "resolution must be a finite number of at least 0, got int -1"),
+        (lambda: looped(before="a"), "before must be a finite number, got str 'a'"),
+        (lambda: looped(start=5), "start must be position and velocity, .*; got int 5"),
+        (lambda: looped(start=("0", "0")), "start must hold numbers alone, got tuple"),
+        (lambda: looped(start=(np.nan, 0)), "start must be finite; sample 0 is nan"),
+        (lambda: looped(start=(0, 0, 5)), r"start must be position and velocity, .*; got tuple \(0, 0, 5\)"),
+        (lambda: looped(substeps=-2), "substeps must be a whole number of at least 1, got int -2"),
+        (lambda: simulate(PLANT, RECORD, substeps=2.5), "substeps must be a whole number of at least 1, got float 2.5"),
+        (
+            lambda: simulate(PLANT, RECORD, voltage_driven="no"),
+            "voltage_driven must be one of None, True, False; got str",
+        ),
+        (lambda: simulate_many(PLANT, RECORD, substeps=2.5), "substeps must be a whole number of at least 1"),
+        (lambda: simulate_many(PLANT, RECORD, workers=1.5), "workers must be a whole number of at least 1"),
+        (lambda: simulate_voltage(PLANT, [[0, 1]], [[1, 1]]), r"time must be one-dimensional, got shape \(1, 2\)"),
+        (lambda: simulate_continuous(PLANT, "60", 1, [0, 1], [1, 1]), "kp must be a finite number, got str '60'"),
+        (
+            lambda: simulate_continuous(PLANT, 60, 1, [0, 1], [1, 1], reference_before=np.nan),
+            "reference_before must be a finite number, got float nan",
+        ),
+        (lambda: Prior(value="2", deviation=1), "a prior needs a finite value and .*, got str '2' and int 1"),
+        (lambda: identify(RECORD, delta="a"), "delta must not be negative, got str 'a'"),
+        (lambda: identify(RECORD, piece="a"), "piece must be a finite number, got str 'a'"),
+        (lambda: fit((), RECORD, bounds={"gain": "12"}), "the bounds of gain must be .*; got str '12'"),
+        (lambda: fit((), RECORD, bounds={"gain": ("1", "2")}), "the bounds of gain must be .*; got tuple"),
+        (lambda: fit((), RECORD, priors={"gain": {1, 2}}), "the prior on gain must be .*; got set"),
+        (lambda: fit((), RECORD, fixed={"gain": "1.9"}), "gain must be fixed at a finite number, got str '1.9'"),
+        (lambda: bootstrap(fit((), RECORD), seed="a"), "seed must be a whole number of at least 0, got str 'a'"),
+        (lambda: bootstrap(fit((), RECORD), seed=1, repeats=2.5), "repeats must be a whole number of at least 2"),
+        (lambda: trust(PLANT, 5), "what servolens.design.tune returns is needed, got int 5"),
+        (lambda: trust([], None), "no model was given; at least one is needed"),
+        (lambda: GainWishes(free=None), "free gains are kd and perhaps kp, .* got None"),
+        (lambda: GainWishes(free=[5]), "free gains are kd and perhaps kp, .* got 5"),
+        (lambda: GainWishes(voltage_noise="1"), "voltage_noise must be a finite number larger than 0, got str '1'"),
+        (lambda: PDSpec(kp=100, settling_time=0.5, hunting="no"), "hunting must be one of True, False; got str 'no'"),
+        (lambda: feedforward(PLANT, [0, 1, 2, 3], [0, np.nan, 1, 1]), "reference must be finite; sample 1 is nan"),
+        (lambda: feedforward(PLANT, range(4), range(4), controller=5), "a Controller is needed, .*; got int 5"),
+        (lambda: feedforward(PLANT, range(4), range(4), friction="no"), "friction must be one of True, False; got str"),
+        (
+            lambda: Plant(gain=1, damping=1, inertia="a"),
+            "plant: inertia must be a finite number larger than 0, got str",
+        ),
+        (lambda: CoulombFriction(level="1"), "coulomb_friction: level must be a number, got str '1'"),
+        (lambda: Model(plant=5), "a Plant is needed, such as .*; got int 5"),
+        (lambda: Model(plant=PLANT, covariance=np.eye(3)), r"covariance must have shape \(2, 2\), got \(3, 3\)"),
+        (lambda: Model(plant=PLANT, reasons=5), "reasons must go by name, such as .*; got int 5"),
+        (lambda: RECORD.with_(5), "changes must go by name, such as .*; got int 5"),
+        (lambda: RECORD.with_({"time": None}), "time must be one-dimensional|time must be finite"),
+        (lambda: RECORD.with_({"name": 5}), "name must be a text, got int 5"),
+        (lambda: RECORD.with_({"time": pd.date_range("2026", periods=3)}), "time must hold numbers alone"),
+    ],
+)
+def test_what_is_of_a_wrong_kind_is_said_where_it_is_given(ask, said):
+    with pytest.raises(InputError, match=said):
+        ask()
+
+
+@pytest.mark.parametrize("read", [read_record, read_records, record_from_dataframe], ids=lambda read: read.__name__)
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"units": "mm"}, "units must go by name, such as {'position': 'mm'}; got str 'mm'"),
+        ({"columns": "position"}, "columns must go by name, such as {'position': 'qm'}; got str 'position'"),
+        ({"settings": 5}, "settings must go by name, such as {'kp': 60}; got int 5"),
+        ({"settings": {5: 1}}, "settings must go by name, such as {'kp': 60}; got dict"),
+        ({"settings": {"kp": np.array([60.0])}}, "kp must be a number, got ndarray"),
+    ],
+)
+def test_readers_say_what_goes_by_name(read, given, said, csv):
+    with pytest.raises(InputError, match=said):
+        read(table() if read is record_from_dataframe else csv, **given)
+
+
+@pytest.mark.parametrize("number", [np.float64(60), np.int64(60), np.array(60.0)], ids=lambda number: str(number.dtype))
+def test_numbers_of_numpy_are_numbers_in_settings(number, csv):
+    found = [
+        read_record(csv, settings={"kp": number}),
+        *read_records(csv, kp=number),
+        record_from_dataframe(table(), settings={"kp": number}),
+        *as_records(csv, {"kp": number}),
+    ]
+    assert [record.controller.kp for record in found] == [60.0] * 4
+
+
+def test_a_table_without_rows_has_no_samples():
+    with pytest.raises(InputError, match="a record needs at least 2 samples, got 0"):
+        record_from_dataframe(table()[:0])
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"scenarios": 2.5}, "scenarios must be a whole number of at least 1, got float 2.5"),
+        ({"seed": -1}, "seed must be a whole number of at least 0, got int -1"),
+        ({"overshoot": np.nan}, "overshoot must be a finite number of at least 0, got float nan"),
+        ({"references": ["a"]}, r"references \(sizes of steps\) must hold numbers alone"),
+    ],
+)
+def test_what_is_asked_of_a_recommendation_is_checked(given, said):
+    with pytest.raises(InputError, match=said):
+        recommend(PLANT, tune(PLANT, SPEC), **given)
+
+
+def test_sizes_of_steps_may_be_a_number_of_numpy():
+    design = tune(PLANT, SPEC)
+    kd = [recommend(PLANT, design, scenarios=2, references=size).recommended.kd for size in (0.2, np.array(0.2))]
+    assert kd[0] == kd[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"effort": "normal"}, "effort cannot be given for plants and models; they are for records"),
+        ({"heldout": RECORD, "priors": {"gain": (1, 2)}}, "heldout, priors cannot be given for plants and models"),
+        ({"kp": 60}, "kp cannot be given for plants and models"),
+        ({"efort": "quick"}, r"'efort' is no argument .*; did you mean 'effort'"),
+        ({"force": "no"}, "force must be one of True, False; got str 'no'"),
+        ({"certify": "no"}, "certify must be one of True, False; got str 'no'"),
+    ],
+)
+def test_what_has_no_meaning_for_a_plant_is_refused(given, said):
+    with pytest.raises(InputError, match=said):
+        tune(PLANT, SPEC, **given)
+
+
+TOLD_OF_PROGRESS = {
+    "diagnose": lambda progress: diagnose(RECORD, effort="quick", progress=progress),
+    "study_records": lambda progress: study_records(RECORD, SPEC, effort="quick", progress=progress),
+    "tune": lambda progress: tune(PLANT, SPEC, progress=progress),
+    "compare": lambda progress: compare(PLANT, PLANT, SPEC, progress=progress),
+    "tune_gains": lambda progress: tune_gains(PLANT, SPEC, GainWishes(scenarios=0), progress=progress),
+}
+
+
+@pytest.mark.parametrize("name", TOLD_OF_PROGRESS)
+def test_progress_is_a_function_or_none(name):
+    assert TOLD_OF_PROGRESS[name](None) is not None
+    with pytest.raises(InputError, match=r"progress must be a function of .*, or None; got int 5"):
+        TOLD_OF_PROGRESS[name](5)
 
 
 def test_one_effect_alone_makes_a_plant():

@@ -451,11 +451,11 @@ def test_what_cannot_be_read_is_refused_by_one_sentence(write, content, sentence
     [
         ({"settings": {"kp": float("nan")}}, "kp must be a finite number, got nan"),
         ({"settings": {"kp": 10**400}}, "kp must be a finite number, got inf"),
-        ({"settings": {"kp": True}}, "kp must be a number, got 'True'"),
-        ({"settings": {"kp": [1]}}, "kp must be a number, got '[1]'"),
-        ({"settings": {"name": 3}}, "name must be a text, got '3'"),
+        ({"settings": {"kp": True}}, "kp must be a number, got bool True"),
+        ({"settings": {"kp": [1]}}, "kp must be a number, got list [1]"),
+        ({"settings": {"name": 3}}, "name must be a text, got int 3"),
         ({"columns": {"pos": "x"}}, "columns: no signal is named 'pos'; did you mean 'position'?"),
-        ({"columns": {"position": 3}}, "columns: position must be a text, got '3'"),
+        ({"columns": {"position": 3}}, "columns: position must be a text, got int 3"),
         (
             {"columns": {"position": "qm"}},
             "no column named 'qm' for position; the columns are 'time, position, reference'",

@@ -304,9 +304,9 @@ def test_the_noise_is_that_of_the_records_where_the_model_knows_it():
         ({"free": ("kp",)}, "free gains are kd and perhaps kp"),
         ({"free": ("kd", "kv")}, "got kd, kv"),
         ({"objective": "speed"}, "objective must be one of"),
-        ({"peak_sensitivity": 1.0}, "peak_sensitivity must be finite and larger than 1, got 1.0"),
+        ({"peak_sensitivity": 1.0}, "peak_sensitivity must be a finite number larger than 1, got float 1.0"),
         ({"voltage_noise": 0.1}, "needs position_noise"),
-        ({"scenarios": -1}, "scenarios must be a whole number, not negative, got -1"),
+        ({"scenarios": -1}, "scenarios must be a whole number of at least 0, got int -1"),
     ],
     ids=["no kd", "unknown", "objective", "peak", "noise", "scenarios"],
 )

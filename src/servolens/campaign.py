@@ -13,6 +13,8 @@ from servolens.errors import InputError, described
 from servolens.reading import KEYS, read_log
 from servolens.reading.files import is_folder, located, printable, quote, read_bytes
 from servolens.reading.formats import SUFFIXES, is_bag
+from servolens.reading.roles import check_mapping
+from servolens.reading.settings import as_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -71,8 +73,7 @@ def read_records(
         ...
     servolens.errors.InputError: no records are given; name files, folders or a campaign TOML
     """
-    known = {**(settings or {}), **stated}
-    logs = read_logs(paths, settings=known, columns=columns, units=units, data_root=data_root)
+    logs = read_logs(paths, settings=as_settings(settings, stated), columns=columns, units=units, data_root=data_root)
     return tuple(log.reading.record for log in logs)
 
 
@@ -105,6 +106,8 @@ def read_logs(
     for path in named:
         if not isinstance(path, str | os.PathLike):
             raise InputError(f"paths of files, folders or campaigns are needed; got {described(path)}")
+    if not isinstance(data_root, str | os.PathLike | None):
+        raise InputError(f"data_root must be the path of a folder; got {described(data_root)}")
     root = None if data_root is None else _real(Path(data_root))
     beside = (settings or {}).get("reference_file")
     own = None if beside is None else _real(Path(str(beside)))
@@ -302,8 +305,8 @@ def _read(
     return read_log(
         source.path,
         settings={**source.settings, **given},
-        columns={**source.columns, **(columns or {})},
-        units={**source.units, **(units or {})},
+        columns={**source.columns, **check_mapping(columns, "columns", "qm")},
+        units={**source.units, **check_mapping(units, "units", "mm")},
         label=source.label,
     )
 

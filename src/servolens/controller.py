@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 import numpy as np
 
-from servolens.errors import InputError, unwrapped
+from servolens.errors import InputError, as_number, needed, number_within, unwrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["AntiWindup", "Controller"]
+__all__ = ["AntiWindup", "Controller", "as_limit", "check_controller"]
 
 AntiWindup = Literal["none", "clamping", "back_calculation"]
 TEXT_CHOICES = {
@@ -240,6 +240,30 @@ class Controller:
                 for name in ("kp", "kd", "ki", "velocity_feedforward", "integral_before")
             },
         )
+
+
+def check_controller(controller: Any) -> None:
+    """Refuse what is no controller.
+
+    Raises
+    ------
+    InputError
+        That says what it is.
+    """
+    needed(controller, Controller, "Controller(kp=60, kd=1)")
+
+
+def as_limit(limit: float | None) -> float:
+    """Return the `limit` of a command, infinite where it is None.
+
+    Raises
+    ------
+    InputError
+        If it is not positive.
+    """
+    if limit is None or as_number(limit) == math.inf:
+        return math.inf
+    return number_within(limit, 0.0, math.inf, "limit", above=True)
 
 
 def _check_number(name: str, value: object, *, optional: bool = False) -> None:

@@ -7,20 +7,28 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 __all__ = [
     "InputError",
     "NumericalError",
     "ServolensError",
+    "as_number",
+    "as_progress",
+    "as_text",
+    "by_name",
     "described",
+    "flags",
     "names_like",
     "needed",
     "number_within",
+    "one_of",
     "unwrapped",
+    "whole_number",
 ]
 
 MOST_NAMES = 6
@@ -47,6 +55,7 @@ def described(value: Any) -> str:
     """Return what a value is, for a message, with at most 40 characters of it."""
     if isinstance(value, type):
         return f"the class {value.__name__}"
+    value = unwrapped(value)
     text = " ".join(repr(value).split()) if isinstance(value, str | int | float | complex | list | tuple | dict) else ""
     kind = "None" if value is None else type(value).__name__
     return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
@@ -117,20 +126,113 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]+", "", name).lower()
 
 
-def number_within(value: Any, low: float, high: float, what: str) -> float:
-    """Return `value` as a float, if it is a finite number from `low` to `high`.
+def as_number(value: Any) -> float:
+    """Return `value` as a float; what is no number, such as a text, a truth value or an array, as NaN.
+
+    Examples
+    --------
+    >>> as_number(2), as_number("2"), as_number([2])
+    (2.0, nan, nan)
+    """
+    try:
+        return math.nan if isinstance(value, str | bytes | bool) or getattr(value, "ndim", False) else float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
+
+
+def number_within(value: Any, low: float, high: float, what: str, *, above: bool = False) -> float:
+    """Return `value` as a float, if it is a finite number from `low`, or `above` it, to `high`.
 
     Raises
     ------
     InputError
         If it is not.
     """
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    is_number = not isinstance(value, str) and not getattr(value, "ndim", False) and math.isfinite(number)
-    if not is_number or not low <= number <= high:
+    number = as_number(value)
+    if not math.isfinite(number) or not low <= number <= high or (above and number == low):
         wanted = f"number from {low:g} to {high:g}" if math.isfinite(high - low) else "finite number"
-        raise InputError(f"{what} must be a {wanted}, got {value!r}")
+        if low > -math.inf and high == math.inf:
+            wanted += f" larger than {low:g}" if above else f" of at least {low:g}"
+        raise InputError(f"{what} must be a {wanted}, got {described(value)}")
     return number
+
+
+def whole_number(value: Any, least: int, what: str) -> int:
+    """Return `value` as an int, if it is a whole number of at least `least`.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    number = as_number(value)
+    if not (number >= least and number.is_integer()):
+        raise InputError(f"{what} must be a whole number of at least {least}, got {described(value)}")
+    return int(value)
+
+
+def one_of(value: Any, choices: Iterable[Any], what: str) -> None:
+    """Refuse a `value` that is none of the `choices`.
+
+    Raises
+    ------
+    InputError
+        With what there is to choose from.
+    """
+    known = list(choices)
+    if not isinstance(value, Hashable) or value not in known:
+        raise InputError(f"{what} must be one of {', '.join(map(str, known))}; got {described(value)}")
+
+
+def flags(**given: Any) -> None:
+    """Refuse what is neither True nor False.
+
+    Raises
+    ------
+    InputError
+        With its name.
+    """
+    for what, value in given.items():
+        one_of(value, (True, False), what)
+
+
+def as_text(value: Any, what: str) -> str:
+    """Return `value`, if it is a text.
+
+    Raises
+    ------
+    InputError
+        If it is not.
+    """
+    if not isinstance(value, str):
+        raise InputError(f"{what} must be a text, got {described(value)}")
+    return value
+
+
+def by_name(what: str, given: Any, example: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return what is `given` by name, nothing where it is None.
+
+    Raises
+    ------
+    InputError
+        If it is no mapping, or a key is no text.
+    """
+    if not isinstance(given, Mapping | None) or not all(isinstance(name, str) for name in given or ()):
+        raise InputError(f"{what} must go by name, such as {example}; got {described(given)}")
+    return given or {}
+
+
+def as_progress(progress: Any) -> Callable[[str, int, int], None]:
+    """Return what is told of the progress (what, done, total); nobody where it is None.
+
+    Raises
+    ------
+    InputError
+        If it cannot be called.
+    """
+    if progress is None:
+        return lambda _what, _done, _total: None
+    if not callable(progress):
+        raise InputError(f"progress must be a function of (what, done, total), or None; got {described(progress)}")
+    told: Callable[[str, int, int], None] = progress
+    return told

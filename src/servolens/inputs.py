@@ -15,6 +15,7 @@ from servolens.jump_times import with_timed_jumps
 from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import KEYS, record_from_dataframe, record_from_timeresponse
+from servolens.reading.settings import as_settings
 from servolens.record import Record
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def as_records(
     [60.0, 60.0]
     """
     given = listed(source)
-    known = _settings(settings or {})
+    known = _settings(settings)
     found: list[Record] = []
     for is_path, some in groupby(given, key=lambda one: isinstance(one, str | os.PathLike)):
         if is_path:
@@ -213,7 +214,10 @@ def as_plant(source: Plants) -> Plant:
 
 def as_models(source: Plants) -> tuple[Model, ...]:
     """Return the models of one axis, or several; see :func:`as_model`."""
-    return tuple(as_model(one) for one in listed(source))
+    models = tuple(as_model(one) for one in listed(source))
+    if not models:
+        raise InputError("no model was given; at least one is needed")
+    return models
 
 
 def is_model(source: object) -> bool:
@@ -268,14 +272,15 @@ def _holds_model(source: object) -> bool:
     return any(isinstance(getattr(source, name, None), Model | Plant) for name in ("model", "plant"))
 
 
-def _settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+def _settings(given: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the settings with NumPy's numbers as Python's, without those that are None."""
+    settings = as_settings(given)
     for key in settings:
         if key not in KEYS:
             offer = names_like(key, (*KEYS, *ARGUMENTS), "")
             offer = offer if offer.endswith("?") else f"settings are {', '.join(KEYS)}"
             raise InputError(f"{key[:40]!r} is no argument and no setting of a record; {offer}")
-    return {k: v.item() if hasattr(v, "item") else v for k, v in settings.items() if v is not None}
+    return {key: value for key, value in settings.items() if value is not None}
 
 
 def _record(source: Any, settings: dict[str, Any], is_one_of_several: bool, number: int) -> Record:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.decoding import read_fields, read_json, whole
-from servolens.errors import InputError, names_like
+from servolens.errors import InputError, by_name, names_like, needed
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
+from servolens.record_signals import as_numbers
 from servolens.units import COMMAND_UNITS
 
 if TYPE_CHECKING:
@@ -129,6 +130,15 @@ class Model:
     identified_from: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
     evidence: Evidence | None = None
+
+    def __post_init__(self) -> None:
+        needed(self.plant, Plant, "Plant(gain=1.9, damping=6.0)")
+        by_name("reasons", self.reasons, {"gain": "given, not estimated"})
+        if self.covariance is not None:
+            covariance, size = as_numbers(self.covariance, "covariance"), len(self.plant.values)
+            if covariance.shape != (size, size):
+                raise InputError(f"covariance must have shape ({size}, {size}), got {covariance.shape}")
+            object.__setattr__(self, "covariance", covariance)
 
     def __repr__(self) -> str:
         """Return one line: every parameter with its error."""

@@ -22,7 +22,7 @@ from servolens.effects import (
     check_effect,
     effect_class,
 )
-from servolens.errors import InputError, described
+from servolens.errors import InputError, described, number_within
 from servolens.units import COMMAND_UNITS, LENGTH_UNITS, settled
 
 if TYPE_CHECKING:
@@ -109,8 +109,8 @@ class Plant:
                 object.__setattr__(self, "gain", effect.gain)
         if self.gain == 0:
             raise InputError("plant: gain must not be 0, the command would move nothing")
-        if self.inertia is not None and not 0 < self.inertia < inf:
-            raise InputError(f"plant: inertia must be positive, got {self.inertia!r}")
+        if self.inertia is not None:
+            object.__setattr__(self, "inertia", number_within(self.inertia, 0.0, inf, "plant: inertia", above=True))
         if self.free_damping is not None:
             object.__setattr__(self, "free_damping", FREE_DAMPING.check(self.free_damping, "plant"))
         given = (v for effect in self.effects for v in effect.values)

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 
 from servolens.control_arithmetic import Answer, LoopSignals, answer, ticks_a_sample
-from servolens.controller import Controller
-from servolens.errors import needed, unwrapped
+from servolens.controller import Controller, check_controller
+from servolens.errors import as_text, by_name, unwrapped
 from servolens.record_signals import as_signal, check_enabled, check_leads, check_time, is_number, require
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
@@ -120,9 +120,10 @@ class Record:
     def __post_init__(self) -> None:
         for quantity in SETTINGS:
             object.__setattr__(self, quantity, unwrapped(getattr(self, quantity)))
+        as_text(self.name, "name")
         for signal in (*SIGNALS, "jump_leads"):
             value = getattr(self, signal)
-            if value is not None:
+            if value is not None or signal in SIGNALS[:2]:
                 object.__setattr__(self, signal, as_signal(signal, value, self.name))
         n = self.time.size
         require(n >= 2, f"{self.name}: a record needs at least 2 samples, got {n}")
@@ -154,7 +155,7 @@ class Record:
         check_enabled(self.enabled, self.name)
         check_leads(self.jump_leads, steps, self.name)
         if self.controller is not None:
-            needed(self.controller, Controller, "Controller(kp=60, kd=1)")
+            check_controller(self.controller)
         require(
             self.controller is None or not self.controller.is_limited or self.voltage_limit is not None,
             f"{self.name}: anti_windup needs the limit of the command; give voltage_limit",
@@ -317,6 +318,7 @@ class Record:
     def with_(self, changes: Mapping[str, object]) -> Record:
         """Return a copy with other settings, e.g. ``record.with_({"controller": Controller(kp=58.7)})``."""
         known = {item.name for item in fields(self) if item.init}
+        changes = by_name("changes", changes, {"name": "run 1"})
         unknown = sorted(set(changes) - known)
         require(not unknown, f"{self.name}: no field named {', '.join(unknown)}; known are {', '.join(sorted(known))}")
         return replace(self, **changes)  # type: ignore[arg-type]  # the keys are field names

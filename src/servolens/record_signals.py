@@ -11,7 +11,7 @@ from servolens.errors import InputError, described
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["as_numbers", "as_signal", "check_enabled", "check_leads", "check_time", "is_number", "require"]
+__all__ = ["as_finite", "as_numbers", "as_signal", "check_enabled", "check_leads", "check_time", "is_number", "require"]
 
 
 def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
@@ -23,9 +23,27 @@ def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
         If they are no numbers, with `what` they are.
     """
     try:
+        if np.asarray(values).dtype.kind in "USmM":
+            raise TypeError
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
         raise InputError(f"{what} must hold numbers alone, got {described(values)}") from None
+
+
+def as_finite(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return an array of `values`, the samples along its last axis.
+
+    Raises
+    ------
+    InputError
+        If they are no finite numbers.
+    """
+    array = as_numbers(values, what)
+    odd = np.argwhere(~np.isfinite(np.atleast_1d(array)))
+    if odd.size:
+        k = int(odd[0, -1])
+        raise InputError(f"{what} must be finite; sample {k} is {np.atleast_1d(array)[tuple(odd[0])]}")
+    return array
 
 
 def as_signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
@@ -36,12 +54,8 @@ def as_signal(name: str, value: ArrayLike, record: str) -> NDArray[np.float64]:
     InputError
         If it is no finite one-dimensional array.
     """
-    array = as_numbers(value, f"{record}: {name}")
+    array = as_finite(value, f"{record}: {name}")
     require(array.ndim == 1, f"{record}: {name} must be one-dimensional, got shape {array.shape}")
-    finite = np.isfinite(array)
-    if not finite.all():
-        k = int(np.argmin(finite))
-        raise InputError(f"{record}: {name} must be finite; sample {k} is {array[k]}")
     if _is_frozen(array) and array.flags.c_contiguous:
         return array
     own = isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and not np.may_share_memory(array, value))

@@ -10,7 +10,7 @@ import numpy as np
 
 from servolens.bridge.system import PlantSystem
 from servolens.effects import DryFriction
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, described, number_within
 from servolens.simulation.loop import simulate_continuous, simulate_voltage
 from servolens.simulation.rates import substeps_for
 
@@ -84,7 +84,7 @@ def check_response(system: PlantSystem, response: Any, *, tolerance: float = TOL
     >>> check_response(loop, response) < 1e-7
     True
     """
-    return judge(system, response, tolerance, held=False)
+    return judge(system, response, number_within(tolerance, 0.0, np.inf, "tolerance"), held=False)
 
 
 def judge(system: Any, response: Any, tolerance: float, *, held: bool) -> float:
@@ -198,6 +198,8 @@ def _case(system: Any, response: Any) -> _Case:
 
 def _raw(system: PlantSystem, response: Any) -> tuple[Any, Any, Any, Any]:
     """Return time, outputs, states and inputs, or refuse a response that is not the system's."""
+    if not all(hasattr(response, part) for part in "tyxu"):
+        raise InputError(f"a response of python-control is needed, such as of held_response; got {described(response)}")
     time, outputs, states, inputs = response.t, response.y, response.x, response.u
     if states is None or np.shape(states) != (system.nstates, len(time)) or np.shape(inputs) != (1, len(time)):
         raise InputError(

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, final
 import control as ct
 import numpy as np
 
-from servolens.errors import InputError
+from servolens.controller import as_limit, check_controller
+from servolens.errors import InputError, as_text, number_within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -58,12 +59,12 @@ def digital_controller(
     >>> law.input_labels, law.output_labels, law.state_labels
     (['reference', 'position'], ['voltage'], ['integral', 'derivative', 'reference', 'signal_1'])
     """
-    if not (np.isfinite(sample_time) and sample_time > 0):
-        raise InputError(f"sample_time must be positive and finite, got {sample_time!r}")
-    if controller.is_limited and not (limit is not None and limit > 0):
+    check_controller(controller)
+    sample_time = number_within(sample_time, 0.0, np.inf, "sample_time", above=True)
+    if controller.is_limited and limit is None:
         raise InputError(f"anti_windup = {controller.anti_windup} needs the limit of the command; give it")
-    period = controller.control_period or float(sample_time)
-    law = _Law(controller, period, np.inf if limit is None else float(limit))
+    period = controller.control_period or sample_time
+    law = _Law(controller, period, as_limit(limit))
     return ControllerSystem(
         law.next_state,
         law.output,
@@ -71,7 +72,7 @@ def digital_controller(
         outputs=["voltage"],
         states=law.states,
         dt=period,
-        name=name,
+        name=None if name is None else as_text(name, "name"),
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from servolens.bridge.delay import delay_line, settled
 from servolens.dynamics import dynamics, ideal_pd
 from servolens.effects import TimeShift
-from servolens.errors import InputError, names_like
+from servolens.errors import InputError, by_name, names_like, number_within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -107,10 +107,12 @@ class Equations:
         InputError
             With the names that are.
         """
+        by_name("params", params, {"gain": 1.9})
         known = [*self.defaults, *self._left_out]
         for name in () if all(own in params for own in self.defaults) else params:
             if name not in known:
                 raise InputError(f"{name[:40]!r} is no parameter of this system; {names_like(name, known, 'it has')}")
+            number_within(params[name], -np.inf, np.inf, name)
 
     def numbers(self, params: Mapping[str, float]) -> list[float]:
         """Return all parameters in the order of `defaults`.

@@ -10,7 +10,8 @@ import numpy as np
 
 from servolens.bridge.checking import TOLERANCE, judge
 from servolens.bridge.system import PlantSystem
-from servolens.errors import InputError, described
+from servolens.errors import InputError, by_name, described, flags
+from servolens.record_signals import as_finite
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,6 +81,7 @@ def held_response(
     >>> response.states[0].round(6).tolist()
     [0.0, 1.0, 3.0]
     """
+    flags(check=check)
     grid, held = _signals(system, time, inputs)
     states = np.empty((system.nstates, grid.size))
     states[:, 0] = _begin(system, initial_state, grid, held, params)
@@ -114,7 +116,7 @@ def held_response(
 def _signals(system: Any, time: ArrayLike, inputs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     if not isinstance(system, ct.InputOutputSystem):
         raise InputError(f"a system of python-control is needed, such as to_control(plant); got {described(system)}")
-    grid, held = np.asarray(time, dtype=np.float64), np.atleast_2d(np.asarray(inputs, dtype=np.float64))
+    grid, held = as_finite(time, "time"), np.atleast_2d(as_finite(inputs, "inputs"))
     if grid.ndim != 1 or grid.size < 2 or np.diff(grid).min() <= 0:
         raise InputError(f"time must be one-dimensional, of at least 2 samples, and increase; got shape {grid.shape}")
     if held.shape != (system.ninputs, grid.size):
@@ -135,11 +137,11 @@ def _begin(
                 f'initial_state must be numbers, or "at rest" of one plant or loop; got {asked!r} of {system.name}'
             )
         return system.at_rest(0.0, float(held[0, 0]), time=float(grid[0]), params=params)
-    state = np.asarray(asked, dtype=np.float64)
+    state = as_finite(asked, "initial_state")
     if state.shape not in ((), (system.nstates,)):
         raise InputError(f"initial_state must be one number or have shape ({system.nstates},), got {state.shape}")
     return np.broadcast_to(state, system.nstates)
 
 
 def _plain(params: Mapping[str, float] | None) -> dict[str, float] | None:
-    return None if params is None else dict(params)
+    return None if params is None else dict(by_name("params", params, {"gain": 1.9}))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from numbers import Real
 from typing import TYPE_CHECKING, Any, final
 
 import control as ct
@@ -11,7 +10,7 @@ import numpy as np
 from servolens.bridge.delay import HIGHEST_ORDER
 from servolens.bridge.equations import Equations
 from servolens.effects import TimeShift
-from servolens.errors import InputError
+from servolens.errors import InputError, as_text, number_within
 from servolens.inputs import as_plant
 
 if TYPE_CHECKING:
@@ -119,9 +118,8 @@ def closed_loop(
     >>> loop.linearize([0.1, 0.0], 0.1).A.tolist()
     [[0.0, 1.0], [-190.0, -15.5]]
     """
-    if not (isinstance(kp, Real) and isinstance(kd, Real) and np.isfinite([kp, kd]).all()):
-        raise InputError(f"kp and kd must be finite numbers, got {kp!r} and {kd!r}")
-    return _system(as_plant(plant), {"kp": float(kp), "kd": float(kd)}, name, prefix, friction_width, delay_order)
+    gains = {name: number_within(gain, -np.inf, np.inf, name) for name, gain in (("kp", kp), ("kd", kd))}
+    return _system(as_plant(plant), gains, name, prefix, friction_width, delay_order)
 
 
 @final
@@ -220,11 +218,10 @@ class PlantSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control ships 
 def _system(
     plant: Plant, gains: dict[str, float], name: str | None, prefix: str, width: float, order: int | None
 ) -> PlantSystem:
-    if not (np.isfinite(width) and width > 0):
-        raise InputError(f"friction_width must be positive and finite, got {width!r}")
+    width = number_within(width, 0.0, np.inf, "friction_width", above=True)
     if order is not None and order not in range(1, HIGHEST_ORDER + 1):
         raise InputError(f"delay_order must be a whole number from 1 to {HIGHEST_ORDER}, got {order!r}")
-    equations = Equations(plant, gains, prefix, float(width), int(order or 0))
+    equations = Equations(plant, gains, as_text(prefix, "prefix"), width, int(order or 0))
     if order is None and any(issubclass(cls, TimeShift) for cls in equations.plant.structure):
         raise InputError(
             f"the plant has a delay of {plant.delay:g} s, which differential equations cannot hold: "
@@ -237,7 +234,7 @@ def _system(
         inputs=["reference" if gains else "voltage"],
         outputs=["position", "velocity", "voltage"] if gains else ["position", "velocity"],
         states=equations.states,
-        name=name,
+        name=None if name is None else as_text(name, "name"),
     )
 
 

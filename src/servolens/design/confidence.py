@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design.extrapolation import BEYOND, extrapolation
-from servolens.design.found import Light
+from servolens.design.found import Light, check_design
 from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import is_pushed, missed_share
 from servolens.inputs import as_models
@@ -61,6 +61,7 @@ def trust(models: Plants, design: Design | None) -> tuple[Light, Light]:
     of_model = _worst([_model_light(model) for model in known])
     if design is None:
         return of_model, Light(light="red", sentence="No gain was sought.")
+    check_design(design)
     return of_model, _gain_light(known, design, of_model)
 
 

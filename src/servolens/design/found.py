@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.decoding import decoded, fields_of, read_fields
 from servolens.design.response import Response
-from servolens.errors import InputError
+from servolens.errors import InputError, described
 from servolens.model import Model
 from servolens.result import Result
 
@@ -173,6 +173,18 @@ class Light:
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
         return {"light": self.light, "sentence": self.sentence}
+
+
+def check_design(design: Any) -> None:
+    """Refuse what is no design.
+
+    Raises
+    ------
+    InputError
+        That says what it is.
+    """
+    if not isinstance(design, Design):
+        raise InputError(f"what servolens.design.tune returns is needed, got {described(design)}")
 
 
 @final

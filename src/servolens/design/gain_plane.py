@@ -118,8 +118,8 @@ def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> Gain
     check_spec(spec)
     models = tuple(model.plant for model in as_models(plants))
     rows, columns = np.atleast_1d(as_numbers(kp, "kp")), np.atleast_1d(as_numbers(kd, "kd"))
-    if not models or rows.ndim != 1 or columns.ndim != 1 or not rows.size * columns.size:
-        raise InputError("a map needs at least one model, one kp and one kd")
+    if rows.ndim != 1 or columns.ndim != 1 or not rows.size * columns.size:
+        raise InputError("a map needs at least one kp and one kd")
     if not (np.isfinite(columns).all() and (columns >= 0.0).all()):
         raise InputError("kd of a map must be finite and not negative")
     specs = [replace(spec, kp=float(value)) for value in rows]

@@ -17,7 +17,7 @@ from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
 from servolens.design.spec import check_spec
-from servolens.errors import InputError
+from servolens.errors import InputError, as_progress, flags
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -72,7 +72,8 @@ def tune(
     6.28
     """
     check_spec(spec)
-    models = _checked(plants)
+    flags(with_program=with_program, certify=certify)
+    models, progress = _checked(plants), as_progress(progress)
     if (with_program or certify) and not (spec.is_pd and not spec.limits):
         raise InputError(
             "CasADi's program and the proof by enclosures are for PD only, and know no limits of the linearised loop;"

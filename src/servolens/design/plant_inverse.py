@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
+from servolens.controller import check_controller
 from servolens.design.inverse_dynamics import command_for, inverts, without_swings
 from servolens.design.rest import rest_of
 from servolens.effects import Saturation
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, flags
 from servolens.inputs import as_plant
-from servolens.record_signals import as_numbers
+from servolens.record_signals import as_finite
 from servolens.simulation import simulate_loop
 
 if TYPE_CHECKING:
@@ -84,7 +85,10 @@ def feedforward(
     [3.2, 3.2]
     """
     plant = as_plant(plant)
-    t, r = as_numbers(time, "time"), as_numbers(reference, "reference")
+    flags(velocity=velocity, acceleration=acceleration, friction=friction)
+    t, r = as_finite(time, "time"), as_finite(reference, "reference")
+    if controller is not None:
+        check_controller(controller)
     if t.ndim != 1 or t.size < 4 or r.shape != t.shape or not np.all(np.diff(t) > 0):
         raise InputError("a feedforward needs time that increases and a reference of its size, at least 4 samples")
     if plant.delay > 0:
@@ -97,7 +101,7 @@ def feedforward(
     limit = plant.effect(Saturation.name)
     if isinstance(limit, Saturation):
         found = np.clip(found, -limit.limit, limit.limit)
-    return found if controller is None else found - _braking(controller, t, np.asarray(reference, dtype=np.float64))
+    return found if controller is None else found - _braking(controller, t, as_finite(reference, "reference"))
 
 
 @final

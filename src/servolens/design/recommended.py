@@ -7,7 +7,6 @@ bound.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
@@ -15,17 +14,20 @@ import numpy as np
 
 from servolens.design.cover import gain_scale
 from servolens.design.extrapolation import BEYOND, FAR, within
-from servolens.design.found import Design, Recommended
+from servolens.design.found import Design, Recommended, check_design
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import TOLERANCE, counted, drawn
 from servolens.design.settle import evaluate
-from servolens.errors import InputError, described
-from servolens.inputs import as_models
+from servolens.errors import number_within, whole_number
+from servolens.inputs import as_models, listed
 from servolens.processors import in_parallel
+from servolens.record_signals import as_finite
 from servolens.units import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from servolens.design.response import Response
@@ -100,15 +102,13 @@ def recommend(
     (1.0, True)
     """
     known = as_models(models)
-    if not isinstance(design, Design):
-        raise InputError(f"what servolens.design.tune returns is needed, got {type(design).__name__}")
-    if not known or scenarios < 1:
-        raise InputError("a recommended gain needs at least one model and one scenario")
+    check_design(design)
+    scenarios, seed = whole_number(scenarios, 1, "scenarios"), whole_number(seed, 0, "seed")
+    if overshoot is not None:
+        overshoot = number_within(overshoot, 0.0, np.inf, "overshoot")
     if design.kd is None:
         return design
-    sizes = (references,) if isinstance(references, int | float) else references
-    if isinstance(sizes, str) or not isinstance(sizes, Iterable):
-        raise InputError(f"references must be sizes of steps, got {described(references)}")
+    sizes = np.ravel(as_finite(listed(references), "references (sizes of steps)")).tolist()
     specs = [design.spec, *(replace(design.spec, reference=size) for size in sizes)]
     limit = overshoot if design.spec.overshoot is None else design.spec.overshoot
     choosing, telling = (np.random.default_rng([seed, which]) for which in (0, 1))

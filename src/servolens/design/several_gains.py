@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from servolens.design.gains_search import GainsSearch
 from servolens.design.spec import check_spec
 from servolens.design.wishes import GainWishes
-from servolens.errors import needed
+from servolens.errors import as_progress, needed
 from servolens.inputs import as_models
 from servolens.processors import single_threaded_blas
 
@@ -43,7 +43,7 @@ def tune_gains(
     spec: PDSpec,
     wishes: GainWishes | None = None,
     *,
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    progress: Callable[[str, int, int], None] | None = None,
 ) -> GainsFound:
     """Return the gains that meet `spec` and `wishes` on all `models` and are best by the objective.
 
@@ -57,7 +57,7 @@ def tune_gains(
         What to reach. Its kp and derivative filter hold where they are not free; a free kp is sought around its kp.
     wishes : GainWishes, optional
         Which gains are free, what is to be best, and what else to keep to.
-    progress : callable
+    progress : callable, optional
         Is told (what, done, total).
 
     Raises
@@ -73,7 +73,7 @@ def tune_gains(
     >>> found.spec.kp < spec.kp, found.verified[0].meets
     (True, True)
     """
-    known = as_models(models)
+    known, progress = as_models(models), as_progress(progress)
     wanted = GainWishes() if wishes is None else wishes
     check_spec(spec)
     needed(wanted, GainWishes, "GainWishes(free=('kp', 'kd'))")

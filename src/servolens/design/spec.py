@@ -8,7 +8,7 @@ from typing import Any, Literal, final
 import numpy as np
 
 from servolens.controller import AntiWindup, Controller
-from servolens.errors import InputError, needed, unwrapped
+from servolens.errors import InputError, flags, needed, unwrapped
 
 __all__ = ["LINEAR_LIMITS", "PDSpec", "check_spec"]
 
@@ -93,6 +93,7 @@ class PDSpec:
 
     def __post_init__(self) -> None:
         _check_numbers(self)
+        flags(hunting=self.hunting)
         for name in ("kp", "settling_time", "sample_time"):
             _check(name, getattr(self, name), 0.0, np.inf)
         _check("band", self.band, 0.0, 1.0)

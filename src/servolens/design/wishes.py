@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from math import inf
 from typing import Any, Literal, final
 
-import numpy as np
-
-from servolens.errors import InputError
+from servolens.errors import InputError, number_within, one_of, whole_number
+from servolens.inputs import listed
 
 __all__ = ["GainWishes"]
 
@@ -57,21 +57,18 @@ class GainWishes:
     scenarios: int = 100
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", tuple(self.free))
-        if not any(law[0] in self.free and set(self.free) <= set(law) for law in LAWS):
+        object.__setattr__(self, "free", listed(self.free))
+        if not any(law[0] in self.free and all(one in law for one in self.free) for law in LAWS):
             raise InputError(
                 "free gains are kd and perhaps kp, derivative_filter and ki, of a cascade kv and perhaps kp,"
-                f" derivative_filter and kiv, got {', '.join(self.free)[:80]}"
+                f" derivative_filter and kiv, got {', '.join(map(str, self.free))[:80]}"
             )
-        if self.objective not in OBJECTIVES:
-            raise InputError(f"objective must be one of {', '.join(OBJECTIVES)}, got {str(self.objective)[:40]!r}")
+        one_of(self.objective, OBJECTIVES, "objective")
         for name in ("peak_sensitivity", "peak_complementary", "delay_margin", "voltage_noise", "position_noise"):
             value, least = getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0
-            if value is not None and not (np.isfinite(value) and value > least):
-                raise InputError(f"{name} must be finite and larger than {least:g}, got {value!r}")
-
-        if isinstance(self.scenarios, bool) or not isinstance(self.scenarios, int) or self.scenarios < 0:
-            raise InputError(f"scenarios must be a whole number, not negative, got {self.scenarios!r}")
+            if value is not None:
+                object.__setattr__(self, name, number_within(value, least, inf, name, above=True))
+        object.__setattr__(self, "scenarios", whole_number(self.scenarios, 0, "scenarios"))
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""

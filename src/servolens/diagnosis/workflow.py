@@ -20,7 +20,7 @@ from servolens.diagnosis.reasons import causes_of, may_be_nothing, own_quantitie
 from servolens.diagnosis.remainder import evidence_of, held_errors, remainder_of
 from servolens.diagnosis.result import Candidate, Diagnosis
 from servolens.effects import catalogue
-from servolens.errors import InputError, NumericalError
+from servolens.errors import InputError, NumericalError, as_progress, one_of
 from servolens.findings import Finding
 from servolens.identification.constant import contradicted
 from servolens.identification.fitted import fitted
@@ -56,7 +56,7 @@ def diagnose(
     heldout: Records = (),
     priors: Priors | None = None,
     effort: str = "normal",
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    progress: Callable[[str, int, int], None] | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Diagnosis:
     """Find what the model of gain and damping lacks, extend it, and measure the gain on held-out data.
@@ -76,7 +76,7 @@ def diagnose(
         Knowledge from elsewhere, by qualified parameter name.
     effort : {"quick", "normal", "thorough"}
         How far the search goes; bounds its time by the number of samples that it simulates.
-    progress : callable
+    progress : callable, optional
         Is told (what, done, total).
     **settings
         ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
@@ -99,7 +99,7 @@ def diagnose(
     ('explained', ['coulomb_friction'])
     """
     runs, others = as_groups(records, heldout, settings)
-    known = as_priors(priors)
+    known, progress = as_priors(priors), as_progress(progress)
     check_request(runs, others, known, effort)
     given = (*runs, *others)
     findings = log_findings(given)
@@ -220,8 +220,7 @@ def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: 
     """
     _check_priors(priors)
     _check_copies(records, heldout)
-    if effort not in EFFORT:
-        raise InputError(f"effort must be one of {', '.join(EFFORT)}; got {effort!r}")
+    one_of(effort, EFFORT, "effort")
 
 
 def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:

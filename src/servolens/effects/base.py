@@ -9,13 +9,13 @@ from __future__ import annotations
 from abc import ABC
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
-from math import isfinite
+from math import isfinite, isnan
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, final
 
 import numpy as np
 
-from servolens.errors import InputError, described
+from servolens.errors import InputError, as_number, described
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -97,10 +97,9 @@ class Parameter:
 
     def check(self, value: float, owner: str) -> float:
         """Return `value` as float, or raise InputError if it lies outside the range."""
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            raise InputError(f"{owner}: {self.name} must be a number, got {described(value)}") from None
+        number = as_number(value)
+        if isnan(number) and not isinstance(value, float):
+            raise InputError(f"{owner}: {self.name} must be a number, got {described(value)}")
         if not (isfinite(number) and self.low <= number <= self.high):
             raise InputError(f"{owner}: {self.name} must lie in [{self.low:g}, {self.high:g}], got {number:g}")
         return number

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, final, get_args
 
 import numpy as np
 
-from servolens.errors import InputError, described, names_like
+from servolens.errors import InputError, as_number, by_name, described, names_like
 
 __all__ = [
     "Begin",
@@ -34,10 +34,12 @@ class Prior:
     deviation: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.value) and np.isfinite(self.deviation) and self.deviation > 0):
-            raise InputError(
-                f"a prior needs a finite value and a positive standard deviation, got {self.value} and {self.deviation}"
-            )
+        value, deviation = as_number(self.value), as_number(self.deviation)
+        if not (np.isfinite(value) and np.isfinite(deviation) and deviation > 0):
+            given = f"{described(self.value)} and {described(self.deviation)}"
+            raise InputError(f"a prior needs a finite value and a positive standard deviation, got {given}")
+        object.__setattr__(self, "value", value)
+        object.__setattr__(self, "deviation", deviation)
 
 
 Loss = Literal["squares", "huber"]
@@ -163,12 +165,13 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
     InputError
         If something is not of the form that it must have.
     """
+    held = _names("fixed", fixed)
     values = {name: _number(name, value) for name, value in fixed.items()} if isinstance(fixed, Mapping) else {}
     return FitOptions(
-        held=_names("fixed", fixed),
+        held=held,
         values=values,
         local=_names("local", choices.pop("local", ())),
-        bounds={name: _bounds(name, bound) for name, bound in _by_name("bounds", bounds, (1.0, 3.0)).items()},
+        bounds={name: _bounds(name, bound) for name, bound in by_name("bounds", bounds, {"gain": (1.0, 3.0)}).items()},
         priors=as_priors(priors),
         **choices,
     )
@@ -176,13 +179,7 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
 
 def as_priors(priors: Priors | None) -> dict[str, Prior]:
     """Return priors by name, of values with their standard deviations too."""
-    return {name: _prior(name, prior) for name, prior in _by_name("priors", priors, (1.9, 0.1)).items()}
-
-
-def _by_name(what: str, given: Any, example: tuple[float, float]) -> Mapping[str, Any]:
-    if not isinstance(given, Mapping | None) or not all(isinstance(name, str) for name in given or ()):
-        raise InputError(f"{what} must go by name, such as {{'gain': {example}}}; got {described(given)}")
-    return given or {}
+    return {name: _prior(name, prior) for name, prior in by_name("priors", priors, {"gain": (1.9, 0.1)}).items()}
 
 
 def _names(what: str, given: Any) -> tuple[str, ...]:
@@ -194,35 +191,29 @@ def _names(what: str, given: Any) -> tuple[str, ...]:
 
 
 def _number(name: str, value: Any) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = np.nan
+    number = as_number(value)
     if not np.isfinite(number):
         raise InputError(f"{name} must be fixed at a finite number, got {described(value)}")
     return number
 
 
 def _bounds(name: str, bound: Any) -> tuple[float, float]:
-    try:
-        low, high = bound
-        return (-np.inf if low is None else float(low)), (np.inf if high is None else float(high))
-    except (TypeError, ValueError):
-        raise InputError(
-            f"the bounds of {name} must be a least and a larger value, such as (1.0, 3.0); got {described(bound)}"
-        ) from None
+    low, high = _pair(bound, f"the bounds of {name} must be a least and a larger value, such as (1.0, 3.0)", None)
+    return (-np.inf if low is None else low), (np.inf if high is None else high)
 
 
 def _prior(name: str, prior: Any) -> Prior:
     if isinstance(prior, Prior):
         return prior
-    try:
-        value, deviation = prior
-        return Prior(value=float(value), deviation=float(deviation))
-    except (TypeError, ValueError) as error:
-        if isinstance(error, InputError):
-            raise
-        raise InputError(
-            f"the prior on {name} must be a value and its standard deviation, such as (1.9, 0.1); "
-            f"got {described(prior)}"
-        ) from None
+    wanted = f"the prior on {name} must be a value and its standard deviation, such as (1.9, 0.1)"
+    value, deviation = _pair(prior, wanted)
+    return Prior(value=value, deviation=deviation)
+
+
+def _pair(given: Any, wanted: str, *others: Any) -> Any:
+    """Return the two numbers that are `given`, of which each may be one of the `others` instead; else say `wanted`."""
+    pair = () if isinstance(given, str | Set | Mapping) or not isinstance(given, Iterable) else tuple(given)
+    found = [one if any(one is other for other in others) else as_number(one) for one in pair]
+    if len(found) != 2 or any(one is not None and np.isnan(one) for one in found):
+        raise InputError(f"{wanted}; got {described(given)}")
+    return found

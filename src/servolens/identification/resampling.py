@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.errors import InputError, NumericalError, described
+from servolens.errors import InputError, NumericalError, described, whole_number
 from servolens.identification.fitting import runs_of
 from servolens.identification.observed import ObservedRun
 from servolens.identification.refine import minimise_error, minimise_likewise
@@ -141,8 +141,7 @@ def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
     NumericalError
         If most repeats cannot be fitted.
     """
-    if repeats < 2:
-        raise InputError(f"repeats must be at least 2, got {repeats}")
+    repeats, seed = whole_number(repeats, 2, "repeats"), whole_number(seed, 0, "seed")
     runs = _runs(fit)
     left = [run.residual(*where) for run, where in zip(runs, _ends(fit, runs), strict=True)]
     names = [

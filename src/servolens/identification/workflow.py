@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Unpack, final
 import numpy as np
 
 from servolens.decoding import fields_of, findings_in
-from servolens.errors import InputError, NumericalError, ServolensError
+from servolens.errors import InputError, NumericalError, ServolensError, as_number, described, number_within
 from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
@@ -248,6 +248,7 @@ def identify(
     """
     runs = as_records(records, settings)
     _check(model, delta)
+    piece = None if piece is None else number_within(piece, -np.inf, np.inf, "piece")
     options = _wanted(fixed, bounds, priors)
     segments = motion_segments(runs)
     if model == "varying":
@@ -271,8 +272,9 @@ def identify(
 def _check(model: str, delta: float | None) -> None:
     if model not in ("all", "constant", "varying", "velocity"):
         raise InputError(f"model must be 'all', 'constant', 'varying' or 'velocity', got {model!r}")
-    if delta is not None and not delta >= 0:
-        raise InputError(f"delta must not be negative, got {delta!r}; damping may fall by at most delta [1/s] a piece")
+    if delta is not None and not as_number(delta) >= 0:
+        given = described(delta)
+        raise InputError(f"delta must not be negative, got {given}; damping may fall by at most delta [1/s] a piece")
 
 
 def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Priors | None) -> FitOptions:

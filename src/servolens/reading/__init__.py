@@ -19,7 +19,7 @@ from servolens.reading.guess import Guess
 from servolens.reading.interpret import interpret
 from servolens.reading.memory import record_from_dataframe, record_from_timeresponse
 from servolens.reading.reading import Reading, made
-from servolens.reading.settings import KEYS
+from servolens.reading.settings import KEYS, as_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -67,7 +67,7 @@ def read_record(
     InputError
         With one sentence: what arrived and where, what is admissible, what to do.
     """
-    return read_log(path, settings={**(settings or {}), **stated}, columns=columns, units=units, label=label).record
+    return read_log(path, settings=as_settings(settings, stated), columns=columns, units=units, label=label).record
 
 
 def read_log(

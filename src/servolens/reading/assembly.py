@@ -95,7 +95,7 @@ def assemble(
         With one sentence, if table and settings do not make a record.
     """
     parsed = parse_settings(comments or {}, settings)
-    stated = _column_units(signals, {**header_units, **check_mapping(units, "units")})
+    stated = _column_units(signals, {**header_units, **check_mapping(units, "units", "mm")})
     stated |= {key: (amount.text, amount.unit) for key, amount in parsed.amounts.items() if amount.unit is not None}
     beside = read_reference_file(parsed.texts["reference_file"]) if "reference_file" in parsed.texts else None
     if beside is not None and beside.unit is not None and "reference" not in signals:
@@ -222,7 +222,7 @@ def _scaled(signals: Mapping[str, NDArray[np.float64]], stated: Stated) -> Signa
 
 def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
     for key, value in quantities.items():
-        largest = float(abs(value).max()) if not isinstance(value, float) and value.size else abs(float(value or 0.0))
+        largest = abs(value) if isinstance(value, float) else float(abs(value).max(initial=0.0))
         if largest > LARGEST_VALUE:
             raise InputError(f"{key} reaches {largest:g} in SI units; up to {LARGEST_VALUE:g} is read, check its unit")
 

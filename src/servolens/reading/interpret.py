@@ -100,7 +100,7 @@ def interpret(
     chosen = choose(tables, columns)
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
-    stated = check_mapping(units, "units")
+    stated = check_mapping(units, "units", "mm")
     found = _units(chosen, stated, {**comments, **gains, **(settings or {})})
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
     for signal, choice in chosen.items():

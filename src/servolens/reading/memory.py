@@ -10,6 +10,8 @@ from servolens.errors import InputError
 from servolens.reading.files import quote
 from servolens.reading.interpret import interpret
 from servolens.reading.reading import made
+from servolens.reading.roles import check_mapping
+from servolens.reading.settings import as_settings
 from servolens.reading.table import Column, Fault, Table
 from servolens.record import SIGNALS
 
@@ -52,6 +54,7 @@ def record_from_dataframe(
     >>> record_from_dataframe(frame, settings={"kp": 60}).sample_time
     0.001
     """
+    settings = as_settings(settings)
     if not hasattr(frame, "columns") or not hasattr(frame, "index"):
         raise InputError(f"a pandas DataFrame is needed, got {type(frame).__name__}")
     texts = [str(column) for column in frame.columns]
@@ -95,9 +98,9 @@ def record_from_timeresponse(
     time = np.asarray(response.time, dtype=np.float64)
     outputs = _labelled(response, "outputs", "output_labels", time.size)
     inputs = _labelled(response, "inputs", "input_labels", time.size)
-    mapping = dict(columns or {})
+    settings, mapping = as_settings(settings), check_mapping(columns, "columns", "qm")
     if not mapping:
-        mapping = _guess(list(outputs), list(inputs), "kp" in (settings or {}))
+        mapping = _guess(list(outputs), list(inputs), "kp" in settings)
     signals = {"time": time, **inputs, **outputs}
     table = Table(tuple(Column(label, values.copy()) for label, values in signals.items()))
     found = interpret([table], columns=mapping, units=units, settings=settings)

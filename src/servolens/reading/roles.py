@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.encoder import SPAN, white_noise
-from servolens.errors import InputError, names_like
+from servolens.errors import InputError, as_text, by_name, names_like
 from servolens.reading.files import quote
 from servolens.reading.words import Meaning, meaning, unit_behind
 from servolens.record import SIGNALS
@@ -108,7 +108,7 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
         If time or position is missing, a mapped column is missing, a needed name stands twice, or two columns may be
         the same signal: then with both readings.
     """
-    mapping = check_mapping(columns, "columns")
+    mapping = check_mapping(columns, "columns", "qm")
     absent = {signal for signal, name in mapping.items() if name.strip() == NONE}
     mapping = {signal: name for signal, name in mapping.items() if signal not in absent}
     found = _candidates(tables)
@@ -131,20 +131,19 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     return {signal: chosen[signal] for signal in SIGNALS if signal in chosen}
 
 
-def check_mapping(mapping: Mapping[str, str] | None, what: str) -> dict[str, str]:
-    """Return a mapping from signals to texts, or refuse it.
+def check_mapping(mapping: Mapping[str, str] | None, what: str, example: str) -> dict[str, str]:
+    """Return a mapping from signals to texts, such as an `example` for the position, or refuse it.
 
     Raises
     ------
     InputError
         If a key is no signal or a value no text.
     """
-    checked = dict(mapping or {})
+    checked = dict(by_name(what, mapping, {"position": example}))
     for signal, text in checked.items():
         if signal not in SIGNALS:
             raise InputError(f"{what}: no signal is named {quote(signal)}; {names_like(signal, SIGNALS, 'known are')}")
-        if not isinstance(text, str):
-            raise InputError(f"{what}: {signal} must be a text, got {quote(text)}")
+        as_text(text, f"{what}: {signal}")
     return checked
 
 

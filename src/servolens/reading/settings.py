@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
-from servolens.errors import InputError, names_like
+from servolens.errors import InputError, as_text, by_name, described, names_like, unwrapped
 from servolens.findings import Finding
 from servolens.reading.files import quote
 from servolens.units import Unit, parse_unit, split_number
@@ -15,7 +15,7 @@ from servolens.units import Unit, parse_unit, split_number
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-__all__ = ["KEYS", "Amount", "Settings", "comment_settings", "parse_settings"]
+__all__ = ["KEYS", "Amount", "Settings", "as_settings", "comment_settings", "parse_settings"]
 
 DIMENSIONED = (
     "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
@@ -97,6 +97,18 @@ def comment_settings(lines: Iterable[str]) -> dict[str, str]:
     return found
 
 
+def as_settings(given: Mapping[str, object] | None, stated: Mapping[str, object] | None = None) -> dict[str, Any]:
+    """Return the settings that a caller gave, with NumPy's numbers as Python's, and those `stated` as keywords.
+
+    Raises
+    ------
+    InputError
+        If they do not go by name.
+    """
+    settings = {**by_name("settings", given, {"kp": 60}), **(stated or {})}
+    return {key: unwrapped(value) for key, value in settings.items()}
+
+
 def parse_settings(comments: Mapping[str, object], given: Mapping[str, object] | None) -> Settings:
     """Read the settings of a file's comments, overridden by those of the caller.
 
@@ -168,7 +180,7 @@ def _pure(key: str, value: object, remarks: list[Finding]) -> float:
 
 def _number(key: str, value: object) -> tuple[float, str]:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
-        raise InputError(f"{key} must be a number, got {quote(value)}")
+        raise InputError(f"{key} must be a number, got {described(value)}")
     if not isinstance(value, str):
         return _finite(key, value), ""
     try:
@@ -200,6 +212,4 @@ def _word(key: str, value: object, allowed: tuple[str, ...]) -> str:
 
 
 def _name(value: object) -> str:
-    if not isinstance(value, str):
-        raise InputError(f"name must be a text, got {quote(value)}")
-    return "".join(c for c in value.strip() if c.isprintable())[:80]
+    return "".join(c for c in as_text(value, "name").strip() if c.isprintable())[:80]

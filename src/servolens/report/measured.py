@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
-from servolens.errors import InputError, described
+from servolens.errors import InputError, as_progress, described
 from servolens.report.measured_story import write_measured
 from servolens.report.printing import checked_page
 from servolens.results import to_finite
@@ -66,7 +66,7 @@ def write_report(
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"the path of the page is needed first, then the records; got {described(path)}")
     checked_page(Path(path))
-    tell = progress or (lambda *_: None)
+    tell = as_progress(progress)
     found = study_records(records, spec, effort=effort, progress=tell, **settings)
     return write_study(Path(path), found, progress=tell)
 

@@ -37,4 +37,7 @@ def as_grid(time: ArrayLike) -> NDArray[np.float64]:
 
 def as_floats(values: ArrayLike, what: str) -> NDArray[np.float64]:
     """Return `values` as the compiled rule reads them; `what` they are is told in a refusal."""
-    return np.ascontiguousarray(as_numbers(values, what))
+    array = as_numbers(values, what)
+    if array.ndim != 1:
+        raise InputError(f"{what} must be one-dimensional, got shape {array.shape}")
+    return np.ascontiguousarray(array)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 import numpy as np
 
 from servolens.control_law import command_at
+from servolens.controller import as_limit, check_controller
 from servolens.dynamics import ideal_pd
-from servolens.errors import InputError, number_within
+from servolens.errors import InputError, number_within, one_of, whole_number
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of
@@ -21,6 +22,7 @@ from servolens.simulation.settings import (
     NO_LAW,
     NO_OBSERVER,
     OPEN_LOOP,
+    begun,
     known,
     law_settings,
     loop_settings,
@@ -95,6 +97,7 @@ def simulate(
     """
     plant, record = as_plant(plant), as_record(record, settings)
     can_close = record.has_loop
+    one_of(voltage_driven, (None, True, False), "voltage_driven")
     driven = not can_close if voltage_driven is None else voltage_driven
     if driven and record.voltage is None:
         raise InputError(f"{record.name}: no voltage is logged, so it cannot drive a simulation")
@@ -196,14 +199,21 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         If the loop is unstable.
     """
     plant = as_plant(plant)
+    check_controller(controller)
     grid = as_grid(time)
     held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward, "feedforward")
     period = sample_time_of(grid)
-    law = law_settings(plant, controller, period, limit)
+    step = number_within(resolution, 0.0, inf, "resolution")
+    law = law_settings(plant, controller, period, None if limit is None else as_limit(limit))
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
-    settings = [1.0, *loop_settings(controller, period), resolution, ANY_NUMBER, *known(before), *corrects, *law]
-    count = substeps or substeps_for(plant, period)
-    return run_one(plant, Inputs(grid, held, as_floats(reference, "reference"), shaken), settings, start, count)
+    settings = [1.0, *loop_settings(controller, period), step, ANY_NUMBER, *known(before), *corrects, *law]
+    count = _substeps(substeps, plant, period)
+    return run_one(plant, Inputs(grid, held, as_floats(reference, "reference"), shaken), settings, begun(start), count)
+
+
+def _substeps(asked: int | None, plant: Plant, step: float, loop: float = 0.0) -> int:
+    """Return the steps a sample that are asked for, or those that the plant needs beside its `loop` [rad/s]."""
+    return substeps_for(plant, step, extra=loop) if asked is None else whole_number(asked, 1, "substeps")
 
 
 def _shaking(
@@ -246,7 +256,8 @@ def simulate_voltage(
     held = as_floats(voltage, "voltage")
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [*OPEN_LOOP, ANY_NUMBER, *known(before), *corrects, *NO_LAW]
-    return run_one(plant, Inputs(grid, held, held, shaken), settings, start, substeps or substeps_for(plant, step))
+    count = _substeps(substeps, plant, step)
+    return run_one(plant, Inputs(grid, held, held, shaken), settings, begun(start), count)
 
 
 def simulate_continuous(
@@ -276,10 +287,10 @@ def simulate_continuous(
     held = as_floats(reference, "reference")
     if plant.delay > 0.0:
         raise InputError("the ideal continuous loop cannot hold a delay; simulate the sampled loop instead")
-    loop = np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)
-    count = substeps or substeps_for(plant, step, extra=float(loop))
-    settings = [*OPEN_LOOP, ANY_NUMBER, *known(reference_before), *NO_OBSERVER, *NO_LAW]
-    result = run_one(plant, Inputs(grid, held, held), settings, start, count, (kp, kd))
+    kp, kd = number_within(kp, -inf, inf, "kp"), number_within(kd, -inf, inf, "kd")
+    count = _substeps(substeps, plant, step, float(np.sqrt(abs(plant.gain * kp)) + abs(plant.gain * kd)))
+    settings = [*OPEN_LOOP, ANY_NUMBER, *known(reference_before, "reference_before"), *NO_OBSERVER, *NO_LAW]
+    result = run_one(plant, Inputs(grid, held, held), settings, begun(start), count, (kp, kd))
     voltage = ideal_pd(kp, kd, held, result.measured, result.velocity)
     return Simulation(
         time=grid, position=result.position, velocity=result.velocity, voltage=voltage, measured=result.measured

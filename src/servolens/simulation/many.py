@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from servolens.errors import ServolensError
+from servolens.errors import ServolensError, one_of, whole_number
 from servolens.inputs import as_plant, as_record, listed
 from servolens.processors import in_parallel
 from servolens.simulation.loop import simulate
@@ -58,12 +58,15 @@ def simulate_many(
     >>> [len(run.position) for (run,) in runs]
     [100, 100]
     """
+    one_of(voltage_driven, (None, True, False), "voltage_driven")
+    substeps = None if substeps is None else whole_number(substeps, 1, "substeps")
+    threads = None if workers is None else whole_number(workers, 1, "workers")
     given = tuple(as_record(record) for record in listed(records))
 
     def runs(plant: Plant) -> tuple[Simulation | ServolensError, ...]:
         return tuple(_run(plant, record, voltage_driven, substeps) for record in given)
 
-    return tuple(in_parallel(runs, [as_plant(plant) for plant in listed(plants)], workers))
+    return tuple(in_parallel(runs, [as_plant(plant) for plant in listed(plants)], threads))
 
 
 def _run(

@@ -8,13 +8,26 @@ import numpy as np
 
 from servolens.control_arithmetic import samples_a_period
 from servolens.effects import Saturation
-from servolens.errors import InputError
+from servolens.errors import InputError, described, number_within
+from servolens.record_signals import as_finite
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servolens.controller import Controller
     from servolens.plant import Plant
 
-__all__ = ["ANY_NUMBER", "DISTURBED", "NO_LAW", "NO_OBSERVER", "OPEN_LOOP", "known", "law_settings", "loop_settings"]
+__all__ = [
+    "ANY_NUMBER",
+    "DISTURBED",
+    "NO_LAW",
+    "NO_OBSERVER",
+    "OPEN_LOOP",
+    "begun",
+    "known",
+    "law_settings",
+    "loop_settings",
+]
 
 ANY_NUMBER = 0.0
 """Most pieces into which substeps may be split, where there is no such limit."""
@@ -66,6 +79,24 @@ def law_settings(plant: Plant, controller: Controller, period: float, limit: flo
     ]
 
 
-def known(before: float | None) -> tuple[float, float]:
-    """Return what the rule is told of the time before the first sample."""
-    return (0.0, 0.0) if before is None else (1.0, before)
+def known(before: float | None, what: str = "before") -> tuple[float, float]:
+    """Return what the rule is told of the time before the first sample; a refusal says `what` it was given."""
+    return (0.0, 0.0) if before is None else (1.0, number_within(before, -np.inf, np.inf, what))
+
+
+def begun(start: Sequence[float]) -> list[float]:
+    """Return an initial position, velocity, and perhaps place within a gap, as a list.
+
+    Raises
+    ------
+    InputError
+        If they are not two or three finite numbers, the third from -1 to 1.
+    """
+    numbers = as_finite(start, "start")
+    if numbers.shape not in ((2,), (3,)) or np.any(abs(numbers[2:]) > 1.0):
+        raise InputError(
+            "start must be position and velocity, and perhaps the place within a gap, from -1 to 1;"
+            f" got {described(start)}"
+        )
+    found: list[float] = numbers.tolist()
+    return found

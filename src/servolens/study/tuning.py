@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from servolens import design as designing
 from servolens.design.spec import check_spec
-from servolens.errors import InputError
+from servolens.errors import InputError, flags
 from servolens.inputs import as_model, as_records, is_model, listed
 from servolens.plant import Plant
 from servolens.study.workflow import study_records
@@ -30,11 +30,11 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     references: float | Sequence[float] = (),
     heldout: Records = (),
     priors: Priors | None = None,
-    effort: str = "normal",
+    effort: str | None = None,
     force: bool = False,
     with_program: bool = False,
     certify: bool = False,
-    progress: Callable[[str, int, int], None] = lambda _what, _done, _total: None,
+    progress: Callable[[str, int, int], None] | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Design:
     """Return the least Kd that meets `spec`, every interval of gains that does, and the gain to use.
@@ -50,12 +50,12 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     references : float or sequence of float
         Sizes of further steps that the recommended gain has to meet [m or rad].
     heldout, priors, effort
-        For records, as in :func:`servolens.diagnose`.
+        For records alone, as in :func:`servolens.diagnose`.
     force : bool
         Whether to give a gain that is to be withheld. Of plants no gain is withheld: nothing speaks against them.
     with_program, certify : bool
         For plants and models, as in :func:`servolens.design.tune`.
-    progress : callable
+    progress : callable, optional
         Is told (what, done, total).
     **settings
         ``kp``, ``kd`` … that made the records, where tables and files do not state them
@@ -80,13 +80,17 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     (6.3, True)
     """
     check_spec(spec)
+    flags(force=force)
     given = listed(source)
     kinds = {is_model(one) for one in given}
     if len(kinds) > 1:
         raise InputError("records and models cannot be mixed; give tune either records or models")
     if kinds == {True}:
-        if settings:
-            raise InputError(f"{', '.join(settings)} cannot be given for plants and models; they are for records")
+        as_records((), settings, least=0)  # tells a misspelt one
+        asked = {"heldout": listed(heldout), "priors": priors, "effort": effort, **settings}
+        of_records = ", ".join(name for name, value in asked.items() if value)
+        if of_records:
+            raise InputError(f"{of_records} cannot be given for plants and models; they are for records")
         models = [as_model(one) for one in given]
         plants = [model.plant for model in models]
         found = designing.tune(plants, spec, with_program=with_program, certify=certify, progress=progress)
@@ -101,7 +105,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         references=references,
         heldout=tests,
         priors=priors,
-        effort=effort,
+        effort="normal" if effort is None else effort,
         force=force,
         progress=progress,
     )

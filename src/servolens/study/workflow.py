@@ -13,7 +13,7 @@ from servolens.design import compare, recommend
 from servolens.design.spec import check_spec
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
-from servolens.errors import InputError, NumericalError, ServolensError
+from servolens.errors import InputError, NumericalError, ServolensError, as_progress, flags
 from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
@@ -72,7 +72,7 @@ def study_records(
     priors: Priors | None = None,
     effort: str = "normal",
     force: bool = False,
-    progress: Progress = lambda _what, _done, _total: None,
+    progress: Progress | None = None,
     **settings: Unpack[RecordSettings],
 ) -> Study:
     """Go the whole way from records to a gain.
@@ -93,7 +93,7 @@ def study_records(
         How far the search for causes goes.
     force : bool
         Whether to give a gain that is to be withheld, and to seek causes in data whose sign or unit is wrong.
-    progress : callable
+    progress : callable, optional
         Is told (what, done, total).
     **settings
         ``kp``, ``kd`` … of tables and files (:class:`servolens.inputs.RecordSettings`).
@@ -118,7 +118,9 @@ def study_records(
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
-    progress("Checking the records", 0, 100)
+    flags(force=force)
+    tell = as_progress(progress)
+    tell("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
     begun = Study(
         records=runs,
@@ -139,8 +141,8 @@ def study_records(
     fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
     train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
     is_sought = force or not fatal(_findings(check))
-    modelled = _modelled(begun, train, tests, known, effort, progress, is_sought=is_sought)
-    found = _designed(modelled, train, spec, references, progress)
+    modelled = _modelled(begun, train, tests, known, effort, tell, is_sought=is_sought)
+    found = _designed(modelled, train, spec, references, tell)
     return _judged(found, force=force)
 
 
