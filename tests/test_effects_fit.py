@@ -276,6 +276,23 @@ def test_error_bars_allow_for_where_the_noise_in_the_loop_lets_the_axis_stop():
     assert np.all(squares > chi2.isf(1.0 - 1e-3, len(missed)))
 
 
+def test_what_only_a_sum_determines_has_no_narrow_error_bar():
+    """An axis that moves one way shows its friction and a constant force together alone."""
+    axis = Truth(
+        gain=2.7, damping=21.7, effects={"coulomb_friction": {"level": 4.0}, "constant_force": {"acceleration": -3.5}}
+    )
+    records = [
+        step_record(axis, kp, 13.8, reference=0.015, noise=2e-6, duration=0.8, encoder=0.0, seed=seed)
+        for seed, kp in ((1, 871.0), (2, 0.8 * 871.0), (3, 1.2 * 871.0))
+    ]
+    fit = servolens.fit(["coulomb_friction", "constant_force"], records)
+    assert fit.at_noise
+    for name, true in (("coulomb_friction.level", 4.0), ("constant_force.acceleration", -3.5)):
+        found = fit.quantities[name]
+        assert found.stderr is None or abs(found.value - true) < 3.0 * found.stderr
+        assert any(name in finding.message for finding in fit.findings)
+
+
 @pytest.mark.slow
 def test_sticking_and_delay_are_found_though_the_linear_gain_is_far_off():
     """An arm whose friction holds it on the way passes for one of several times the inertia."""

@@ -17,6 +17,8 @@ from servolens.diagnosis.trials import Trials
 from servolens.effects import (
     CATALOGUE,
     ActuatorLag,
+    AsymmetricDamping,
+    ConstantForce,
     CoulombFriction,
     PendulumGravity,
     ReturnSpring,
@@ -27,6 +29,7 @@ from servolens.effects import (
 )
 from servolens.identification.hypothesis import Hypothesis
 from servolens.identification.noise import NoiseModel
+from servolens.identification.score import ScoreTest
 
 HUNG = Seen(
     low=0.0, high=0.4, usual=(0.0, 0.3), speed=0.6, command=10.0, gain=1.9, damping=6.0,
@@ -104,6 +107,30 @@ def test_gain_and_damping_that_ran_away_are_taken_as_an_observer_tells_them(spru
     assert found.plant.values == observed.plant.values
     assert found.noise.rate == 0.0
     assert unshaken.observed(found) is found
+
+
+def test_friction_is_begun_beside_a_constant_force_where_the_axis_moves_one_way():
+    """The integral equation cannot solve for both: what pushes the axis all the time is their sum."""
+    truth = lab.Truth(
+        gain=2.7, damping=21.7, effects={"coulomb_friction": {"level": 4.0}, "constant_force": {"acceleration": -3.0}}
+    )
+    records = [
+        lab.step_record(truth, kp, noise=3e-6, duration=0.8, encoder=0.0, seed=i) for i, kp in enumerate((150.0, 120.0))
+    ]
+    trials = Trials(records, {}, len(catalogue()))
+    pushed = trials.likelihood.judged(trials.base().plant.with_effect(ConstantForce(acceleration=1.0)))
+    (start, *_) = trials.starts(ScoreTest(trials.likelihood, pushed), "coulomb_friction")
+    found = trials.likelihood.judged(start.plant)
+    assert found.noise.rate == 0.0 < pushed.noise.rate  # nothing seems to shake the axis any more
+    assert found.misfit < pushed.misfit - 1000.0
+    assert found.plant.named["coulomb_friction.level"] > 0.0
+
+
+def test_damping_that_no_sample_shows_in_one_direction_is_no_damping_by_direction():
+    """It holds the axis, as friction does."""
+    assert AsymmetricDamping(damping_difference=-12.0).is_whole(HUNG)
+    assert not AsymmetricDamping(damping_difference=-58156.0).is_whole(HUNG)
+    assert AsymmetricDamping(damping_difference=3000.0).is_whole(replace(HUNG, damping=2000.0))
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import numpy as np
 
 from servolens.diagnosis.integral_pairs import beside_a_force, best_pairs, needed, shapes, sized
 from servolens.diagnosis.ordering import by_total
-from servolens.effects import ConstantForce, CoulombFriction, Drive, DryFriction, Transmission, catalogue, effect_class
+from servolens.effects import CoulombFriction, Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
@@ -281,21 +281,21 @@ class Trials:
     def _standing(self, plant: Plant, cls: type[Effect], starts: Sequence[Plant]) -> list[Plant]:
         """Return plants whose dry friction holds the axis where it stands: its level is read off the standing command.
 
-        An axis that mostly sticks shows little of its friction in motion, and what it shows is biased with the gain.
+        An axis that mostly sticks shows little of its friction in motion, and what it shows is biased with the gain;
+        one that moves one way only shows none beside a constant force.
         """
         levels = [spec.name for spec in cls.parameters() if spec.name.startswith("level")]
-        if not (issubclass(cls, DryFriction) and levels and starts and self.standing > 0.0):
+        if not (issubclass(cls, DryFriction) and levels and self.standing > 0.0):
             return []
-        effect, constant = starts[0].effects[-1], plant.effect(ConstantForce.name)
+        shapes = [start.effects[-1] for start in starts] or self.screen.proposals_of(plant, cls)
+        if not shapes:
+            return []
+        effect = shapes[0]
         found = []
         for share in (1.0, HELD_SHARE):
             level = share * abs(plant.gain) * self.standing
             with suppress(InputError):  # a friction that grows with the speed by more than that is less than none
-                held = plant.with_effect(replace(effect, **dict.fromkeys(levels, level)))
-                found.append(held)
-                if isinstance(constant, ConstantForce):  # which seemed to be what it and the friction are together
-                    alone = constant.acceleration - level * self.screen.direction
-                    found.append(held.with_named({f"{ConstantForce.name}.acceleration": alone}))
+                found.append(plant.with_effect(replace(effect, **dict.fromkeys(levels, level))))
         return found
 
 

@@ -44,6 +44,13 @@ class AsymmetricDamping(Force):
         """See :meth:`servolens.effects.kinds.Force.physics`."""
         return p.damping_difference / 2 * axis.speed
 
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`.
+
+        Damping that stops the axis within a sample in one direction, and not in the other, is what holds it: friction.
+        """
+        return abs(self.damping_difference) * seen.sample_time <= max(1.0, 2.0 * seen.damping * seen.sample_time)
+
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[AsymmetricDamping]:
         """See :meth:`servolens.effects.base.Effect.starts`."""

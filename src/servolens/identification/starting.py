@@ -99,11 +99,6 @@ class Screen:
         """How many records the stretches are of."""
         return int(self.numbers[-1]) + 1
 
-    @property
-    def direction(self) -> float:
-        """Mean sign of the velocity: 1 or −1 where the axis moves one way only."""
-        return float(np.mean(np.sign(np.concatenate(self.velocity))))
-
     def solve(self, effects: Sequence[Effect]) -> tuple[Plant, float]:
         """Return the plant whose sizes solve the integral equation, and the root mean square of its residual.
 
