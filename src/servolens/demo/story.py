@@ -151,7 +151,7 @@ def _fit(demo: Demo) -> Section:
                 for t, e in (("Kp 60: error", True), ("Kp 60: position", False))
             ],
             "The speed-dependent model NLm1 on the record it was identified from, not held out (the paper's figure 7):"
-            " the control error on the left, the position on the right.",
+            " first the control error, then the position.",
         ),
         _law_figure(demo),
     )
@@ -246,8 +246,8 @@ def _law_figure(demo: Demo) -> Drawing:
         "damping-law",
         law_panels(demo),
         "Damping against speed from the three records (the paper's figure 8), each identified from its own record."
-        " Left: the paper's route, a curve through the damping of the pieces (markers) at their mean speeds; it"
-        " falls too fast below 0.2 m/s. Right: the same law fitted in the integral equation; the three curves"
+        " First the paper's route, a curve through the damping of the pieces (markers) at their mean speeds; it"
+        " falls too fast below 0.2 m/s. Then the same law fitted in the integral equation; the three curves"
         " lie on the truth.",
         "m",
     )

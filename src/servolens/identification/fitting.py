@@ -23,6 +23,7 @@ from servolens.identification.refine import (
     minimise_error,
 )
 from servolens.identification.restricted import counting_followed
+from servolens.identification.rounding import DRAWS as FEWEST_DRAWS
 from servolens.identification.rounding import spectrum_of
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
@@ -54,8 +55,9 @@ __all__ = [
     "simulation_error",
 ]
 
-DRAWS = 160
-"""Draws of what the loop makes of noise: an error bar is then known to 6 %."""
+DRAWS, MOST_DRAWN = 160, 3_000_000
+"""Draws of what the loop makes of noise, by which an error bar is known to 6 %; samples that are drawn, of each signal,
+beyond the fewest draws: they take a second and some hundred megabytes."""
 ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
 INERTIAS = (0.5, 2.0, 4.0, 8.0)
@@ -228,16 +230,13 @@ def _beside_feedback(
         means = [np.mean(error, axis=1) for error in errors]
         left = [residual + mean for residual, mean in zip(refined.residuals, means, strict=True)]
         noise = noise.estimated(left, [run.whiten for run in runs])
-        share *= _mean_square(left) / _mean_square(_about_mean(errors))
+        share *= _mean_square(left) / max(_mean_square(_about_mean(errors)), 1e-300)
         runs = [run.less(mean) for run, mean in zip(closed_runs(records, options, noise), means, strict=True)]
         refined = minimise_error(refined.plant, runs, options, noise=1.0)
     unknowns = int(np.isfinite(refined.colour).sum()) + sum(start.size for start in refined.starts)
     larger = float(np.sqrt(noise.inflation(sum(run.samples for run in runs), unknowns)))
     errors = _fed_back(refined, runs, noise, share)
-    drawn = [
-        larger * run.added(error - np.mean(error, axis=1, keepdims=True))
-        for run, error in zip(runs, errors, strict=True)
-    ]
+    drawn = [larger * run.added(rest) for run, rest in zip(runs, _about_mean(errors), strict=True)]
     return FinalFit(beside_draws(refined, runs, options, drawn), noise, records, "closed_loop")
 
 
@@ -246,10 +245,11 @@ def _fed_back(
 ) -> list[NDArray[np.float64]]:
     """Return draws of what the loop makes of this `share` of `noise`, and rounds, of each run, shape (n, draws)."""
     plants = [refined.plant_of(run.group) for run in runs]
+    count = int(np.clip(MOST_DRAWN / sum(run.samples for run in runs), FEWEST_DRAWS, DRAWS))
     draws = drawn_loop_errors(
-        plants, [run.record for run in runs], noise, unrounded=share * spectrum_of(noise), count=DRAWS
+        plants, [run.record for run in runs], noise, unrounded=share * spectrum_of(noise), count=count
     )
-    if len(draws) < DRAWS // 2:
+    if len(draws) < count // 2:
         raise NumericalError("the loop diverges beside the noise")
     return [np.column_stack(of_run) for of_run in zip(*draws, strict=True)]
 

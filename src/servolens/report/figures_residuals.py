@@ -139,7 +139,9 @@ def _in_one_scale(axes: list[Axes], ylabel: str) -> list[Axes]:
 def _caption(diagnosis: Diagnosis, missed: Sequence[_Missed], *, enlarged: bool, left_out: int) -> str:
     told = ["Simulated minus measured position."]
     if enlarged:
-        told = ["Simulated minus measured position; on the right only what is left with the causes, enlarged."]
+        told = [
+            "Simulated minus measured position; the last picture shows what is left with the causes only, enlarged."
+        ]
     told.append(f"Green: the noise of the position, ± {DEVIATIONS:g} standard deviations.")
     if diagnosis.heldout:
         told.append("Records marked as held out took no part in fit and choice; the others were fitted.")

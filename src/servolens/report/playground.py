@@ -124,8 +124,8 @@ def _caption(design: Design, plant: Plant, shown: float) -> str:
     if design.kd is not None:
         first, shaded = "as designed with", "; shaded, the gains that meet the spec"
     return (
-        f"The gain with its cliff and its spread. Left: the step of {number(abs(spec.reference))} {plant.length_unit},"
-        f" {first} {gains}, the band and the time it holds from (dashed). Right: when the step settles, against"
+        f"The gain with its cliff and its spread. First the step of {number(abs(spec.reference))} {plant.length_unit},"
+        f" {first} {gains}, the band and the time it holds from (dashed); then when the step settles, against"
         f" {names.free}{shaded}. Pale: {SCENARIOS} axes as they may be, drawn from what the data leave open, gains"
         " realised within 2 %, steps up and back. Where the line jumps, a swing touches the band: a gain beside such a"
         " cliff can miss the target by a whole swing. Simulated, no measured data."
