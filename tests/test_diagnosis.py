@@ -257,7 +257,7 @@ def test_effort_bounds_what_is_simulated(rubbing):
 
 
 def test_effort_that_does_not_exist_is_refused(rubbing):
-    with pytest.raises(InputError, match="effort must be one of quick, normal, thorough; got 'hasty'"):
+    with pytest.raises(InputError, match="effort must be one of quick, normal, thorough; got str 'hasty'"):
         diagnose(rubbing[0].records, effort="hasty")
 
 

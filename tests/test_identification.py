@@ -395,7 +395,7 @@ def test_node_rule_is_half_the_interval_between_velocity_zeros() -> None:
             {"priors": {"mass": Prior(value=1.0, deviation=1.0)}},
             "'mass' is no parameter of this model; those are gain, damping",
         ),
-        ({"delta": -1.0}, "delta must not be negative"),
+        ({"delta": -1.0}, "delta must be a number of at least 0"),
         ({"piece": 9.0}, "a piece must last between"),
         ({"piece": 0.001}, "would be"),
     ],

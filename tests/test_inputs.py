@@ -438,7 +438,7 @@ def held(**given):
             "reference_before must be a finite number, got float nan",
         ),
         (lambda: Prior(value="2", deviation=1), "a prior needs a finite value and .*, got str '2' and int 1"),
-        (lambda: identify(RECORD, delta="a"), "delta must not be negative, got str 'a'"),
+        (lambda: identify(RECORD, delta="a"), "delta must be a number of at least 0, got str 'a'"),
         (lambda: identify(RECORD, piece="a"), "piece must be a finite number, got str 'a'"),
         (lambda: fit((), RECORD, bounds={"gain": "12"}), "the bounds of gain must be .*; got str '12'"),
         (lambda: fit((), RECORD, bounds={"gain": ("1", "2")}), "the bounds of gain must be .*; got tuple"),

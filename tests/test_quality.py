@@ -436,15 +436,6 @@ def test_rounding_at_rest_is_no_spike():
     assert without_spikes(record) is record
 
 
-def test_clock_that_jitters_much_has_lost_nothing_and_keeps_its_cycle():
-    time = 2e-3 * (np.arange(1200) + np.random.default_rng(4).uniform(-0.3, 0.3, 1200))
-    record = Record(name="record", time=time, position=1.0 - np.exp(-20.0 * time), voltage=np.exp(-20.0 * time))
-    assert {"gaps", "cycle_changes", "jitter"} & {*codes(record)} == {"jitter"}
-    kept = np.delete(np.arange(1200), range(500, 504))
-    lost = Record(name="record", time=time[kept], position=record.position[kept], voltage=record.voltage[kept])
-    assert {"gaps", "cycle_changes", "jitter"} & {*codes(lost)} == {"gaps", "jitter"}
-
-
 def test_sample_between_two_gaps_is_no_spike():
     kept = np.r_[0:190, 200, 211:400]
     time = kept * 1e-3

@@ -135,6 +135,7 @@ def as_number(value: Any) -> float:
     (2.0, nan, nan)
     """
     try:
+        value = unwrapped(value)
         return math.nan if isinstance(value, str | bytes | bool) or getattr(value, "ndim", False) else float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
@@ -179,7 +180,7 @@ def one_of(value: Any, choices: Iterable[Any], what: str) -> None:
     InputError
         With what there is to choose from.
     """
-    known = list(choices)
+    known, value = list(choices), unwrapped(value)
     if not isinstance(value, Hashable) or value not in known:
         raise InputError(f"{what} must be one of {', '.join(map(str, known))}; got {described(value)}")
 

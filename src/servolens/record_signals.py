@@ -23,9 +23,10 @@ def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
         If they are no numbers, with `what` they are.
     """
     try:
-        if np.asarray(values).dtype.kind in "USmM":
+        given = np.asarray(values)
+        if values is None or given.dtype.kind in "USmMc":
             raise TypeError
-        return np.asarray(values, dtype=np.float64)
+        return given.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise InputError(f"{what} must hold numbers alone, got {described(values)}") from None
 
@@ -39,10 +40,9 @@ def as_finite(values: ArrayLike, what: str) -> NDArray[np.float64]:
         If they are no finite numbers.
     """
     array = as_numbers(values, what)
-    odd = np.argwhere(~np.isfinite(np.atleast_1d(array)))
-    if odd.size:
-        k = int(odd[0, -1])
-        raise InputError(f"{what} must be finite; sample {k} is {np.atleast_1d(array)[tuple(odd[0])]}")
+    if not np.isfinite(array).all():
+        first = np.argwhere(~np.isfinite(np.atleast_1d(array)))[0]
+        raise InputError(f"{what} must be finite; sample {first[-1]} is {np.atleast_1d(array)[tuple(first)]}")
     return array
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from math import inf
 from typing import Any, Literal, final
 
 from servolens.errors import InputError, number_within, one_of, whole_number
-from servolens.inputs import listed
 
 __all__ = ["GainWishes"]
 
@@ -57,7 +57,8 @@ class GainWishes:
     scenarios: int = 100
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "free", listed(self.free))
+        free = (self.free,) if isinstance(self.free, str) else self.free
+        object.__setattr__(self, "free", tuple(free) if isinstance(free, Iterable) else (free,))
         if not any(law[0] in self.free and all(one in law for one in self.free) for law in LAWS):
             raise InputError(
                 "free gains are kd and perhaps kp, derivative_filter and ki, of a cascade kv and perhaps kp,"

@@ -58,6 +58,8 @@ __all__ = [
 DRAWS, MOST_DRAWN = 160, 3_000_000
 """Draws of what the loop makes of noise, by which an error bar is known to 6 %; samples that are drawn, of each signal,
 beyond the fewest draws: they take a second and some hundred megabytes."""
+COMPARED = 10
+"""Of them, those whose spectrum is compared with that of what the fit leaves."""
 ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
 INERTIAS = (0.5, 2.0, 4.0, 8.0)
@@ -199,7 +201,7 @@ def _closed(records: tuple[Record, ...], plants: Sequence[Plant], options: FitOp
     refined = minimise_error(_best_closed(plants, runs, options), runs, options, noise=1.0, coarse=True)
     if options.loss == "squares" and refined.rms_error <= AT_NOISE * level:
         if options.compared == "position":
-            with suppress(NumericalError):
+            with suppress(InputError, NumericalError):
                 return _beside_feedback(refined, records, noise, options)
         for _ in range(ROUNDS):
             noise = noise.estimated(refined.residuals, [run.whiten for run in runs])
@@ -216,39 +218,40 @@ def _beside_feedback(
     The controller answers to the sensor's noise, and the axis with it. Where dry friction lets it stop differs by less
     than the noise, but for as long as it rests: no spectrum of what is left shows so little, and the estimates move by
     it all the same. So noise is drawn and the loop answers to it. What it leaves on average is taken off, error bars
-    are of the rest, and so much of it is drawn that as much is left as the fit leaves (indirect inference: Gourieroux
-    et al. 1993, doi:10.1002/jae.3950080507).
+    are of the rest. What is drawn is the sensor's own noise: its spectrum is changed until what the loop makes of it
+    has the spectrum of what the fit leaves (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
 
     Raises
     ------
     NumericalError
         If the loop of too many draws diverges.
     """
-    runs, share = closed_runs(records, options, noise), 1.0 - noise.share
+    runs, own = closed_runs(records, options, noise), spectrum_of(noise) * (1.0 - noise.share)
     for _ in range(ROUNDS):
-        errors = _fed_back(refined, runs, noise, share)
+        errors = _fed_back(refined, runs, noise, own)
         means = [np.mean(error, axis=1) for error in errors]
         left = [residual + mean for residual, mean in zip(refined.residuals, means, strict=True)]
-        noise = noise.estimated(left, [run.whiten for run in runs])
-        share *= _mean_square(left) / max(_mean_square(_about_mean(errors)), 1e-300)
-        runs = [run.less(mean) for run, mean in zip(closed_runs(records, options, noise), means, strict=True)]
+        whiten, rest = [run.whiten for run in runs], _about_mean(errors)
+        seen = [noise.estimated([error[:, k] for error in rest], whiten) for k in range(COMPARED)]
+        noise = noise.estimated(left, whiten)
+        own = own * spectrum_of(noise) / np.mean([spectrum_of(one) for one in seen], axis=0)
+        known = zip(closed_runs(records, options, noise), means, strict=True)
+        runs = [run.less(run.added(mean[:, None])[:, 0]) for run, mean in known]
         refined = minimise_error(refined.plant, runs, options, noise=1.0)
     unknowns = int(np.isfinite(refined.colour).sum()) + sum(start.size for start in refined.starts)
     larger = float(np.sqrt(noise.inflation(sum(run.samples for run in runs), unknowns)))
-    errors = _fed_back(refined, runs, noise, share)
+    errors = _fed_back(refined, runs, noise, own)
     drawn = [larger * run.added(rest) for run, rest in zip(runs, _about_mean(errors), strict=True)]
     return FinalFit(beside_draws(refined, runs, options, drawn), noise, records, "closed_loop")
 
 
 def _fed_back(
-    refined: Refinement, runs: Sequence[ClosedRun], noise: NoiseModel, share: float
+    refined: Refinement, runs: Sequence[ClosedRun], noise: NoiseModel, own: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return draws of what the loop makes of this `share` of `noise`, and rounds, of each run, shape (n, draws)."""
+    """Return draws of what the loop makes of noise of this spectrum, and rounds, of each run, shape (n, draws)."""
     plants = [refined.plant_of(run.group) for run in runs]
     count = int(np.clip(MOST_DRAWN / sum(run.samples for run in runs), FEWEST_DRAWS, DRAWS))
-    draws = drawn_loop_errors(
-        plants, [run.record for run in runs], noise, unrounded=share * spectrum_of(noise), count=count
-    )
+    draws = drawn_loop_errors(plants, [run.record for run in runs], noise, unrounded=own, count=count)
     if len(draws) < count // 2:
         raise NumericalError("the loop diverges beside the noise")
     return [np.column_stack(of_run) for of_run in zip(*draws, strict=True)]
@@ -256,10 +259,6 @@ def _fed_back(
 
 def _about_mean(errors: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
     return [error - np.mean(error, axis=1, keepdims=True) for error in errors]
-
-
-def _mean_square(errors: Sequence[NDArray[np.float64]]) -> float:
-    return float(np.mean(np.concatenate([error.ravel() for error in errors]) ** 2))
 
 
 def of_other_inertias(plant: Plant) -> Iterator[Plant]:

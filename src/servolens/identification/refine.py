@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.linear_model import Block
     from servolens.identification.options import FitOptions
-    from servolens.identification.runs import Run
+    from servolens.identification.runs import ClosedRun, Run
     from servolens.plant import Plant
 
 __all__ = [
@@ -108,8 +108,8 @@ class Refinement:
     status : str
         One sentence.
     usual : tuple of ndarray
-        What of the whitened residual of each run an encoder's rounding leaves on average, where that may be much:
-        it was taken off. Else empty.
+        What of the whitened residual of each run noise or an encoder's rounding leaves on average, where that may
+        be much: it was taken off. Else empty.
     """
 
     plant: Plant
@@ -220,7 +220,7 @@ def minimise_likewise(plant: Plant, runs: Sequence[Run], options: FitOptions, we
 
 
 def beside_draws(
-    refined: Refinement, runs: Sequence[Run], options: FitOptions, drawn: Sequence[NDArray[np.float64]]
+    refined: Refinement, runs: Sequence[ClosedRun], options: FitOptions, drawn: Sequence[NDArray[np.float64]]
 ) -> Refinement:
     """Return what was `refined` on `runs` with error bars of the noise that was `drawn`.
 
@@ -239,7 +239,7 @@ def beside_draws(
     point = problem.at(refined.starts, refined.local)
     problem.choose_substeps(point)
     point.cost = problem.cost(point)
-    noise = _Rounding(means=refined.usual, drawn=tuple(drawn), moved=np.zeros(problem.free.size))
+    noise = _Rounding(means=tuple(run.usual for run in runs), drawn=tuple(drawn), moved=np.zeros(problem.free.size))
     return _finished(problem, point, [], converged=refined.converged, rounding=noise)
 
 

@@ -11,7 +11,7 @@ from servolens.errors import InputError, NumericalError, described, whole_number
 from servolens.identification.fitting import runs_of
 from servolens.identification.observed import ObservedRun
 from servolens.identification.refine import minimise_error, minimise_likewise
-from servolens.identification.runs import Resampled
+from servolens.identification.runs import ClosedRun, Resampled
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -123,7 +123,8 @@ def bootstrap(fit: Fit, *, repeats: int = 100, seed: int) -> Bootstrap:
     Innovations are the residual whitened by the fit's noise model; they are drawn in blocks, which keep what colour is
     left (moving blocks; Künsch 1989, doi:10.1214/aos/1176347265). What an observer is corrected by stays as measured
     (the fixed design of Gonçalves and Kilian 2004, doi:10.1016/j.jeconom.2003.10.030). Where an encoder's rounding
-    dominates the noise, blocks do not know what the loop makes of it, and scatter more than the fit's error bars say.
+    dominates the noise, blocks do not know what the loop makes of it, and scatter more than the fit's error bars say;
+    of a fit in closed loop they do not know what it makes of any noise, and may scatter less.
 
     Parameters
     ----------
@@ -169,7 +170,9 @@ def _runs(fit: Fit) -> list[Run]:
         raise InputError("this fit was read from a file, which holds no records; fit them again")
     runs = runs_of(fit.records, fit.plant, fit.options, fit.noise_model, fit.driven)
     usual = fit.refinement.usual
-    return [run.less(usual[i]) if usual and isinstance(run, ObservedRun) else run for i, run in enumerate(runs)]
+    return [
+        run.less(usual[i]) if usual and isinstance(run, ObservedRun | ClosedRun) else run for i, run in enumerate(runs)
+    ]
 
 
 def _ends(fit: Fit, runs: Sequence[Run]) -> list[tuple[Plant, NDArray[np.float64], int]]:

@@ -273,7 +273,7 @@ class ClosedRun(OneByOne):
             self.start, self.shifts = np.array([float(np.mean(record.position[: self._still]))]), self.shifts[:1]
             self._deviation = max(noise_level(record) / np.sqrt(self._still), self.shifts[0])
         self._begun = self.start
-        self._usual: NDArray[np.float64] | float = 0.0
+        self.usual = np.zeros(self.samples + self.start.size)
 
     def missed(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
@@ -287,12 +287,12 @@ class ClosedRun(OneByOne):
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """See :class:`Run`."""
         away = (start - self._begun) / self._deviation
-        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away]) - self._usual
+        return np.concatenate([self.whiten(self.missed(plant, start, substeps)), away]) - self.usual
 
     def less(self, usual: NDArray[np.float64]) -> ClosedRun:
-        """Return the same run, of whose measured position so much of an error is known beforehand, shape (n,)."""
+        """Return the same run, of whose residual so much is known beforehand, shape (m,)."""
         other = copy(self)
-        other._usual = self.added(usual[:, None])[:, 0]
+        other.usual = usual
         return other
 
     def added(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -274,7 +274,9 @@ def _check(model: str, delta: float | None) -> None:
         raise InputError(f"model must be 'all', 'constant', 'varying' or 'velocity', got {model!r}")
     if delta is not None and not as_number(delta) >= 0:
         given = described(delta)
-        raise InputError(f"delta must not be negative, got {given}; damping may fall by at most delta [1/s] a piece")
+        raise InputError(
+            f"delta must be a number of at least 0, got {given}; damping may fall by at most delta [1/s] a piece"
+        )
 
 
 def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Priors | None) -> FitOptions:

@@ -29,8 +29,6 @@ MEDIAN, CHANGED = 7, 0.25
 """Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
 STEPS = 3.0
 """Steps that an encoder rounds and flickers by."""
-OUTLYING = 3.0
-"""Robust standard deviations of the intervals within which a clock that jitters makes them (Hampel's identifier)."""
 
 
 @final
@@ -78,12 +76,12 @@ def measure(record: Record) -> Sampling:
     """Measure clock and sensor.
 
     The noise is that of third differences (a cubic motion leaves none), by their median, so that edges do not count;
-    a gap is an interval longer than one and a half times the cycle at that time, and than the clock's jitter makes it.
+    a gap is an interval longer than one and a half times the cycle at that time.
     """
     intervals = np.diff(record.time)
     h = record.sample_time
-    cycles, usual = _cycles(intervals, h)
-    long = intervals > cycles + np.maximum(0.5 * cycles, usual)
+    cycles = _cycles(intervals, h)
+    long = intervals > 1.5 * cycles
     gaps, kept = np.flatnonzero(long), ~long
     y = record.position
     step = quantisation_step(y)
@@ -108,20 +106,19 @@ def top_speed(record: Record) -> float:
     return float(np.max(np.abs(moved) / passed))
 
 
-def _cycles(intervals: NDArray[np.float64], sample_time: float) -> tuple[NDArray[np.float64], float]:
-    """Return the cycle of the log at each interval, and by how much the clock's jitter changes an interval [s].
+def _cycles(intervals: NDArray[np.float64], sample_time: float) -> NDArray[np.float64]:
+    """Return the cycle of the log at each interval: a running median where it differs, else `sample_time` [s].
 
-    The cycle is a running median where it differs, else `sample_time`. A bus that changes its cycle keeps the new one;
-    lost samples make single long intervals, which a median (Hampel's filter) passes over.
+    A bus that changes its cycle keeps the new one; lost samples make single long intervals, which a median (Hampel's
+    filter) passes over.
     """
     usual = np.full(intervals.size, sample_time)
     if np.all(np.abs(intervals - sample_time) <= CHANGED * sample_time):
-        return usual, 0.0
+        return usual
     from scipy.ndimage import median_filter
 
     local = median_filter(intervals, size=MEDIAN, mode="nearest")
-    jitter = OUTLYING * 1.4826 * float(np.median(np.abs(intervals - local)))  # 1.4826: of a normal distribution
-    return np.where(np.abs(local - sample_time) > max(CHANGED * sample_time, jitter), local, usual), jitter
+    return np.where(np.abs(local - sample_time) > CHANGED * sample_time, local, usual)
 
 
 def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -92,6 +93,8 @@ def begun(start: Sequence[float]) -> list[float]:
     InputError
         If they are not two or three finite numbers, the third from -1 to 1.
     """
+    if isinstance(start, tuple) and len(start) == 2 and all(type(one) is float and isfinite(one) for one in start):
+        return [*start]  # most are
     numbers = as_finite(start, "start")
     if numbers.shape not in ((2,), (3,)) or np.any(abs(numbers[2:]) > 1.0):
         raise InputError(

@@ -87,8 +87,8 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
         raise InputError("records and models cannot be mixed; give tune either records or models")
     if kinds == {True}:
         as_records((), settings, least=0)  # tells a misspelt one
-        asked = {"heldout": listed(heldout), "priors": priors, "effort": effort, **settings}
-        of_records = ", ".join(name for name, value in asked.items() if value)
+        asked = {"heldout": listed(heldout) or None, "priors": priors or None, "effort": effort, **settings}
+        of_records = ", ".join(name for name, value in asked.items() if value is not None)
         if of_records:
             raise InputError(f"{of_records} cannot be given for plants and models; they are for records")
         models = [as_model(one) for one in given]
