@@ -263,14 +263,19 @@ def test_error_bars_allow_for_slow_noise_of_the_sensor(driven):
     assert fit.at_noise
 
 
-def test_error_bars_allow_for_where_the_noise_in_the_loop_lets_the_axis_stop():
-    """It rests for most of a record: as noise of single samples, that place would be known far too well."""
-    cart = Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+@pytest.mark.parametrize(
+    ("effect", "parameter", "value"), [("coulomb_friction", "level", 0.3), ("dead_zone", "width", 0.3)]
+)
+def test_error_bars_allow_for_what_the_loop_makes_of_noise(effect, parameter, value):
+    """Where friction lets the axis stop lasts, and a dead zone passes one half of the noise: neither is white."""
+    cart = Truth(gain=1.9, damping=6.0, effects={effect: {parameter: value}})
     missed = []
     for seed in range(16):
         record = step_record(cart, kp=60, noise=3e-5, duration=1.2, sample_time=0.003, seed=seed)
-        quantities = servolens.fit("coulomb_friction", record, driven="closed_loop").quantities.values()
-        missed.append([(q.value - true) / q.stderr for q, true in zip(quantities, (1.9, 6.0, 0.3), strict=True)])
+        fit = servolens.fit(effect, record, driven="closed_loop")
+        assert np.any(fit.refinement.usual[0] != 0.0)
+        found = fit.quantities.values()
+        missed.append([(q.value - true) / q.stderr for q, true in zip(found, (1.9, 6.0, value), strict=True)])
     squares = np.sum(np.square(missed), axis=0)
     assert np.all(squares < chi2.isf(1e-3, len(missed)))
     assert np.all(squares > chi2.isf(1.0 - 1e-3, len(missed)))

@@ -329,7 +329,7 @@ def test_the_file_of_a_result_does_wherever_a_plant_is_wanted(make, tmp_path):
     [
         (lambda: read_model(5), "the path of a model's file is needed; got int"),
         (lambda: Fit.from_json(5), "what to_json returned, or a file's path, is needed; got int"),
-        (lambda: recommend(PLANT, SPEC), "what servolens.design.tune returns is needed, got PDSpec"),
+        (lambda: recommend(PLANT, SPEC), "a Design is needed, such as what servolens.design.tune returns; got PDSpec"),
         (lambda: fit(RECORD, "coulomb_friction"), "an effect, its class or its name is needed, .*; got Record"),
         (lambda: fit("coulomb_friction", RECORD, bounds={"gain": 2}), r"the bounds of gain must be .*; got int 2"),
         (lambda: fit("coulomb_friction", RECORD, fixed="gain"), "gain has no value to be fixed at; write fixed="),
@@ -446,7 +446,7 @@ def held(**given):
         (lambda: fit((), RECORD, fixed={"gain": "1.9"}), "gain must be fixed at a finite number, got str '1.9'"),
         (lambda: bootstrap(fit((), RECORD), seed="a"), "seed must be a whole number of at least 0, got str 'a'"),
         (lambda: bootstrap(fit((), RECORD), seed=1, repeats=2.5), "repeats must be a whole number of at least 2"),
-        (lambda: trust(PLANT, 5), "what servolens.design.tune returns is needed, got int 5"),
+        (lambda: trust(PLANT, 5), "a Design is needed, such as what servolens.design.tune returns; got int 5"),
         (lambda: trust([], None), "no model was given; at least one is needed"),
         (lambda: GainWishes(free=None), "free gains are kd and perhaps kp, .* got None"),
         (lambda: GainWishes(free=[5]), "free gains are kd and perhaps kp, .* got 5"),

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, final
+from typing import TYPE_CHECKING, ClassVar, Literal, final
 
 import numpy as np
 
-from servolens.errors import InputError, as_number, needed, number_within, unwrapped
+from servolens.errors import InputError, as_number, number_within, unwrapped
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["AntiWindup", "Controller", "as_limit", "check_controller"]
+__all__ = ["AntiWindup", "Controller", "as_limit"]
 
 AntiWindup = Literal["none", "clamping", "back_calculation"]
 TEXT_CHOICES = {
@@ -80,6 +80,8 @@ class Controller:
     .. [1] K. J. Åström and T. Hägglund, *Advanced PID Control*, ISA 2006, sections 3.4 (set-point weighting) and 3.5
        (windup; the default tracking time is that of √(Ti Td)).
     """
+
+    example: ClassVar[str] = "Controller(kp=60, kd=1)"
 
     kp: float
     kd: float = 0.0
@@ -240,17 +242,6 @@ class Controller:
                 for name in ("kp", "kd", "ki", "velocity_feedforward", "integral_before")
             },
         )
-
-
-def check_controller(controller: Any) -> None:
-    """Refuse what is no controller.
-
-    Raises
-    ------
-    InputError
-        That says what it is.
-    """
-    needed(controller, Controller, "Controller(kp=60, kd=1)")
 
 
 def as_limit(limit: float | None) -> float:

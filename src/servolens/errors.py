@@ -61,8 +61,8 @@ def described(value: Any) -> str:
     return f"{kind} {text if len(text) <= 40 else f'{text[:39]}…'}".strip()
 
 
-def needed(value: Any, kind: type, example: str) -> None:
-    """Refuse a `value` that is not of the `kind` that is needed, of which there is an `example`.
+def needed(value: Any, kind: type) -> None:
+    """Refuse a `value` that is not of the `kind` that is needed, which has an ``example`` of itself.
 
     Raises
     ------
@@ -70,6 +70,7 @@ def needed(value: Any, kind: type, example: str) -> None:
         That says what it is.
     """
     if not isinstance(value, kind):
+        example = getattr(kind, "example", kind.__name__)
         raise InputError(f"a {kind.__name__} is needed, such as {example}; got {described(value)}")
 
 

@@ -132,7 +132,7 @@ class Model:
     evidence: Evidence | None = None
 
     def __post_init__(self) -> None:
-        needed(self.plant, Plant, "Plant(gain=1.9, damping=6.0)")
+        needed(self.plant, Plant)
         object.__setattr__(self, "reasons", by_name("reasons", self.reasons, {"gain": "given, not estimated"}))
         if self.covariance is not None:
             covariance, size = as_numbers(self.covariance, "covariance"), len(self.plant.values)

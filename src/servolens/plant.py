@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import inf
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects import (
     Actuator,
@@ -85,6 +85,8 @@ class Plant:
     InputError
         If a value is outside its range or effects cannot be there together.
     """
+
+    example: ClassVar[str] = "Plant(gain=1.9, damping=6.0)"
 
     gain: float
     damping: float

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 
 from servolens.control_arithmetic import Answer, LoopSignals, answer, ticks_a_sample
-from servolens.controller import Controller, check_controller
-from servolens.errors import as_text, by_name, unwrapped
+from servolens.controller import Controller
+from servolens.errors import as_text, by_name, needed, unwrapped
 from servolens.record_signals import as_signal, check_enabled, check_leads, check_time, is_number, require
 from servolens.record_text import csv_text, loop_settings
 from servolens.results import write_atomically
@@ -155,7 +155,7 @@ class Record:
         check_enabled(self.enabled, self.name)
         check_leads(self.jump_leads, steps, self.name)
         if self.controller is not None:
-            check_controller(self.controller)
+            needed(self.controller, Controller)
         require(
             self.controller is None or not self.controller.is_limited or self.voltage_limit is not None,
             f"{self.name}: anti_windup needs the limit of the command; give voltage_limit",

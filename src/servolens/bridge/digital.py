@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Any, final
 import control as ct
 import numpy as np
 
-from servolens.controller import as_limit, check_controller
-from servolens.errors import InputError, as_text, number_within
+from servolens.controller import Controller, as_limit
+from servolens.errors import InputError, as_text, needed, number_within
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.controller import Controller
 
 __all__ = ["ControllerSystem", "digital_controller"]
 
@@ -59,7 +58,7 @@ def digital_controller(
     >>> law.input_labels, law.output_labels, law.state_labels
     (['reference', 'position'], ['voltage'], ['integral', 'derivative', 'reference', 'signal_1'])
     """
-    check_controller(controller)
+    needed(controller, Controller)
     sample_time = number_within(sample_time, 0.0, np.inf, "sample_time", above=True)
     if controller.is_limited and limit is None:
         raise InputError(f"anti_windup = {controller.anti_windup} needs the limit of the command; give it")

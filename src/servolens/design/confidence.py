@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design.extrapolation import BEYOND, extrapolation
-from servolens.design.found import Light, check_design
+from servolens.design.found import Design, Light
 from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import is_pushed, missed_share
+from servolens.errors import needed
 from servolens.inputs import as_models
 from servolens.model_evidence import MATERIAL
 from servolens.units import readable
@@ -15,7 +16,6 @@ from servolens.units import readable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servolens.design.found import Design
     from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
     from servolens.model import Model
@@ -61,7 +61,7 @@ def trust(models: Plants, design: Design | None) -> tuple[Light, Light]:
     of_model = _worst([_model_light(model) for model in known])
     if design is None:
         return of_model, Light(light="red", sentence="No gain was sought.")
-    check_design(design)
+    needed(design, Design)
     return of_model, _gain_light(known, design, of_model)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from servolens.decoding import decoded, fields_of, read_fields
 from servolens.design.response import Response
-from servolens.errors import InputError, described
+from servolens.errors import InputError
 from servolens.model import Model
 from servolens.result import Result
 
@@ -175,18 +175,6 @@ class Light:
         return {"light": self.light, "sentence": self.sentence}
 
 
-def check_design(design: Any) -> None:
-    """Refuse what is no design.
-
-    Raises
-    ------
-    InputError
-        That says what it is.
-    """
-    if not isinstance(design, Design):
-        raise InputError(f"what servolens.design.tune returns is needed, got {described(design)}")
-
-
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
@@ -233,6 +221,7 @@ class Design(Result):
     """
 
     kind: ClassVar[str] = "design"
+    example: ClassVar[str] = "what servolens.design.tune returns"
 
     plants: tuple[Plant, ...]
     spec: PDSpec

@@ -12,8 +12,8 @@ from servolens.design.cover import SPARE, last_gain
 from servolens.design.linear_limits import keeps
 from servolens.design.margins import LinearLoops
 from servolens.design.settle import FEASIBLE, horizon, measured, settling_time, step_response
-from servolens.design.spec import check_spec
-from servolens.errors import InputError, NumericalError
+from servolens.design.spec import PDSpec
+from servolens.errors import InputError, NumericalError, needed
 from servolens.inputs import as_models
 from servolens.processors import in_parallel, single_threaded_blas
 from servolens.record_signals import as_numbers
@@ -21,7 +21,6 @@ from servolens.record_signals import as_numbers
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
     from servolens.plant import Plant
 
@@ -115,7 +114,7 @@ def gain_map(plants: Plants, spec: PDSpec, kp: ArrayLike, kd: ArrayLike) -> Gain
     >>> found.feasible.tolist(), found.least_noise
     ([[False, False], [False, True]], (100.0, 8.0))
     """
-    check_spec(spec)
+    needed(spec, PDSpec)
     models = tuple(model.plant for model in as_models(plants))
     rows, columns = np.atleast_1d(as_numbers(kp, "kp")), np.atleast_1d(as_numbers(kd, "kd"))
     if rows.ndim != 1 or columns.ndim != 1 or not rows.size * columns.size:

@@ -16,14 +16,13 @@ from servolens.design.infeasible import explain, unanswered
 from servolens.design.limit_cycle import hunting, without_hunting
 from servolens.design.linear_limits import none_keeps, within_limits
 from servolens.design.settle import evaluate, horizon
-from servolens.design.spec import check_spec
-from servolens.errors import InputError, as_progress, flags
+from servolens.design.spec import PDSpec
+from servolens.errors import InputError, as_progress, flags, needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servolens.design.limit_cycle import Hunting
-    from servolens.design.spec import PDSpec
     from servolens.plant import Plant
 
 __all__ = ["tune"]
@@ -71,7 +70,7 @@ def tune(
     >>> round(design.kd, 2)
     6.28
     """
-    check_spec(spec)
+    needed(spec, PDSpec)
     flags(with_program=with_program, certify=certify)
     models, progress = _checked(plants), as_progress(progress)
     if (with_program or certify) and not (spec.is_pd and not spec.limits):

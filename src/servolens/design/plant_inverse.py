@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from servolens.control_arithmetic import LoopSignals, answer
-from servolens.controller import check_controller
+from servolens.controller import Controller
 from servolens.design.inverse_dynamics import command_for, inverts, without_swings
 from servolens.design.rest import rest_of
 from servolens.effects import Saturation
-from servolens.errors import InputError, NumericalError, flags
+from servolens.errors import InputError, NumericalError, flags, needed
 from servolens.inputs import as_plant
 from servolens.record_signals import as_finite
 from servolens.simulation import simulate_loop
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.controller import Controller
     from servolens.design.scenarios import Scenario
     from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
@@ -88,7 +87,7 @@ def feedforward(
     flags(velocity=velocity, acceleration=acceleration, friction=friction)
     t, r = as_finite(time, "time"), as_finite(reference, "reference")
     if controller is not None:
-        check_controller(controller)
+        needed(controller, Controller)
     if t.ndim != 1 or t.size < 4 or r.shape != t.shape or not np.all(np.diff(t) > 0):
         raise InputError("a feedforward needs time that increases and a reference of its size, at least 4 samples")
     if plant.delay > 0:

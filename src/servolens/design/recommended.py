@@ -14,12 +14,12 @@ import numpy as np
 
 from servolens.design.cover import gain_scale
 from servolens.design.extrapolation import BEYOND, FAR, within
-from servolens.design.found import Design, Recommended, check_design
+from servolens.design.found import Design, Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import TOLERANCE, counted, drawn
 from servolens.design.settle import evaluate
-from servolens.errors import number_within, whole_number
+from servolens.errors import needed, number_within, whole_number
 from servolens.inputs import as_models, listed
 from servolens.processors import in_parallel
 from servolens.record_signals import as_finite
@@ -102,7 +102,7 @@ def recommend(
     (1.0, True)
     """
     known = as_models(models)
-    check_design(design)
+    needed(design, Design)
     scenarios, seed = whole_number(scenarios, 1, "scenarios"), whole_number(seed, 0, "seed")
     if overshoot is not None:
         overshoot = number_within(overshoot, 0.0, np.inf, "overshoot")

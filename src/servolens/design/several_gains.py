@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from servolens.design.gains_search import GainsSearch
-from servolens.design.spec import check_spec
+from servolens.design.spec import PDSpec
 from servolens.design.wishes import GainWishes
 from servolens.errors import as_progress, needed
 from servolens.inputs import as_models
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from servolens.design.gains_found import GainsFound
-    from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
 
 __all__ = ["tune_gains"]
@@ -75,8 +74,8 @@ def tune_gains(
     """
     known, progress = as_models(models), as_progress(progress)
     wanted = GainWishes() if wishes is None else wishes
-    check_spec(spec)
-    needed(wanted, GainWishes, "GainWishes(free=('kp', 'kd'))")
+    needed(spec, PDSpec)
+    needed(wanted, GainWishes)
     search = GainsSearch(known, spec, wanted)
     if search.beyond_band:
         return search.told(None, from_program=False)

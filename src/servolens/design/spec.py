@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numpy as np
 
 from servolens.controller import AntiWindup, Controller
-from servolens.errors import InputError, flags, needed, unwrapped
+from servolens.errors import InputError, flags, unwrapped
 
-__all__ = ["LINEAR_LIMITS", "PDSpec", "check_spec"]
+__all__ = ["LINEAR_LIMITS", "PDSpec"]
 
 WORDS = ("control", "controller", "anti_windup", "hunting")
 LINEAR_LIMITS = ("peak_sensitivity", "peak_complementary", "delay_margin", "noise_gain")
@@ -69,6 +69,8 @@ class PDSpec:
     InputError
         If a value is outside its range.
     """
+
+    example: ClassVar[str] = "PDSpec(kp=100, settling_time=0.5)"
 
     kp: float
     settling_time: float
@@ -176,17 +178,6 @@ class PDSpec:
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
-
-
-def check_spec(spec: Any) -> None:
-    """Refuse what is no spec.
-
-    Raises
-    ------
-    InputError
-        That says what it is.
-    """
-    needed(spec, PDSpec, "PDSpec(kp=100, settling_time=0.5)")
 
 
 def _check_law(spec: PDSpec) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from math import inf
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 from servolens.errors import InputError, number_within, one_of, whole_number
 
@@ -46,6 +46,8 @@ class GainWishes:
     InputError
         If a value is outside its range.
     """
+
+    example: ClassVar[str] = "GainWishes(free=('kp', 'kd'))"
 
     free: tuple[str, ...] = ("kp", "kd")
     objective: Literal["kd", "noise", "settling_time", "margin"] = "noise"

@@ -23,13 +23,13 @@ from servolens.identification.refine import (
     minimise_error,
 )
 from servolens.identification.restricted import counting_followed
-from servolens.identification.rounding import DRAWS as FEWEST_DRAWS
-from servolens.identification.rounding import spectrum_of
+from servolens.identification.rounding import DRAWS, FEW_DRAWS, about_mean, spectrum_of
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import depends_on_inputs, is_shaking
+from servolens.identification.uncertainty import MOST_SAMPLES
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -55,11 +55,8 @@ __all__ = [
     "simulation_error",
 ]
 
-DRAWS, MOST_DRAWN = 160, 3_000_000
-"""Draws of what the loop makes of noise, by which an error bar is known to 6 %; samples that are drawn, of each signal,
-beyond the fewest draws: they take a second and some hundred megabytes."""
-COMPARED = 10
-"""Of them, those whose spectrum is compared with that of what the fit leaves."""
+OFTENER = 4
+"""Times as often as elsewhere noise is drawn through the loop: an error bar is then known to 6 %."""
 ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
 INERTIAS = (0.5, 2.0, 4.0, 8.0)
@@ -229,10 +226,10 @@ def _beside_feedback(
     runs, own = closed_runs(records, options, noise), spectrum_of(noise) * (1.0 - noise.share)
     for _ in range(ROUNDS):
         errors = _fed_back(refined, runs, noise, own)
-        means = [np.mean(error, axis=1) for error in errors]
+        means, rest = zip(*map(about_mean, errors), strict=True)
         left = [residual + mean for residual, mean in zip(refined.residuals, means, strict=True)]
-        whiten, rest = [run.whiten for run in runs], _about_mean(errors)
-        seen = [noise.estimated([error[:, k] for error in rest], whiten) for k in range(COMPARED)]
+        whiten = [run.whiten for run in runs]
+        seen = [noise.estimated([error[:, k] for error in rest], whiten) for k in range(FEW_DRAWS)]
         noise = noise.estimated(left, whiten)
         own = own * spectrum_of(noise) / np.mean([spectrum_of(one) for one in seen], axis=0)
         known = zip(closed_runs(records, options, noise), means, strict=True)
@@ -241,24 +238,24 @@ def _beside_feedback(
     unknowns = int(np.isfinite(refined.colour).sum()) + sum(start.size for start in refined.starts)
     larger = float(np.sqrt(noise.inflation(sum(run.samples for run in runs), unknowns)))
     errors = _fed_back(refined, runs, noise, own)
-    drawn = [larger * run.added(rest) for run, rest in zip(runs, _about_mean(errors), strict=True)]
+    drawn = [larger * run.added(about_mean(error)[1]) for run, error in zip(runs, errors, strict=True)]
     return FinalFit(beside_draws(refined, runs, options, drawn), noise, records, "closed_loop")
 
 
 def _fed_back(
     refined: Refinement, runs: Sequence[ClosedRun], noise: NoiseModel, own: NDArray[np.float64]
 ) -> list[NDArray[np.float64]]:
-    """Return draws of what the loop makes of noise of this spectrum, and rounds, of each run, shape (n, draws)."""
+    """Return draws of what the loop makes of noise of this spectrum, and rounds, of each run, shape (n, draws).
+
+    So many draws of so many samples as elsewhere, or more of short records.
+    """
     plants = [refined.plant_of(run.group) for run in runs]
-    count = int(np.clip(MOST_DRAWN / sum(run.samples for run in runs), FEWEST_DRAWS, DRAWS))
+    often = np.clip(MOST_SAMPLES / sum(run.samples for run in runs), 1.0, OFTENER)
+    count = int(DRAWS * often)
     draws = drawn_loop_errors(plants, [run.record for run in runs], noise, unrounded=own, count=count)
     if len(draws) < count // 2:
         raise NumericalError("the loop diverges beside the noise")
     return [np.column_stack(of_run) for of_run in zip(*draws, strict=True)]
-
-
-def _about_mean(errors: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    return [error - np.mean(error, axis=1, keepdims=True) for error in errors]
 
 
 def of_other_inertias(plant: Plant) -> Iterator[Plant]:

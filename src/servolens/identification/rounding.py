@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DRAWS",
+    "FEW_DRAWS",
     "LOOPS",
+    "about_mean",
     "dominates",
     "drawn_noise",
     "has_mean",
@@ -138,8 +140,11 @@ def parted(run: ObservedRun | SimulatedRun, drawn: NDArray[np.float64]) -> tuple
 
     As large as a further draw is about that mean. Without a loop that is simulated the mean is 0: steps lie anywhere.
     """
-    if not run.signals.record.has_loop:
-        return np.zeros(drawn.shape[0]), drawn
+    return about_mean(drawn) if run.signals.record.has_loop else (np.zeros(drawn.shape[0]), drawn)
+
+
+def about_mean(drawn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the mean of draws, shape (n,), and the rest of each, as large as of a further draw, shape (n, draws)."""
     mean, count = np.mean(drawn, axis=1), drawn.shape[1]
     return mean, (drawn - mean[:, None]) * np.sqrt((count + 1.0) / (count - 1.0))
 

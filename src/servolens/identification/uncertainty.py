@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.segments import Segment
 
-__all__ = ["LinearEstimate", "apparent_noise", "correlation_factor", "robust_covariance"]
+__all__ = ["MOST_SAMPLES", "LinearEstimate", "apparent_noise", "correlation_factor", "robust_covariance"]
 
 MOST_SAMPLES, FEWEST_SEGMENTS = 50_000, 20
 """Of longer data the first samples of every k-th segment are looked at; the rest is taken to be like them."""

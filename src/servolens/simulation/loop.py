@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar, Unpack
 import numpy as np
 
 from servolens.control_law import command_at
-from servolens.controller import as_limit, check_controller
+from servolens.controller import Controller, as_limit
 from servolens.dynamics import ideal_pd
-from servolens.errors import InputError, number_within, one_of, whole_number
+from servolens.errors import InputError, needed, number_within, one_of, whole_number
 from servolens.inputs import as_plant, as_record
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.grids import as_floats, as_grid, sample_time_of
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from servolens.controller import Controller
     from servolens.inputs import Plants, Records, RecordSettings
     from servolens.plant import Plant
     from servolens.record import Record
@@ -199,7 +198,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         If the loop is unstable.
     """
     plant = as_plant(plant)
-    check_controller(controller)
+    needed(controller, Controller)
     grid = as_grid(time)
     held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward, "feedforward")
     period = sample_time_of(grid)

@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Unpack
 
 from servolens import design as designing
-from servolens.design.spec import check_spec
-from servolens.errors import InputError, flags
+from servolens.design.spec import PDSpec
+from servolens.errors import InputError, flags, needed
 from servolens.inputs import as_model, as_records, is_model, listed
 from servolens.plant import Plant
 from servolens.study.workflow import study_records
@@ -15,7 +15,7 @@ from servolens.study.workflow import study_records
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from servolens.design import Design, PDSpec
+    from servolens.design import Design
     from servolens.identification import Priors
     from servolens.inputs import Plants, Records, RecordSettings
     from servolens.model import Model
@@ -79,7 +79,7 @@ def tune(  # noqa: PLR0913 - what may be asked of a gain, all by keyword
     >>> round(design.kd, 1), design.recommended.kd > design.kd
     (6.3, True)
     """
-    check_spec(spec)
+    needed(spec, PDSpec)
     flags(force=force)
     given = listed(source)
     kinds = {is_model(one) for one in given}

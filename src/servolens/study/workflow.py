@@ -10,10 +10,10 @@ import numpy as np
 
 from servolens.checking import contradictions
 from servolens.design import compare, recommend
-from servolens.design.spec import check_spec
+from servolens.design.spec import PDSpec
 from servolens.diagnosis import diagnose
 from servolens.diagnosis.workflow import check_request
-from servolens.errors import InputError, NumericalError, ServolensError, as_progress, flags
+from servolens.errors import InputError, NumericalError, ServolensError, as_progress, flags, needed
 from servolens.findings import together
 from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
@@ -29,7 +29,6 @@ from servolens.study.spec import suggested_spec
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from servolens.design import PDSpec
     from servolens.diagnosis import Diagnosis
     from servolens.findings import Finding
     from servolens.identification import Identification, Prior, Priors
@@ -114,7 +113,7 @@ def study_records(
     (['green', 'green', 'green'], ['velocity_decay_damping'])
     """
     if spec is not None:
-        check_spec(spec)
+        needed(spec, PDSpec)
     runs, others = as_groups(records, heldout, settings)
     known = as_priors(priors)
     check_request(runs, others, known, effort)
