@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from servolens.effects import Effect
+    from servolens.identification.elementwise import Elementwise
     from servolens.identification.noise import NoiseModel
     from servolens.plant import Plant
 
@@ -92,21 +93,21 @@ def jumps_of(
         return np.zeros(voltage.size)
     if noise.pushed is None or noise.gain == 0.0:
         return np.asarray(noise.gain * np.diff(voltage, prepend=voltage[0]))
-    from casadi import DM
-
-    push, values = _push(noise.pushed.structure), DM(noise.pushed.values)
+    push, values = _push(noise.pushed.structure), noise.pushed.values
     before = np.concatenate([voltage[:1], voltage[:-1]])
-    found = [push(DM(np.stack([u, speed, time])), values).full().ravel() for u in (voltage, before)]
-    return np.asarray(found[0] - found[1])
+    now, held = (push([command, speed, time], values)[0] for command in (voltage, before))
+    return np.asarray(now - held)
 
 
 @lru_cache(maxsize=64)
-def _push(structure: tuple[type[Effect], ...]) -> Any:
-    """Return a CasADi function: the acceleration by command, velocity and time; what a drive remembers is empty."""
+def _push(structure: tuple[type[Effect], ...]) -> Elementwise:
+    """Return the acceleration by command, velocity and time; what a drive remembers is empty."""
     import casadi as ca
 
     from servolens.dynamics import dynamics
+    from servolens.identification.elementwise import Elementwise
 
     d = dynamics(structure)
     push = ca.substitute(d.push, ca.vertcat(d.position, d.states), ca.DM.zeros(1 + d.states.numel()))
-    return ca.Function("push", [ca.vertcat(d.command, d.velocity, d.time), d.parameters], [push])
+    arguments = [d.command, d.velocity, d.time, *ca.vertsplit(d.parameters)]
+    return Elementwise(ca.Function("push", arguments, [ca.densify(push)]), 3)
