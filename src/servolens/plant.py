@@ -155,9 +155,13 @@ class Plant:
 
     @property
     def remembers_voltage(self) -> bool:
-        """Whether the voltage before a record still shows in it."""
-        late = (TimeShift, Transmission, Sensor)
-        return any(isinstance(e, late) or (isinstance(e, Actuator) and bool(e.states)) for e in self.effects)
+        """Whether the voltage before a record still shows in it: not in an axis at rest, however it transmits."""
+        return any(isinstance(e, TimeShift) or (isinstance(e, Actuator) and bool(e.states)) for e in self.effects)
+
+    @property
+    def is_late(self) -> bool:
+        """Whether an effect makes the measured position follow the command late, by whatever it does."""
+        return self.remembers_voltage or any(isinstance(effect, Transmission | Sensor) for effect in self.effects)
 
     @property
     def delay(self) -> float:

@@ -183,7 +183,7 @@ class Explorer:
         which take up what a delay does, and transmissions and sensors, which delay by themselves.
         """
         alone = best_of_each([h for h in (*self.singles, *self.judged) if len(h.causes) == 1])
-        few = [h for h in alone if h.plant.unusual - 2 <= FEW_PARAMETERS and not h.plant.remembers_voltage]
+        few = [h for h in alone if h.plant.unusual - 2 <= FEW_PARAMETERS and not h.plant.is_late]
         singles = families(few)[: self.effort.judged]
         jobs = []
         for like, late in product(singles, LATE):

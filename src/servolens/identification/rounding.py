@@ -49,6 +49,10 @@ __all__ = [
 DOMINATES = 0.5
 """Share of rounding in the noise's variance from which on it is what decides: an axis at rest shows no noise."""
 
+DITHERED = 0.5
+"""Standard deviation of quick noise, in steps of the encoder, from which on rounding is one more white noise: its mean,
+wherever the axis is, is less than exp(−2π²/4)/π of a step, 0.2 % (Widrow and Kollár, *Quantization Noise*, 2008)."""
+
 DRAWS = 40
 """Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
 FREQUENCIES, BAND = 1024, 5
@@ -65,8 +69,13 @@ LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
 
 
 def is_rounded(noise: NoiseModel) -> bool:
-    """Tell whether an encoder's rounding is part of the noise of a simulation."""
-    return noise.rate == 0.0 and noise.share > 0.0 and noise.rounding > 0.0
+    """Tell whether an encoder's rounding is a part of the noise of a simulation that is not white itself.
+
+    Quick noise makes it so: the flat floor of the spectrum holds that noise and the rounding's own.
+    """
+    if noise.rate != 0.0 or noise.share == 0.0 or noise.rounding == 0.0:
+        return False
+    return bool(np.min(spectrum_of(noise)) < (DITHERED**2 + 1.0 / 12.0) * noise.rounding**2)
 
 
 def dominates(noise: NoiseModel) -> bool:
