@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Regressor", "regressor"]
 
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Regressor:
@@ -41,7 +42,8 @@ class Regressor:
         self, time: NDArray[np.float64], position: NDArray[np.float64], velocity: NDArray[np.float64], *shapes: float
     ) -> NDArray[np.float64]:
         """Return φ for each size, shape ``(sizes, n)``: the force per unit of that size at measured signals."""
-        return np.asarray(self._columns([position, velocity, time, np.sign(velocity)], shapes))
+        assert self._columns is not None, "there are no sizes"
+        return self._columns([position, velocity, time, np.sign(velocity)], shapes)
 
 
 @lru_cache(maxsize=64)
