@@ -12,6 +12,7 @@ from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.model import Model, Quantity, read_model
 from servolens.plant import Plant
+from servolens.simulation import simulate_voltage
 
 NLM1 = Plant(gain=1.9165, damping=5.9986, effects=(VelocityDecayDamping(alpha1=17.3264, alpha2=13.1068),))
 
@@ -42,6 +43,16 @@ def test_every_effect_describes_itself(name: str) -> None:
     assert effect.sentence.endswith(".")
     assert effect.latex
     assert all(p.meaning and p.unit and p.low < p.high for p in effect.parameters())
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_voltage_before_a_record_is_remembered_where_it_shows(name: str) -> None:
+    cls = CATALOGUE[name]
+    plant = Plant(gain=1.9, damping=6.0, effects=(cls(**cls.typical),), length_unit="rad" if cls.is_rotary else "m")
+    time = np.arange(400) * 1e-3
+    voltage = np.where(time < 0.2, 5.0, -5.0)
+    still, pushed = (simulate_voltage(plant, time, voltage, before=before).measured for before in (0.0, 5.0))
+    assert plant.remembers_voltage == bool((still != pushed).any())
 
 
 def test_values_are_frozen() -> None:

@@ -1,8 +1,10 @@
 """Draws of an encoder's rounding, and what a sum of squares of them reaches by chance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from servolens import Plant, Record, fit, lab
 from servolens.effects import Cogging, EndStop
@@ -229,5 +231,27 @@ def test_draws_about_their_mean_are_as_large_as_a_further_one():
 def test_rounding_dominates_from_half_the_variance_on():
     assert dominates(NoiseModel.white(0.5 * STEP / np.sqrt(12.0), STEP))
     assert not dominates(NoiseModel.white(STEP, STEP))
-    assert is_rounded(NoiseModel.white(STEP, STEP))
     assert not is_rounded(NoiseModel.white(STEP, 0.0))
+
+
+def rounded_beside(quick):
+    """Return the noise of a resting sensor with so much white noise, in steps of its encoder."""
+    return NoiseModel.white(STEP * np.hypot(quick, 1.0 / np.sqrt(12.0)), STEP)
+
+
+def test_rounding_beside_quick_noise_is_white_noise_itself():
+    places = np.linspace(-0.5, 0.5, 41)
+    for quick, most in ((0.3, None), (0.55, 0.0025)):
+        tails = np.arange(-6, 7)[:, None] - places  # what the encoder shows of each place, on average: a closed form
+        chance = norm.cdf((tails + 0.5) / quick) - norm.cdf((tails - 0.5) / quick)
+        mean = np.arange(-6, 7) @ chance - places
+        assert is_rounded(rounded_beside(quick)) == (most is None)
+        assert np.max(np.abs(mean)) > 0.02 if most is None else np.max(np.abs(mean)) < most
+
+
+def test_slow_noise_does_not_make_rounding_white():
+    slow = NoiseModel.white(STEP, STEP)
+    slow = replace(slow, filters=(np.ones(1), np.array([1.0, -0.95])), scales=STEP * np.array([1.0, 0.3]))
+    assert is_rounded(slow)
+    quick = replace(slow, scales=STEP * np.array([4.0, 1.2]))
+    assert not is_rounded(quick)

@@ -262,10 +262,13 @@ class Problem:
         parts = [self.residual(point.values, i, point.starts[i]) for i in range(len(self.runs))]
         return float(1.4826 * np.median(np.abs(np.concatenate(parts))))
 
-    def linearise(self, point: Point) -> Linearised:
-        """Return each run's block, and gradient and information of the parameters; renews the cost of `point`."""
+    def linearise(self, point: Point, widths: NDArray[np.float64] | None = None) -> Linearised:
+        """Return each run's block, and gradient and information of the parameters; renews the cost of `point`.
+
+        With differences of at least these `widths`, shape (k,).
+        """
         self.choose_substeps(point)
-        return self.equations(point, self.differences(point))
+        return self.equations(point, self.differences(point, widths))
 
     def equations(self, point: Point, slopes: Sequence[Slopes]) -> Linearised:
         """Return what `linearise` does of these slopes of each run at `point`."""
@@ -410,11 +413,6 @@ class Problem:
     def share_of(self, point: Point, share: float) -> NDArray[np.float64]:
         """Return this `share` of each free parameter, of its scale where it is small."""
         return np.asarray(share * np.maximum(np.abs(point.values), 1e-3 * self.scale))
-
-    def linearise_over(self, point: Point, widths: NDArray[np.float64]) -> Linearised:
-        """Return what `linearise` does, with differences at least this wide."""
-        self.choose_substeps(point)
-        return self.equations(point, self.differences(point, widths))
 
     def variance(self, point: Point) -> float:
         """Return the variance of the residuals at `point`, the more the fewer samples there are for the unknowns."""

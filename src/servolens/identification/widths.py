@@ -35,21 +35,21 @@ def linearised_widely(problem: Problem, point: Point) -> tuple[Linearised, bool]
     if fine is None:
         return finely, True
     narrow = np.minimum(fine, 0.1 * np.abs(point.values))
-    found = problem.linearise_over(point, narrow)
+    found = problem.linearise(point, narrow)
     seen = _widths(problem, point, found.information)
     if seen is not None and (NON_SMOOTH * seen < fine).any():
         return finely, True
     touched = problem.touched
     if touched.any():
-        wide = problem.linearise_over(point, np.where(touched, problem.share_of(point, WIDER), narrow))
+        wide = problem.linearise(point, np.where(touched, problem.share_of(point, WIDER), narrow))
         if not any(_is_wider(problem, point, seen, fine) for seen in (found, wide)):
             return found, True
-        return problem.linearise_over(point, np.where(touched, problem.share_of(point, COARSE), narrow)), False
+        return problem.linearise(point, np.where(touched, problem.share_of(point, COARSE), narrow)), False
     if not _is_wider(problem, point, found, fine):
         return found, True
     widths = problem.share_of(point, COARSE)
     for _ in range(4):
-        found = problem.linearise_over(point, widths)
+        found = problem.linearise(point, widths)
         errors = _widths(problem, point, found.information)
         if errors is None or (errors > 0.5 * widths).all():
             break
