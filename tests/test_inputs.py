@@ -402,6 +402,7 @@ def held(**given):
         (lambda: digital_controller(LIMITED, 0.1, limit=1, name=5), "name must be a text, got int 5"),
         (lambda: to_control(PLANT, name=5), "name must be a text, got int 5"),
         (lambda: to_control(PLANT, prefix=None), "prefix must be a text, got None"),
+        (lambda: to_control(PLANT, name="0.3"), "name must be a text without '.', got str '0.3'"),
         (
             lambda: to_control(PLANT, friction_width="a"),
             "friction_width must be a finite number larger than 0, got str",
@@ -423,8 +424,12 @@ def held(**given):
         (lambda: looped(start=("0", "0")), "start must hold numbers alone, got tuple"),
         (lambda: looped(start=(np.nan, 0)), "start must be finite; sample 0 is nan"),
         (lambda: looped(start=(0, 0, 5)), r"start must be position and velocity, .*; got tuple \(0, 0, 5\)"),
-        (lambda: looped(substeps=-2), "substeps must be a whole number of at least 1, got int -2"),
-        (lambda: simulate(PLANT, RECORD, substeps=2.5), "substeps must be a whole number of at least 1, got float 2.5"),
+        (lambda: looped(substeps=-2), "substeps must be a whole number of at least 1 and at most .*, got int -2"),
+        (
+            lambda: simulate(PLANT, RECORD, substeps=2.5),
+            "substeps must be a whole number of at least 1 .* got float 2.5",
+        ),
+        (lambda: simulate(PLANT, RECORD, substeps=1e20), "at most 1000000, got float 1e.20"),
         (
             lambda: simulate(PLANT, RECORD, voltage_driven="no"),
             "voltage_driven must be one of None, True, False; got str",
@@ -465,6 +470,10 @@ def held(**given):
         (lambda: Model(plant=PLANT, reasons=5), "reasons must go by name, such as .*; got int 5"),
         (lambda: RECORD.with_(5), "changes must go by name, such as .*; got int 5"),
         (lambda: RECORD.with_({"time": None}), "time must hold numbers alone, got None"),
+        (
+            lambda: RECORD.with_({"time": np.array(["0", "1", "2"], object)}),
+            "time must hold numbers alone, got ndarray",
+        ),
         (lambda: RECORD.with_({"name": 5}), "name must be a text, got int 5"),
         (lambda: RECORD.with_({"time": pd.date_range("2026", periods=3)}), "time must hold numbers alone"),
     ],
@@ -618,3 +627,10 @@ def test_rounding_of_a_coarse_encoder_is_no_second_cause_where_it_is_not_stated(
     found = servolens.diagnose([replace(run, encoder_resolution=None) for run in runs[:2]], heldout=runs[2])
     assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["coulomb_friction"])
     assert found.causes[0].quantities["level"].value == pytest.approx(0.4, rel=0.01)
+
+
+def test_series_names_what_is_fixed_and_its_bounds_as_a_dict_does():
+    held = fit((), RECORD, fixed=pd.Series({"damping": 6.0}), bounds=pd.Series({"gain": (1.0, 3.0)}))
+    same = fit((), RECORD, fixed={"damping": 6.0}, bounds={"gain": (1.0, 3.0)})
+    assert held.plant == same.plant
+    assert held.plant.damping == 6.0

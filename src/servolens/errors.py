@@ -23,6 +23,7 @@ __all__ = [
     "by_name",
     "described",
     "flags",
+    "mapped",
     "names_like",
     "needed",
     "number_within",
@@ -159,8 +160,8 @@ def number_within(value: Any, low: float, high: float, what: str, *, above: bool
     return number
 
 
-def whole_number(value: Any, least: int, what: str) -> int:
-    """Return `value` as an int, if it is a whole number of at least `least`.
+def whole_number(value: Any, least: int, what: str, most: float = math.inf) -> int:
+    """Return `value` as an int, if it is a whole number of at least `least` and at most `most`.
 
     Raises
     ------
@@ -168,8 +169,9 @@ def whole_number(value: Any, least: int, what: str) -> int:
         If it is not.
     """
     number = as_number(value)
-    if not (number >= least and number.is_integer()):
-        raise InputError(f"{what} must be a whole number of at least {least}, got {described(value)}")
+    if not (most >= number >= least and number.is_integer()):
+        at_most = f" and at most {most}" if most < math.inf else ""
+        raise InputError(f"{what} must be a whole number of at least {least}{at_most}, got {described(value)}")
     return int(value)
 
 
@@ -198,8 +200,8 @@ def flags(**given: Any) -> None:
         one_of(value, (True, False), what)
 
 
-def as_text(value: Any, what: str) -> str:
-    """Return `value`, if it is a text.
+def as_text(value: Any, what: str, without: str = "") -> str:
+    """Return `value`, if it is a text that holds no character of `without`.
 
     Raises
     ------
@@ -208,17 +210,26 @@ def as_text(value: Any, what: str) -> str:
     """
     if not isinstance(value, str):
         raise InputError(f"{what} must be a text, got {described(value)}")
+    if set(without) & set(value):
+        raise InputError(f"{what} must be a text without {' or '.join(map(repr, without))}, got {described(value)}")
     return value
 
 
+def mapped(value: Any) -> Any:
+    """Return a `value` that holds others by name, as a pandas Series does, as a mapping; any other as it is."""
+    convert = getattr(value, "to_dict", None)
+    return convert() if not isinstance(value, Mapping) and callable(convert) else value
+
+
 def by_name(what: str, given: Any, example: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what is `given` by name, nothing where it is None.
+    """Return what is `given` by name, as by a pandas Series; nothing where it is None.
 
     Raises
     ------
     InputError
         If it is no mapping, or a key is no text.
     """
+    given = mapped(given)
     if not isinstance(given, Mapping | None) or not all(isinstance(name, str) for name in given or ()):
         raise InputError(f"{what} must go by name, such as {example}; got {described(given)}")
     return given or {}

@@ -24,7 +24,8 @@ def as_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
     """
     try:
         given = np.asarray(values)
-        if values is None or given.dtype.kind in "USmMc":
+        is_text = given.dtype.kind == "O" and any(isinstance(value, str | bytes) for value in given.flat)
+        if values is None or given.dtype.kind in "USmMc" or is_text:
             raise TypeError
         return given.astype(np.float64, copy=False)
     except (TypeError, ValueError):

@@ -71,7 +71,7 @@ def digital_controller(
         outputs=["voltage"],
         states=law.states,
         dt=period,
-        name=None if name is None else as_text(name, "name"),
+        name=None if name is None else as_text(name, "name", without="."),
     )
 
 

@@ -234,7 +234,7 @@ def _system(
         inputs=["reference" if gains else "voltage"],
         outputs=["position", "velocity", "voltage"] if gains else ["position", "velocity"],
         states=equations.states,
-        name=None if name is None else as_text(name, "name"),
+        name=None if name is None else as_text(name, "name", without="."),
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, final, get_args
 
 import numpy as np
 
-from servolens.errors import InputError, as_number, by_name, described, names_like
+from servolens.errors import InputError, as_number, by_name, described, mapped, names_like
 
 __all__ = [
     "Begin",
@@ -165,6 +165,7 @@ def wanted(fixed: Fixed, bounds: Bounds | None, priors: Priors | None, **choices
     InputError
         If something is not of the form that it must have.
     """
+    fixed = mapped(fixed)
     held = _names("fixed", fixed)
     values = {name: _number(name, value) for name, value in fixed.items()} if isinstance(fixed, Mapping) else {}
     return FitOptions(

@@ -47,6 +47,8 @@ __all__ = [
 ]
 
 Part = TypeVar("Part")
+MOST_ASKED = 1_000_000
+"""Steps a sample that may be asked for: with more, a second of a log takes minutes."""
 
 
 def simulate(
@@ -212,7 +214,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
 
 def _substeps(asked: int | None, plant: Plant, step: float, loop: float = 0.0) -> int:
     """Return the steps a sample that are asked for, or those that the plant needs beside its `loop` [rad/s]."""
-    return substeps_for(plant, step, extra=loop) if asked is None else whole_number(asked, 1, "substeps")
+    return substeps_for(plant, step, extra=loop) if asked is None else whole_number(asked, 1, "substeps", MOST_ASKED)
 
 
 def _shaking(

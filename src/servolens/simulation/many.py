@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from servolens.errors import ServolensError, one_of, whole_number
 from servolens.inputs import as_plant, as_record, listed
 from servolens.processors import in_parallel
-from servolens.simulation.loop import simulate
+from servolens.simulation.loop import MOST_ASKED, simulate
 
 if TYPE_CHECKING:
     from servolens.inputs import Plants, Records
@@ -59,7 +59,7 @@ def simulate_many(
     [100, 100]
     """
     one_of(voltage_driven, (None, True, False), "voltage_driven")
-    substeps = None if substeps is None else whole_number(substeps, 1, "substeps")
+    substeps = None if substeps is None else whole_number(substeps, 1, "substeps", MOST_ASKED)
     threads = None if workers is None else whole_number(workers, 1, "workers")
     given = tuple(as_record(record) for record in listed(records))
 
