@@ -11,7 +11,19 @@ from servolens.effects import Cogging, EndStop
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
 from servolens.identification.resampling import profile
-from servolens.identification.rounding import DRAWS, dominates, is_rounded, limit_of, own_spectra, parted, rounded
+from servolens.identification.rounding import (
+    DRAWS,
+    before_rounding,
+    dominates,
+    drawn_noise,
+    is_rounded,
+    limit_of,
+    own_spectra,
+    parted,
+    rounded,
+    spectrum_of,
+)
+from servolens.identification.slow_noise import filters_of
 
 STEP = 1e-5
 TIME = np.arange(2000) * 1e-3
@@ -255,3 +267,17 @@ def test_slow_noise_does_not_make_rounding_white():
     assert is_rounded(slow)
     quick = replace(slow, scales=STEP * np.array([4.0, 1.2]))
     assert not is_rounded(quick)
+
+
+@pytest.mark.parametrize("slow", [0.5, 3.0])
+def test_noise_before_rounding_has_the_spectrum_of_what_is_shown_once_it_is_rounded(slow):
+    quick, pole = 0.55, np.exp(-0.02)
+    angle = np.linspace(0.0, np.pi, 4097)
+    slowly = (1.0 - pole**2) * slow**2 / (1.0 + pole**2 - 2.0 * pole * np.cos(angle))
+    filters, scales = filters_of(slowly + quick**2 + 1.0 / 12.0, 24)
+    noise = replace(NoiseModel.white(1.0, 1.0), filters=filters, scales=scales, spread=float(scales[0]))
+    assert not is_rounded(noise)
+    own = drawn_noise(before_rounding(noise), 20_000, np.random.default_rng(3), 8)
+    shown = np.round(own + 0.3)
+    quick_part = np.abs(np.fft.rfft(shown, axis=0)[5_000:]) ** 2 / 20_000
+    assert np.mean(quick_part) == pytest.approx(np.mean(spectrum_of(noise)[512:]), rel=0.03)

@@ -23,7 +23,7 @@ from servolens.identification.refine import (
     minimise_error,
 )
 from servolens.identification.restricted import counting_followed
-from servolens.identification.rounding import DRAWS, FEW_DRAWS, about_mean, spectrum_of
+from servolens.identification.rounding import DRAWS, FEW_DRAWS, about_mean, before_rounding, spectrum_of
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
@@ -223,7 +223,7 @@ def _beside_feedback(
     NumericalError
         If the loop of too many draws diverges.
     """
-    runs, own = closed_runs(records, options, noise), spectrum_of(noise) * (1.0 - noise.share)
+    runs, own = closed_runs(records, options, noise), before_rounding(noise)
     for _ in range(ROUNDS):
         errors = _fed_back(refined, runs, noise, own)
         means, rest = zip(*map(about_mean, errors), strict=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from servolens.errors import ServolensError
 from servolens.identification.repeats import common_share, repeats
-from servolens.identification.rounding import DRAWS, drawn_noise, spectrum_of
+from servolens.identification.rounding import DRAWS, before_rounding, drawn_noise
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
@@ -166,7 +166,7 @@ def drawn_loop_errors(
     begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
     still = _shown(plants, begun)
     step = noise.rounding if noise.rate == 0.0 else 0.0
-    spectrum = spectrum_of(noise) * (1.0 - noise.share) if unrounded is None else unrounded
+    spectrum = before_rounding(noise) if unrounded is None else unrounded
     drawn = [drawn_noise(spectrum, len(record), stream, count) for record in records]
     for error, ripple in zip(drawn, ripples, strict=False):
         error += ripple[:, None]

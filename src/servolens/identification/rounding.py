@@ -34,6 +34,7 @@ __all__ = [
     "FEW_DRAWS",
     "LOOPS",
     "about_mean",
+    "before_rounding",
     "dominates",
     "drawn_noise",
     "has_mean",
@@ -71,7 +72,8 @@ LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
 def is_rounded(noise: NoiseModel) -> bool:
     """Tell whether an encoder's rounding is a part of the noise of a simulation that is not white itself.
 
-    Quick noise makes it so: the flat floor of the spectrum holds that noise and the rounding's own.
+    Quick noise makes it so: the floor of the spectrum holds that noise and the rounding's own. White noise that is
+    larger because something slow was left is taken for such.
     """
     if noise.rate != 0.0 or noise.share == 0.0 or noise.rounding == 0.0:
         return False
@@ -299,6 +301,17 @@ def spectrum_of(noise: NoiseModel) -> NDArray[np.float64]:
     """Return the spectrum of a noise model at even frequencies up to half, in variance a sample, shape (m,)."""
     response = np.abs(np.fft.rfft(noise.filters[-1], 2 * FREQUENCIES))
     return np.asarray((noise.innovation / np.maximum(response, 1e-12)) ** 2)
+
+
+def before_rounding(noise: NoiseModel) -> NDArray[np.float64]:
+    """Return about the spectrum that the noise has before an encoder rounds it, in variance a sample, shape (m,).
+
+    Of rounding that is white itself exactly that; else as large a share of every frequency, see :func:`own_spectra`.
+    """
+    shown = spectrum_of(noise)
+    if is_rounded(noise) or noise.share == 0.0:
+        return shown * (1.0 - noise.share)
+    return np.asarray(np.maximum(shown - noise.rounding**2 / 12.0, 0.0))
 
 
 def drawn_noise(
