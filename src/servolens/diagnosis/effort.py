@@ -48,7 +48,7 @@ EFFORT = {
     "normal": Effort(causes=4, fitted=10, judged=3, beam=1, work=2e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
-"""A hundred million take seven to eleven seconds of one processor, all that goes with simulating them included. A
+"""A hundred million take ten to twenty seconds of one processor, all that goes with simulating them included. A
 search by prediction errors and one by simulations may take so much each, and the former as much again for what it tries
 with and without an observer."""
 
