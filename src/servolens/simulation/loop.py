@@ -48,7 +48,7 @@ __all__ = [
 
 Part = TypeVar("Part")
 MOST_ASKED = 1_000_000
-"""Steps a sample that may be asked for: with more, a second of a log takes minutes."""
+"""Steps a sample that may be asked for: a second of a log at 1 kHz then takes half a minute or more."""
 
 
 def simulate(
