@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import certified
 import numpy as np
 import pytest
 
-from servolens import lab
-from servolens.effects import Backlash, ConstantForce
+from servolens.effects import ConstantForce
 from servolens.identification import minimiser
-from servolens.identification.error_problem import COARSE, Problem
-from servolens.identification.likelihood import Likelihood
+from servolens.identification.error_problem import Problem
 from servolens.identification.linear_model import Block, Linearised, Slopes
 from servolens.identification.options import FitOptions
 from servolens.identification.parabola import Parabola
@@ -153,18 +149,3 @@ def test_parabola_stays_where_a_neighbour_is_out_of_range(side, slope):
     assert step[0] == pytest.approx(0.3)
     assert side * step[1] == pytest.approx(-1.0 if slope > 0.0 else 0.0)
     assert found.falls(1.0) == pytest.approx(0.45 + (100.0 if slope > 0.0 else 0.0))
-
-
-def test_a_way_that_ends_among_wide_differences_tells_its_exact_cost_and_leaves_its_start():
-    axis = lab.Truth(gain=1.9, damping=6.0, effects={"backlash": dict(Backlash.typical)})
-    records = [lab.step_record(axis, kp, 1.0, duration=1.0, noise=1e-6, encoder=1e-6, seed=kp) for kp in (60, 120)]
-    plant = Plant(gain=1.9, damping=6.0, effects=(Backlash(**Backlash.typical),))
-    likelihood = Likelihood(records, plant, FitOptions())
-    problem = Problem(plant, likelihood.runs(likelihood.white), likelihood.options(plant), 1.0)
-    begun = problem.start()
-    before = begun.cost
-    end, _ = minimiser.by_way_of(problem, begun, ((COARSE, 5),))
-    assert begun.cost == before
-    again = replace(end)
-    problem.choose_substeps(again)
-    assert end.cost == problem.cost(again) <= before

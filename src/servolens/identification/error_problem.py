@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from math import ceil
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import numpy as np
@@ -32,9 +31,6 @@ __all__ = ["COARSE", "FINE", "Known", "Point", "Problem"]
 FINE, COARSE = 1e-4, 5e-2
 """Share of a parameter by which it is moved for a sensitivity; the coarse one sees past what contacts and sticking do
 on a small scale."""
-ROUGHLY = 3
-"""How many times fewer substeps do beside differences that are wider than the fine ones: an axis with a contact is
-then a millionth of its travel off."""
 UNSTABLE = "the plant to start from cannot be simulated on these records: its loop is unstable"
 MOST_PLANTS = 256
 """Plants that are remembered."""
@@ -252,10 +248,9 @@ class Problem:
             return True
 
     def choose_substeps(self, point: Point) -> None:
-        """Simulate each run from here on as the plant at `point` needs it, beside wide differences roughly."""
-        fewer = ROUGHLY if self.share > FINE else 1
+        """Simulate each run from here on as the plant at `point` needs it."""
         for i, run in enumerate(self.runs):
-            self.substeps[i] = ceil(substeps_for(self.plant_at(point.values, i), run.sample_time) / fewer)
+            self.substeps[i] = substeps_for(self.plant_at(point.values, i), run.sample_time)
 
     def spread(self, point: Point) -> float:
         """Return the robust standard deviation of the residuals, from their median size."""

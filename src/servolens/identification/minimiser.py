@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -159,18 +158,12 @@ def beside(
 def by_way_of(
     problem: Problem, start: Point, way: Sequence[tuple[float, int]], negligible: float = NEGLIGIBLE
 ) -> tuple[Point, bool]:
-    """Return where descents by these shares and iterations end one after the other, or the last that did not fail.
-
-    With the cost of exact simulations there, to be compared with others, wherever the way has ended.
-    """
-    point, converged = replace(start), False
+    """Return where descents by these shares and iterations end one after the other, or the last that did not fail."""
+    point, converged = start, False
     for problem.share, iterations in way:
         with suppress(NumericalError):
             point, converged = descend(problem, point, iterations, negligible)
     problem.share = FINE
-    problem.choose_substeps(point)
-    if point.substeps != tuple(problem.substeps):
-        point.cost = problem.cost(point)
     return point, converged
 
 

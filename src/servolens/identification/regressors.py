@@ -42,7 +42,8 @@ class Regressor:
         self, time: NDArray[np.float64], position: NDArray[np.float64], velocity: NDArray[np.float64], *shapes: float
     ) -> NDArray[np.float64]:
         """Return φ for each size, shape ``(sizes, n)``: the force per unit of that size at measured signals."""
-        assert self._columns is not None  # noqa: S101 - callers ask effects that have sizes
+        if self._columns is None:
+            return np.empty((0, time.size))
         return self._columns([position, velocity, time, np.sign(velocity)], shapes)
 
 
