@@ -10,7 +10,7 @@ import pytest
 from servolens import lab
 from servolens.checking import check
 from servolens.quality import fatal
-from servolens.record import Controller
+from servolens.record import Controller, Record
 
 RUBBING = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.5}})
 WORLDS = ("white", "coloured", "coarse", "hum")
@@ -211,3 +211,59 @@ def test_wrong_gains_beside_a_coarse_encoder_are_told():
     run = lab.step_record(lab.LM1, 60, 0.5, noise=1e-5, encoder=1e-4, seed=1)
     stated = replace(run, controller=replace(run.controller, kd=0.4))
     assert "gains_contradict_log" in {finding.code for finding in check(stated)}
+
+
+def own_loop(stamps, *, share=1.0, on="measurement", kp=100.0, kd=3.0, by_interval=True, seed=1):
+    """Return the log of a loop that reads the clock at each sample and divides by what has passed, or by its cycle.
+
+    The axis has gain 1.9 and damping 6, of which every step is exact.
+    """
+    rng = np.random.default_rng(seed)
+    time = stamps(rng)
+    reference = np.where(time > 0.1, 0.1, 0.0)
+    position, voltage = np.zeros(time.size), np.zeros(time.size)
+    y = v = u = slope = 0.0
+    for k in range(time.size):
+        if k:
+            passed = time[k] - time[k - 1]
+            decay, settled = np.exp(-6.0 * passed), 1.9 * u / 6.0
+            y += settled * passed + (v - settled) * (1.0 - decay) / 6.0
+            v = settled + (v - settled) * decay
+        position[k] = y + 1e-5 * rng.standard_normal()
+        if k:
+            moved = position[k] - position[k - 1]
+            moved -= reference[k] - reference[k - 1] if on == "error" else 0.0
+            slope += share * (moved / (passed if by_interval else CYCLE) - slope)
+        u = voltage[k] = kp * (reference[k] - position[k]) - kd * slope
+    stated = Controller(kp=kp, kd=kd, derivative_on=on)
+    return Record(time=time, position=position, voltage=voltage, reference=reference, controller=stated)
+
+
+CYCLE = 5e-3
+
+
+def late(rng):
+    return CYCLE * (np.arange(400) + np.concatenate(([0.0], rng.uniform(-0.25, 0.25, 399))))
+
+
+def wandering(rng):
+    return CYCLE * np.concatenate(([0.0], np.cumsum(rng.uniform(0.6, 1.4, 399))))
+
+
+@pytest.mark.parametrize("stamps", [late, wandering])
+@pytest.mark.parametrize("on", ["measurement", "error"])
+def test_loop_that_divides_by_measured_intervals_is_no_contradiction(stamps, on):
+    found = {finding.code: finding for finding in check(own_loop(stamps, on=on))}
+    assert set(found) == {"jitter", "measured_intervals"}
+    assert found["measured_intervals"].severity == "note"
+
+
+@pytest.mark.parametrize("on", ["measurement", "error"])
+def test_loop_that_divides_by_its_cycle_is_none_either_where_stamps_are_late(on):
+    assert set(told(own_loop(late, on=on, by_interval=False))) == {"jitter"}
+
+
+def test_filter_of_measured_intervals_is_named():
+    found = told(own_loop(late, share=0.3))
+    assert set(found) == {"jitter", "settings_contradict_log"}
+    assert "derivative_filter = 0.3, not 1 " in found["settings_contradict_log"]

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.clock import clock_of
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -100,12 +102,12 @@ class _Window:
 
 
 def _windows(record: Record, voltage: Signal) -> list[_Window]:
-    bounds = np.concatenate(([0], record.edges(), [len(record)]))
+    bounds, lost = np.concatenate(([0], record.edges(), [len(record)])), clock_of(record.time).lost
     found = []
     for k in record.jumps().tolist():
         at = int(np.searchsorted(bounds, k))
         first, stop = max(k - BEFORE, int(bounds[at - 1])), min(k + AFTER, int(bounds[at + 1]))
-        is_whole = np.max(np.diff(record.time[first:stop]), initial=0.0) < 1.5 * record.sample_time
+        is_whole = not lost[first : stop - 1].any()
         if k - first > 1 and stop - k > 1 and stop - first >= FEWEST and is_whole:
             found.append(_window(record, voltage, k, first, stop))
     return found

@@ -106,8 +106,9 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
     ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``unsigned_voltage``, ``units_contradict``,
     ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
     ``gains_contradict_log``, ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``,
-    ``voltage_shifted``, ``position_shifted``, ``reference_shifted``, ``position_wraps``, ``position_jumps``,
-    ``position_spikes``, ``gains_unknown``, ``no_reference``, ``onset_missed``, ``voltage_reconstructed``.
+    ``measured_intervals``, ``voltage_shifted``, ``position_shifted``, ``reference_shifted``, ``position_wraps``,
+    ``position_jumps``, ``position_spikes``, ``gains_unknown``, ``no_reference``, ``onset_missed``,
+    ``voltage_reconstructed``.
 
     Examples
     --------

@@ -210,6 +210,12 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
         )
         return Finding(code="unsigned_voltage", severity="error", message=message)
     settings = [name for name in other.changed if name not in GAINS]
+    if other.kind == "measured" and not settings:
+        message = (
+            "the derivative is that over the intervals of the time column, not over the loop's cycle"
+            f" ({left}); nothing needs to be corrected, but simulations run at even intervals."
+        )
+        return Finding(code="measured_intervals", severity="note", message=message)
     loop = other.controller
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:
         message = (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.clock import CHANGED, clock_of
 from servolens.encoder import FEWEST_SAMPLES, SPAN, quantisation_step, share_on_grid, small_moves, white_noise
 from servolens.findings import Finding
 
@@ -18,15 +19,13 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["CHANGED", "SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed"]
+__all__ = ["SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed"]
 
 SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
 GRID, COMMON = 0.01, 0.1
 """Share of their grid by which rounded time stamps are off it, for a text rounds them too; share of the intervals from
 which on both lengths are common."""
-MEDIAN, CHANGED = 7, 0.25
-"""Intervals of the running median: three lost samples in a row do not move it; share by which a cycle changes."""
 STEPS = 3.0
 """Steps that an encoder rounds and flickers by."""
 
@@ -75,14 +74,12 @@ class Sampling:
 def measure(record: Record) -> Sampling:
     """Measure clock and sensor.
 
-    The noise is that of third differences (a cubic motion leaves none), by their median, so that edges do not count;
-    a gap is an interval longer than one and a half times the cycle at that time.
+    The noise is that of third differences (a cubic motion leaves none), by their median, so that edges do not count.
     """
     intervals = np.diff(record.time)
     h = record.sample_time
-    cycles = _cycles(intervals, h)
-    long = intervals > 1.5 * cycles
-    gaps, kept = np.flatnonzero(long), ~long
+    cycles, lost = clock_of(record.time)
+    gaps, kept = np.flatnonzero(lost), ~lost
     y = record.position
     step = quantisation_step(y)
     return Sampling(
@@ -104,21 +101,6 @@ def top_speed(record: Record) -> float:
     span = min(SPEED_SPAN, record.position.size - 1)
     moved, passed = (signal[span:] - signal[:-span] for signal in (record.position, record.time))
     return float(np.max(np.abs(moved) / passed))
-
-
-def _cycles(intervals: NDArray[np.float64], sample_time: float) -> NDArray[np.float64]:
-    """Return the cycle of the log at each interval: a running median where it differs, else `sample_time` [s].
-
-    A bus that changes its cycle keeps the new one; lost samples make single long intervals, which a median (Hampel's
-    filter) passes over.
-    """
-    usual = np.full(intervals.size, sample_time)
-    if np.all(np.abs(intervals - sample_time) <= CHANGED * sample_time):
-        return usual
-    from scipy.ndimage import median_filter
-
-    local = median_filter(intervals, size=MEDIAN, mode="nearest")
-    return np.where(np.abs(local - sample_time) > CHANGED * sample_time, local, usual)
 
 
 def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 import numpy as np
 
+from servolens.control_arithmetic import samples_a_tick
 from servolens.control_law import controller_voltage
 from servolens.encoder import quantisation_step
 from servolens.errors import InputError
@@ -57,6 +58,8 @@ RESCALED = ("voltage", "time")
 """Columns of which another sign or unit looks like other gains."""
 MOST = 20
 """Samples up to which a shift is looked for: 20 ms at 1 kHz, more than buses and buffers delay."""
+FIXED = {"control_period", "derivative"}
+"""Settings of a loop with which it does not divide by the interval from each sample to the next."""
 FILTERS = np.geomspace(0.02, 1.0, 24)
 """Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
 STRIDE, REFINED = 4, 3
@@ -84,8 +87,9 @@ class Alternative:
         Gains and settings that fit.
     changed : tuple of str
         Those of its fields that differ from what is stated.
-    kind : {"", "shift", "scale", "unsigned"}
-        What is wrong with a column, if one is; of an unsigned one the magnitude was logged.
+    kind : {"", "shift", "scale", "unsigned", "measured"}
+        What is wrong with a column, if one is; of an unsigned one the magnitude was logged. Nothing is wrong with a
+        derivative over the intervals that the loop has measured.
     column : str
         Which.
     value : float
@@ -104,7 +108,10 @@ class Alternative:
 
     def applied(self, record: Record) -> Record:
         """Return the record as if this had been stated; a shift costs the samples that then lack a value."""
-        mended = _Case(self.kind, self.column, self.value).applied(record)
+        case = _Case(self.kind, self.column, self.value)
+        if self.kind == "measured":
+            return case.applied(record.with_({"controller": replace(self.controller, derivative="position")}))
+        mended = case.applied(record)
         if self.kind == "shift":
             first, last = max(-self.value, 0), len(record) - 1 - max(self.value, 0)
             mended = mended.slice(float(record.time[int(first)]), float(record.time[int(last)]))
@@ -127,7 +134,11 @@ class _Case(NamedTuple):
             return record.with_({self.column: _moved(getattr(record, self.column), int(self.value))})
         if self.kind == "scale":
             return record.with_({self.column: getattr(record, self.column) / self.value})
-        return _signed(record) if self.kind == "unsigned" else record
+        return {"unsigned": _signed, "measured": _over_measured_intervals}.get(self.kind, lambda same: same)(record)
+
+    def with_filter(self, share: float) -> _Case:
+        """Return the case with another share of the derivative filter."""
+        return self._replace(settings=(*self.settings, ("derivative_filter", float(share))))
 
     @property
     def cost(self) -> int:
@@ -276,12 +287,12 @@ def _cases(record: Record, rows: Rows) -> Iterator[_Case]:
         yield _Case("scale", column, value)
     yield from _shifts()
     coarse = []
-    for settings in _settings(record):
-        if settings:
-            yield _Case(settings=settings)
-        coarse.append((_filter_left(record, rows, settings, FILTERS[::STRIDE]).min(), settings))
-    for _, settings in sorted(coarse, key=lambda one: one[0])[:REFINED]:
-        yield _filtered(record, rows, settings)
+    for case in _derivatives(record):
+        if case.cost:
+            yield case
+        coarse.append((_filter_left(record, rows, case, FILTERS[::STRIDE]).min(), case))
+    for _, case in sorted(coarse, key=lambda one: one[0])[:REFINED]:
+        yield _filtered(record, rows, case)
     yield _Case()
 
 
@@ -316,6 +327,26 @@ def _shifts() -> Iterator[_Case]:
         yield _Case("shift", column, sign * size)
 
 
+def _derivatives(record: Record) -> Iterator[_Case]:
+    """Yield other discrete settings of the loop, first none; then over the intervals that it has measured."""
+    yield from (_Case(settings=settings) for settings in _settings(record))
+    stated = controller_of(record)
+    is_uneven = np.ptp(np.diff(record.time)) > EXACT * record.sample_time
+    if is_uneven and stated.derivative == "position" and samples_a_tick(stated, record.sample_time) == 1:
+        yield from (_Case("measured", settings=one) for one in _settings(record) if not {*dict(one)} & FIXED)
+
+
+def _over_measured_intervals(record: Record) -> Record:
+    """Return the record with the derivative of a loop that divides by the time since its last samples, as measured."""
+    stated = controller_of(record)
+    signal, window = record.position, stated.derivative_window
+    if stated.derivative_on == "error" and record.reference is not None:
+        signal = signal - record.reference
+    velocity = np.zeros(len(record))
+    velocity[window:] = (signal[window:] - signal[:-window]) / (record.time[window:] - record.time[:-window])
+    return record.with_({"velocity": velocity, "controller": replace(stated, derivative="velocity")})
+
+
 def _settings(record: Record) -> Iterator[tuple[tuple[str, Any], ...]]:
     """Yield other discrete settings of the loop, first none."""
     stated = controller_of(record)
@@ -335,29 +366,23 @@ def _settings(record: Record) -> Iterator[tuple[tuple[str, Any], ...]]:
         yield tuple(chain(*chosen))
 
 
-def _filter_left(
-    record: Record, rows: Rows, settings: tuple[tuple[str, Any], ...], shares: Iterable[float]
-) -> NDArray[np.float64]:
+def _filter_left(record: Record, rows: Rows, case: _Case, shares: Iterable[float]) -> NDArray[np.float64]:
     """Return what each share of the derivative filter leaves."""
-    tried = [_tried(record, _with_filter(settings, share), rows) for share in shares]
+    tried = [_tried(record, case.with_filter(share), rows) for share in shares]
     return np.array([math.inf if one is None else one.left for one in tried])
 
 
-def _with_filter(settings: tuple[tuple[str, Any], ...], share: float) -> _Case:
-    return _Case(settings=(*settings, ("derivative_filter", float(share))))
-
-
-def _filtered(record: Record, rows: Rows, settings: tuple[tuple[str, Any], ...]) -> _Case:
-    """Return the same settings with the derivative filter that leaves least."""
+def _filtered(record: Record, rows: Rows, case: _Case) -> _Case:
+    """Return the case with the derivative filter that leaves least."""
     from scipy.optimize import minimize_scalar
 
     def left(share: float) -> float:
-        return float(_filter_left(record, rows, settings, (share,))[0])
+        return float(_filter_left(record, rows, case, (share,))[0])
 
-    at = int(np.argmin(_filter_left(record, rows, settings, FILTERS)))
+    at = int(np.argmin(_filter_left(record, rows, case, FILTERS)))
     bounds = (float(FILTERS[max(at - 1, 0)]), float(FILTERS[min(at + 1, FILTERS.size - 1)]))
     found = float(minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x)
-    return _with_filter(settings, min((found, float(FILTERS[at])), key=left))
+    return case.with_filter(min((found, float(FILTERS[at])), key=left))
 
 
 def _period(record: Record) -> float | None:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.clock import CHANGED
 from servolens.findings import Finding
-from servolens.quality.sampling import CHANGED, SPAN, STEPS, measure
+from servolens.quality.sampling import SPAN, STEPS, measure
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
