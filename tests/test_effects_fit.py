@@ -281,6 +281,41 @@ def test_error_bars_allow_for_what_the_loop_makes_of_noise(effect, parameter, va
     assert np.all(squares > chi2.isf(1.0 - 1e-3, len(missed)))
 
 
+def behind_an_encoder(rng, kp, kd, to, noise, step=2e-5, samples=1200, h=1e-3):
+    """Return the log of a loop that begins anywhere within a step of its encoder, of which each sample is exact."""
+    place, decay = step * rng.uniform(-0.5, 0.5), np.exp(-6.0 * h)
+    y = v = before = 0.0
+    shown, asked = np.empty(samples), np.empty(samples)
+    for k in range(samples):
+        shown[k] = step * np.floor((y + place + noise * rng.standard_normal()) / step + 0.5)
+        before = shown[0] if k == 0 else before
+        asked[k] = kp * (to - shown[k]) - kd * (shown[k] - before) / h
+        before, settled = shown[k], 1.9 * asked[k] / 6.0
+        y += settled * h + (v - settled) * (1.0 - decay) / 6.0
+        v = settled + (v - settled) * decay
+    return Record(
+        time=h * np.arange(samples),
+        position=shown,
+        voltage=asked,
+        reference=np.full(samples, to),
+        controller=Controller(kp=kp, kd=kd),
+        encoder_resolution=step,
+    )
+
+
+@pytest.mark.parametrize("noise", [1e-6, 4e-6, 12e-6])
+def test_error_bars_allow_for_a_coarse_encoder_in_the_loop(noise):
+    """A fit takes up where within a step the axis begins; what the loop makes of the steps biases nothing."""
+    missed, rng = [], np.random.default_rng(1)
+    for _ in range(20):
+        loops = ((60.0, 0.0, 0.1), (100.0, 3.0, 0.1), (40.0, 0.0, 0.05))
+        records = [behind_an_encoder(rng, *loop, noise) for loop in loops]
+        found = servolens.fit([], records, driven="closed_loop").quantities.values()
+        missed.append([(q.value - true) / q.stderr for q, true in zip(found, (1.9, 6.0), strict=True)])
+    assert np.all(np.abs(np.sum(missed, axis=0)) < 3.3 * np.sqrt(len(missed)))  # one in a thousand
+    assert np.all(np.sum(np.square(missed), axis=0) < chi2.isf(1e-3, len(missed)))
+
+
 def test_what_only_a_sum_determines_has_no_narrow_error_bar():
     """An axis that moves one way shows its friction and a constant force together alone."""
     axis = Truth(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal, final
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
-from servolens.identification.error_problem import Known
+from servolens.identification.error_problem import Known, Problem
 from servolens.identification.fitted import with_error_bars
 from servolens.identification.likelihood import RATES, SOME, Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors
@@ -22,7 +22,7 @@ from servolens.identification.refine import (
     followed,
     minimise_error,
 )
-from servolens.identification.restricted import counting_followed
+from servolens.identification.restricted import counting_followed, parts_at
 from servolens.identification.rounding import DRAWS, FEW_DRAWS, about_mean, before_rounding, spectrum_of
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
@@ -229,7 +229,8 @@ def _beside_feedback(
         means, rest = zip(*map(about_mean, errors), strict=True)
         left = [residual + mean for residual, mean in zip(refined.residuals, means, strict=True)]
         whiten = [run.whiten for run in runs]
-        seen = [noise.estimated([error[:, k] for error in rest], whiten) for k in range(FEW_DRAWS)]
+        shown = _left_of([error[:, :FEW_DRAWS] for error in rest], refined, runs, options)
+        seen = [noise.estimated([error[:, k] for error in shown], whiten) for k in range(FEW_DRAWS)]
         noise = noise.estimated(left, whiten)
         own = own * spectrum_of(noise) / np.mean([spectrum_of(one) for one in seen], axis=0)
         known = zip(closed_runs(records, options, noise), means, strict=True)
@@ -252,10 +253,29 @@ def _fed_back(
     plants = [refined.plant_of(run.group) for run in runs]
     often = np.clip(MOST_SAMPLES / sum(run.samples for run in runs), 1.0, OFTENER)
     count = int(DRAWS * often)
-    draws = drawn_loop_errors(plants, [run.record for run in runs], noise, unrounded=own, count=count)
+    smooth = [replace(run.record, encoder_resolution=None) for run in runs]  # as a fit simulates them
+    draws = drawn_loop_errors(plants, smooth, noise, unrounded=own, count=count)
     if len(draws) < count // 2:
         raise NumericalError("the loop diverges beside the noise")
     return [np.column_stack(of_run) for of_run in zip(*draws, strict=True)]
+
+
+def _left_of(
+    errors: Sequence[NDArray[np.float64]], refined: Refinement, runs: Sequence[ClosedRun], options: FitOptions
+) -> list[NDArray[np.float64]]:
+    """Return what a fit of the `runs` leaves of errors of their measured positions, shape (n, draws) each.
+
+    Parameters and initial states take up the rest: an axis begins anywhere within a step of the encoder.
+    """
+    records = [run.record for run in runs]
+    _, plain = parts_at(Problem(refined.plant, closed_runs(records, options), options, None), refined)
+    _, parts = parts_at(Problem(refined.plant, runs, options, None), refined, whole=True)
+    seen = np.concatenate([part.sensitivity for part in parts])
+    added = [-run.added(error) for run, error in zip(runs, errors, strict=True)]
+    none = np.zeros((seen.shape[0] - sum(rows.shape[0] for rows in added), errors[0].shape[1]))  # of priors
+    sizes = np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
+    moved = np.linalg.lstsq(seen / sizes, np.concatenate([*added, none]), rcond=None)[0] / sizes[:, None]
+    return [error - part.sensitivity @ moved for error, part in zip(errors, plain, strict=False)]
 
 
 def of_other_inertias(plant: Plant) -> Iterator[Plant]:

@@ -81,26 +81,29 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
     return replace(found, noise=counted)
 
 
-def parts_of(problem: Problem, point: Point, widths: NDArray[np.float64] | None = None) -> list[Part]:
+def parts_of(
+    problem: Problem, point: Point, widths: NDArray[np.float64] | None = None, *, whole: bool = False
+) -> list[Part]:
     """Return what `problem` leaves of each run at `point`, as far as it is compared with measurements.
 
-    The columns of the sensitivity are the parameters, of differences at least these `widths`, then the initial states
-    of all runs.
+    Or the `whole` residual, with what holds the initial states. The columns of the sensitivity are the parameters, of
+    differences at least these `widths`, then the initial states of all runs.
     """
     sets = problem.differences(point, widths)
     states = np.cumsum([0, *(initial.shape[1] for _, _, initial in sets)])
     parts = []
     for i, (run, (residual, jacobian, initial)) in enumerate(zip(problem.runs, sets, strict=True)):
-        own = np.zeros((run.samples, states[-1]))
-        own[:, states[i] : states[i + 1]] = initial[: run.samples]
-        parts.append(Part(residual[: run.samples], np.hstack([jacobian[: run.samples], own])))
+        count = residual.size if whole else run.samples
+        own = np.zeros((count, states[-1]))
+        own[:, states[i] : states[i + 1]] = initial[:count]
+        parts.append(Part(residual[:count], np.hstack([jacobian[:count], own])))
     return parts
 
 
-def parts_at(problem: Problem, refined: Refinement) -> tuple[Point, list[Part]]:
+def parts_at(problem: Problem, refined: Refinement, *, whole: bool = False) -> tuple[Point, list[Part]]:
     """Return the optimum that was `refined` as a point of `problem`, and its parts there, priors after the records.
 
-    Parameters at the end of their range do not answer.
+    See :func:`parts_of`. Parameters at the end of their range do not answer.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def parts_at(problem: Problem, refined: Refinement) -> tuple[Point, list[Part]]:
     """
     point = problem.at(refined.starts, refined.local)
     problem.choose_substeps(point)
-    parts, k = parts_of(problem, point, _widths(problem, point, refined)), problem.free.size
+    parts, k = parts_of(problem, point, _widths(problem, point, refined), whole=whole), problem.free.size
     free = np.ones(parts[0].sensitivity.shape[1])
     if sum(part.left.size for part in parts) <= free.size:
         raise NumericalError("there are no more samples than unknowns")
