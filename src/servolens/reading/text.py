@@ -20,6 +20,7 @@ from servolens.reading.cells import (
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of
+from servolens.reading.serial_monitor import as_table
 from servolens.reading.settings import comment_settings
 from servolens.reading.table import MOST_COLUMNS, Column, Table
 
@@ -71,6 +72,7 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     plain, comments = _without_comments(unified(content))
+    plain = as_table(plain)
     form = _form(plain, comments)
     table = Table(
         columns=_columns(plain, form),
