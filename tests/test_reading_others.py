@@ -432,7 +432,7 @@ def test_points_that_may_separate_thousands_are_refused(tmp_path):
 @pytest.mark.parametrize("sign", [".", ","])
 def test_a_column_that_always_shows_three_decimals_is_no_question(tmp_path, sign):
     shown = [f"{100 + 1000 * y:.3f}".replace(".", sign) for y in Y]
-    heads = ("time_ms", "pos_mm", "u")
+    heads = ("time_ms", "pos_mm", "pwm")
     duty = [f"{round(20 * u)}" for u in U]
     rows = [column[:900] for column in (np.arange(T.size), shown, duty)]
     record = read_record(log(tmp_path / "a.csv", heads, *rows, separator=";"))

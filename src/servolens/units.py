@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 __all__ = [
-    "COMMAND_UNITS", "LENGTH_UNITS", "Unit", "parse_unit", "prefixed", "readable", "settled", "split_number", "unit",
+    "COMMAND_UNITS", "LENGTH_UNITS", "Unit", "ordinary_unit", "parse_unit", "prefixed", "readable", "settled",
+    "split_number", "unit",
 ]  # fmt: skip
 
 Dimension = tuple[tuple[str, float], ...]
@@ -73,8 +74,9 @@ _SPELLINGS = {
     **dict.fromkeys(("sek", "Sek", "Sekunden"), "s"),
     **dict.fromkeys(("Grad", "grad"), "deg"),
     **dict.fromkeys(("U", "Umdr", "Umdrehungen"), "rev"),
-    **dict.fromkeys(("inc", "Ink", "Inkr", "Inkremente"), "count"),
-    **dict.fromkeys(("Volt", "Volts"), "V"),
+    **dict.fromkeys(("inc", "Ink", "Inkr", "Inkremente", "LU", "Cnt"), "count"),
+    **dict.fromkeys(("Volt", "Volts", "VOLT", "VOLTS"), "V"),
+    **dict.fromkeys(("Second", "Seconds", "Sec"), "s"),
     **dict.fromkeys(("RPM",), "rpm"),
 }
 """What logs write for units; pint reads some of them as others (grad as gon) or not at all."""
@@ -126,10 +128,26 @@ def parse_unit(text: str) -> Unit | None:
     >>> parse_unit("V per position unit") is None
     True
     """
+    text = _plain(text)
+    return (_from_table(text) or _from_pint(text)) if text else None
+
+
+def ordinary_unit(text: str) -> Unit | None:
+    """Return the unit of ordinary logs that `text` names, or None; unlike :func:`parse_unit` it asks no library.
+
+    Examples
+    --------
+    >>> ordinary_unit("mm/s").factor, ordinary_unit("furlong")
+    (0.001, None)
+    """
+    text = _plain(text)
+    return _from_table(text) if text else None
+
+
+def _plain(text: str) -> str:
+    """Return a text that may be a unit in the letters of the table, empty for one that is none."""
     text = text.strip().replace("μ", "u").replace("µ", "u")
-    if not text or len(text) > LONGEST_UNIT or not _HARMLESS.fullmatch(text):
-        return None
-    return _from_table(text) or _from_pint(text)
+    return text if len(text) <= LONGEST_UNIT and _HARMLESS.fullmatch(text) else ""
 
 
 def settled(text: str, admissible: Sequence[str], what: str) -> str:

@@ -111,6 +111,7 @@ def assemble(
         values["reference"] = _held(beside, values, stated)
     _check_size({**values, **numbers})
     controller, remarks = _controller(numbers, parsed)
+    remarks += _unit_of_kp(parsed, stated, command, length, signals)
     title = parsed.name or name
     made = {
         "controller": controller,
@@ -174,7 +175,7 @@ def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad
             pair for pair in product(LENGTH_UNITS, COMMAND_UNITS) if _dimension(kind, pair) == _in_length(unit, pair[0])
         ]
         if not fits:
-            raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(kind)}")
+            raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(key, kind, unit)}")
         agreed = [pair for pair in left if pair in fits]
         if not agreed:
             raise InputError(f"{key} is in {quote(text)}, which contradicts the unit of {' and '.join(seen)}")
@@ -199,7 +200,9 @@ def _in_length(unit: Unit, length: str) -> tuple[tuple[str, float], ...]:
     return tuple(sorted((base, size) for base, size in bases.items() if size))
 
 
-def _admissible(kind: str) -> str:
+def _admissible(key: str, kind: str, unit: Unit) -> str:
+    if kind == "{length}" and unit.dimension == _dimension("V", ("", "")):
+        return f"a sensor's voltage needs its scale: state what one V is, e.g. --unit '{key}=0.01 m'"
     examples = [kind.format(length=length, command="V") for length in LENGTH_UNITS]
     command = ", or A, N, N m, %, pwm in place of V" if "{command}" in kind else ""
     return f"give it in {' or '.join(dict.fromkeys(examples))}{command}"
@@ -252,6 +255,19 @@ def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Contr
     if "derivative_window" in fields:
         fields["derivative_window"] = int(fields["derivative_window"])
     return (Controller.cascade if cascade else Controller)(**fields), []
+
+
+def _unit_of_kp(settings: Settings, stated: Stated, command: str, length: str, signals: Iterable[str]) -> list[Finding]:
+    """Say that a bare kp was taken as SI beside positions that are not, where no logged command can bear it out."""
+    kp, position = settings.amounts.get("kp"), stated.get("position")
+    is_odd = position is not None and position[1].factor != 1.0 and settings.words.get("controller") != "cascade"
+    if kp is None or kp.unit is not None or position is None or not is_odd or "voltage" in signals:
+        return []
+    message = (
+        f"kp = {kp.value:g} states no unit and was taken in {command}/{length}, while the position is logged in"
+        f" {position[0]}; if it is meant so, write kp = {kp.value:g} {command}/{position[0]}."
+    )
+    return [Finding(code="unit_of_kp_assumed", severity="note", message=message)]
 
 
 def _given(key: str, settings: Settings) -> bool:

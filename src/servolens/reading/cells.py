@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.errors import InputError
 from servolens.reading.files import quote
+from servolens.reading.stamps import is_stamp
 from servolens.reading.table import Fault
+from servolens.units import ordinary_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = [
-    "REWRITE", "decimal_sign", "fault_in", "fault_of", "fields_of", "grouped_or_decimal", "is_stamp", "is_switch",
-    "kind_of", "number", "numbers", "stamps", "switched",
+    "REWRITE", "amount", "decimal_sign", "fault_in", "fault_of", "fields_of", "grouped_or_decimal", "is_switch",
+    "is_value", "kind_of", "number", "numbers", "switched",
 ]  # fmt: skip
 
 SEARCHED = 250_000
@@ -29,12 +30,10 @@ MOST_LINES = 200
 """Lines with separated thousands that are looked at for being rows of numbers: preambles are shorter."""
 REWRITE = "write all numbers with one decimal sign and without separators of thousands"
 _COMMA = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?")
-_STAMP = re.compile(
-    r"(?P<date>\d{4}-\d\d-\d\d|\d{4}/\d\d/\d\d|\d{1,2}\.\d{1,2}\.\d{4})?[T ]?"
-    r"(?P<clock>\d{1,2}:\d\d:\d\d(?:[.,:]\d{1,9})?)\s?(?:Z|UTC|[+-]\d\d:?\d\d)?"
-)
+_AMOUNT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\s\d.,+-].*)")
 _SWITCHES = {"true": 1.0, "on": 1.0, "false": 0.0, "off": 0.0}
 _DECIMAL_COMMA = re.compile(rb"\d,\d")
+_COMMA_IN_QUOTES = re.compile(rb'"[+-]?\d+,\d+"')
 _DECIMAL_POINT = re.compile(rb"(?<![\d:.])-?\d*\.\d+(?![\d.:])")
 _GROUPED = {
     ",.": re.compile(r"[+-]?\d{1,3}(\.\d{3})+(,\d*)?"),
@@ -64,11 +63,15 @@ def decimal_sign(content: bytes, separator: str) -> str:
     """
     proofs = _BOTH_IN_QUOTES if separator == "," else _BOTH
     searched = _ends(content)
-    may_be = b"," in searched and b"." in searched and (separator != "," or b'"' in searched)
+    may_be_quoted = b'"' in searched
+    may_be = b"," in searched and b"." in searched and (separator != "," or may_be_quoted)
     proven = [signs for signs, form in proofs.items() if may_be and _stands_in_row(form, searched, separator, signs)]
     if len(proven) == 1:
         return proven[0]
-    if separator == "," or b"," not in content or not _DECIMAL_COMMA.search(content):
+    if separator == ",":
+        quoted = may_be_quoted and _stands_in_row(_COMMA_IN_QUOTES, searched, separator, ",")
+        return "," if quoted and not _stands_in_row(_DECIMAL_POINT, searched, separator, ",") else "."
+    if b"," not in content or not _DECIMAL_COMMA.search(content):
         return "."
     return "." if b"." in searched and _stands_in_row(_DECIMAL_POINT, searched, separator, ",") else ","
 
@@ -83,7 +86,7 @@ def _ends(content: bytes) -> bytes:
 def fields_of(line: str, separator: str) -> list[str]:
     """Return the cells of a line."""
     if separator == " ":
-        return re.sub(r"\s+(?=[\[(])", "", line.strip()).split()
+        return re.sub(r"(?<!\s)\s+(?=[\[(])", "", line.strip()).split()
     if '"' not in line:
         return line.split(separator)
     try:
@@ -100,7 +103,7 @@ def _stands_in_row(form: re.Pattern[bytes], text: bytes, separator: str, signs: 
         start, end = text.rfind(b"\n", 0, match.start()) + 1, text.find(b"\n", match.end())
         end = len(text) if end < 0 else end
         cells = [cell for cell in fields_of(text[start:end].decode(errors="replace"), separator) if cell.strip()]
-        good = sum(number(cell, signs) is not None or is_stamp(cell) for cell in cells)
+        good = sum(is_value(cell, signs) for cell in cells)
         if good > 1 and 2 * good > len(cells):
             return True
     return False
@@ -117,10 +120,10 @@ def grouped_or_decimal(body: bytes, separator: str, decimal: str) -> str:
     >>> grouped_or_decimal(b"0;998\n1;1.002", ";", "."), grouped_or_decimal(b"0;0.998\n1;1.002", ";", ".")
     ('1.002', '')
     """
-    if separator == decimal or decimal.encode() not in body:
+    if decimal.encode() not in body:
         return ""
     form = re.compile(r"[+-]?(?:\d{1,3}|([1-9]\d{0,2}(?:S\d{3})+))".replace("S", re.escape(decimal)))
-    rows = [line.split(None if separator == " " else separator) for line in _ends(body).decode().split("\n")]
+    rows = [fields_of(line, separator) for line in _ends(body).decode().split("\n")]
     for cells in zip(*(row for row in rows if len(row) == len(rows[0])), strict=True):
         given = (cell.strip('" \t') for cell in cells)
         found = _all_matches(form, (cell for cell in given if cell))
@@ -171,22 +174,37 @@ def number(text: str, decimal: str = ".") -> float | None:
         return None
 
 
-def is_stamp(text: str) -> bool:
-    """Tell whether a cell is a date with a clock, or a clock: ``2024-05-01T12:00:00.001Z``, ``12:00:00,001``."""
-    return ":" in text and _STAMP.fullmatch(text.strip()) is not None
-
-
-def kind_of(cell: str) -> str:
-    """Return what a column holds by its first cell that is not blank: a stamp, a switch or a number.
+def amount(text: str, decimal: str = ".") -> tuple[float, str] | None:
+    """Return number and unit of a cell that holds both, or None.
 
     Examples
     --------
-    >>> kind_of("12:00:00"), kind_of("True"), kind_of("off"), kind_of("0.1"), kind_of("")
-    ('stamp', 'switch', 'switch', 'number', '')
+    >>> amount("12.3 mm"), amount("0,5V", ","), amount("3 of"), amount("0.5")
+    ((12.3, 'mm'), (0.5, 'V'), None, None)
+    """
+    match = _AMOUNT.fullmatch(text.strip())
+    value = None if match is None else number(match[1], decimal)
+    return None if match is None or value is None or ordinary_unit(match[2]) is None else (value, match[2])
+
+
+def is_value(cell: str, decimal: str = ".") -> bool:
+    """Tell whether a cell is a number, with its unit or without, or a time stamp."""
+    return number(cell, decimal) is not None or is_stamp(cell) or amount(cell, decimal) is not None
+
+
+def kind_of(cell: str, decimal: str = ".") -> str:
+    """Return what a column holds by its first cell that is not blank: a stamp, a switch, an amount or a number.
+
+    Examples
+    --------
+    >>> kind_of("12:00:00"), kind_of("True"), kind_of("off"), kind_of("3 mm"), kind_of("0.1"), kind_of("")
+    ('stamp', 'switch', 'switch', 'amount', 'number', '')
     """
     if not cell.strip():
         return ""
-    return "stamp" if is_stamp(cell) else "switch" if is_switch(cell) else "number"
+    if is_stamp(cell):
+        return "stamp"
+    return "switch" if is_switch(cell) else "amount" if amount(cell, decimal) else "number"
 
 
 def is_switch(cell: str) -> bool:
@@ -206,6 +224,8 @@ def fault_in(cell: str, where: str, kind: str, decimal: str = ".") -> Fault:
         return Fault(where, f"{quote(cell.strip())} is no time stamp")
     if kind == "switch" and cell.strip() and not is_switch(cell):
         return Fault(where, f"{quote(cell.strip())} is neither on nor off")
+    if kind == "amount" and cell.strip():
+        return Fault(where, f"{quote(cell.strip())} is no number in a unit as the cells above it")
     is_comma = decimal == "." and number(cell) is None and number(cell, ",") is not None
     return Fault(where, what, REWRITE) if is_comma else Fault(where, what)
 
@@ -236,30 +256,3 @@ def fault_of(text: str, decimal: str = ".") -> str | None:
     if decimal == "." and number(text, ",") is not None:
         return f"{quote(text.strip())} has a comma where other numbers have points"
     return f"{quote(text.strip())} is not a number"
-
-
-def stamps(cells: Sequence[str]) -> NDArray[np.datetime64]:
-    """Return time stamps, on 1970-01-01 where they have no date, NaT for what is none.
-
-    Raises
-    ------
-    InputError
-        If a stamp's date or clock does not exist.
-    """
-    try:
-        return np.array([_iso(cell) for cell in cells], dtype="datetime64[ns]")
-    except ValueError as error:
-        raise InputError("a time stamp has a date or a clock that does not exist") from error
-
-
-def _iso(text: str) -> str:
-    """Return a stamp as NumPy reads it, ``NaT`` where it is none."""
-    match = _STAMP.fullmatch(text.strip())
-    if match is None:
-        return "NaT"
-    date = (match["date"] or "1970-01-01").replace("/", "-")
-    if "." in date:
-        day, month, year = date.split(".")
-        date = f"{year}-{month:0>2}-{day:0>2}"
-    hours, minutes, rest = match["clock"].replace(",", ".").split(":", 2)
-    return f"{date}T{hours:0>2}:{minutes}:{rest.replace(':', '.')}"

@@ -24,10 +24,13 @@ if TYPE_CHECKING:
 __all__ = ["unwrapped", "with_clock"]
 
 _INTERVALS = {
+    **dict.fromkeys(("sample interval", "sampling interval", "hresolution", "increment"), "s"),
     **dict.fromkeys(("delta_x", "sample_time", "sample time", "sampletime", "sampling time", "dt", "abtastzeit"), "s"),
     "sampletime[ms]": "ms",
 }
 """What preambles call the sample time, and its unit where none stands there."""
+_STARTS = {"delta_x": "x0", "increment": "start"}
+"""What they call the first instant beside it."""
 COUNTERS = (2.0**32, 2.0**16)
 """Ticks after which a microcontroller's counter begins again."""
 LONGEST_STEP = 2.0
@@ -48,7 +51,7 @@ def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     if found is None or not table.columns:
         return table
     interval, origin = found
-    start = _number(table.properties.get("x0")) if origin.source == "delta_x" else 0.0
+    start = _number(table.properties.get(_STARTS.get(origin.source, "")))
     instants = start + interval * np.arange(table.columns[0].values.size, dtype=np.float64)
     time = Column("time", instants, "s", origin=origin)
     # a number names the column of the file: the clock takes the place of that which is there, or comes last

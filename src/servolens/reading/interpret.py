@@ -10,11 +10,12 @@ import numpy as np
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.clock import unwrapped, with_clock
+from servolens.reading.completed import held, signed
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, check_mapping, choose, typed, unknown
-from servolens.reading.scales import command_unit, length_unit, time_unit, velocity_unit
-from servolens.reading.words import BY_ARMATURE, BY_PROTOCOL, allows
+from servolens.reading.scales import command_unit, is_counted, length_unit, time_unit, velocity_unit
+from servolens.reading.words import BY_ARMATURE, BY_KIND, BY_NAME, BY_PROTOCOL, DUTY, allows, unit_behind
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -97,7 +98,9 @@ def interpret(
     tables = [with_clock(table, settings) for table in tables if table.columns]
     if not tables:
         raise InputError("holds no columns of numbers")
-    chosen = choose(tables, columns)
+    chosen, remarks = held(choose(tables, columns))
+    chosen, of_sign = signed(chosen, tables)
+    remarks += of_sign
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
     stated = check_mapping(units, "units", "mm")
@@ -107,10 +110,9 @@ def interpret(
         _check_numbers(signal, choice)
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
-    remarks = []
     known = {**comments, **gains, **_given(settings)}
     if "voltage" not in {*chosen, *(columns or {})} and ("kp" in known or not GAINS_BESIDE & set(known)):
-        remarks = _about_command(tables, chosen, knows_gains="kp" in known)
+        remarks += _about_command(tables, chosen, knows_gains="kp" in known)
     texts = {signal: text for signal, (text, _) in found.items()}
     signals, texts = _on_one_clock(chosen, tables, texts)
     signals["time"], wrapped = unwrapped(signals["time"], _factor(texts["time"]))
@@ -227,6 +229,10 @@ def _may_be(choice: Choice, signal: str) -> bool:
     """Tell whether a column may be in the unit that its name implies: a servo's protocol counts in whole numbers."""
     values = choice.column.values
     is_whole = values.dtype.kind in "iuf" and bool(np.array_equal(values, np.round(values)))
+    if choice.unit == DUTY and choice.meaning.where == BY_NAME and np.max(np.abs(values), initial=0.0) > 1:
+        return False
+    if choice.meaning.where == BY_KIND and is_counted(values):
+        return False
     return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or is_whole)
 
 
@@ -241,8 +247,9 @@ def _unstated(
     if signal == "time":
         return time_unit(choice)
     if signal in ("position", "reference"):
-        return _length(choice, found.get("reference" if signal == "position" else "position"), settings)
-    if signal == "voltage" and (not choice.is_stated or choice.meaning.where == BY_ARMATURE):
+        beside = "reference" if signal == "position" else "position"
+        return _length(choice, chosen.get(beside), found.get(beside), settings)
+    if signal == "voltage" and (not choice.is_stated or choice.unit or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
     if signal == "velocity" and (not choice.is_stated or choice.evidence == NAMED):
         return velocity_unit(choice, chosen, {key: text for key, (text, _) in found.items()})
@@ -250,7 +257,7 @@ def _unstated(
 
 
 def _length(
-    choice: Choice, other: tuple[str | None, str] | None, settings: Mapping[str, object]
+    choice: Choice, beside: Choice | None, other: tuple[str | None, str] | None, settings: Mapping[str, object]
 ) -> tuple[str | None, str]:
     """Return the unit of a position or a reference that states none."""
     if choice.evidence == NAMED and other is not None and other[1] == BY_CALLER:
@@ -258,13 +265,13 @@ def _length(
     if settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
         return None, ""
     if choice.evidence == NAMED and not _states_length(settings):
-        unit = length_unit(choice, other[0] if other else None)  # asks where metres are not plausible
+        unit = length_unit(choice, other[0] if other else None, beside)  # asks where metres are not plausible
         return unit if choice.meaning.kind == "angle" else (None, "")
     if choice.is_stated:
         return None, ""
     if _states_length(settings):
         return None, "SI, as the gains are stated"
-    return length_unit(choice, other[0] if other else None)
+    return length_unit(choice, other[0] if other else None, beside)
 
 
 def _states_length(settings: Mapping[str, object]) -> bool:
@@ -337,7 +344,7 @@ def _own_clock(tables: Sequence[Table], index: int) -> Values | None:
         return choose([tables[index]], None)["time"].column.values
     except (InputError, KeyError):
         pass
-    named = [c for c in tables[index].columns if c.name.split("[")[0].strip().lower() in ("time", "t", "timestamp")]
+    named = [c for c in tables[index].columns if unit_behind(c.name)[0].lower() in ("time", "t", "timestamp")]
     return named[0].values if named else None
 
 

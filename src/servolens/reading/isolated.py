@@ -130,7 +130,7 @@ def _packed(table: Table) -> dict[str, Any]:
                 c.name,
                 c.values.size,
                 c.unit,
-                *([f.where, f.what, f.remedy] if f else None for f in (c.fault, c.switches)),
+                *([f.where, f.what, f.remedy, f.is_blank] if f else None for f in (c.fault, c.switches)),
             ]
             for c in table.columns
         ],

@@ -7,9 +7,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
-from servolens.reading.cells import is_stamp, number
+from servolens.reading.cells import is_value, number
 from servolens.reading.words import meaning
-from servolens.units import parse_unit
+from servolens.units import ordinary_unit, parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +20,8 @@ MOST_TYPED = 20
 """Rows at the end of the head that tell which columns hold numbers."""
 _PROPERTY = re.compile(r"\W*([A-Za-z][\w .\-\[\]()]*?)\s*[=:]\s*(.*?)\s*")
 _BRACKETED = re.compile(r"[\[(<{]\s*(.*?)\s*[\])>}]")
+_COUNT = "sequence"
+"""What stands for the unit of a column that counts samples."""
 _SCOPE = ("data-type", "sampletime[ms]", "symbolcomment", "symbolname")
 """Labels of the header rows of a TwinCAT Scope export, of which each channel may have a column of labels."""
 
@@ -46,7 +48,7 @@ class Layout:
     other_width : int
         Cells of the row above the numbers, where that has texts and another number of cells than the rows; else 0.
     has_clocks : bool
-        Whether columns named "time" belong to those behind them.
+        Whether columns named as the first one are times that belong to those behind them.
     """
 
     names: tuple[str, ...]
@@ -72,7 +74,7 @@ def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | N
     decimal : {".", ","}
         Of the numbers.
     """
-    kinds = [[_is_value(cell, decimal) for cell in row] for row in rows]
+    kinds = [[is_value(cell, decimal) for cell in row] for row in rows]
     last = next((i for i in range(len(rows) - 1, -1, -1) if sum(kinds[i]) >= 2), None)
     if last is None:
         return None
@@ -85,10 +87,6 @@ def find_layout(rows: Sequence[Sequence[str]], decimal: str = ".") -> Layout | N
         return None
     first = _first(rows, kinds, typed, last)
     return _named(rows, first, width, frozenset(typed))
-
-
-def _is_value(cell: str, decimal: str) -> bool:
-    return number(cell, decimal) is not None or is_stamp(cell)
 
 
 def _first(rows: Sequence[Sequence[str]], kinds: Sequence[Sequence[bool]], typed: Sequence[int], last: int) -> int:
@@ -115,20 +113,36 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     above = [[cell.strip().strip('"').strip() for cell in row] for row in rows[:first]]
     scope = _scope(above, width)
     if scope is not None:
-        names, units = scope
-        return Layout(names, units, first, typed, has_clocks=names[0] == "time")
-    units = (None,) * width
+        return Layout(*scope, first, typed, has_clocks=scope[0][0] == "time")
+    above, stated = _beside(above)
+    units: tuple[str | None, ...] = (None,) * width
     used = 0
-    if above and _is_units(above[-1], width) and len(above) > 1 and _is_names(above[-2], width):
-        units = tuple(_unit(cell) for cell in _padded(above[-1], width))
+    if len(above) > 1 and _is_names(above[-2], width) and _is_units(above[-1], above[-2], width):
+        units = tuple(unit if parse_unit(unit or "") else None for unit in map(_unit, _padded(above[-1], width)))
         used = 1
     if len(above) > used and _is_names(above[-1 - used], width):
         names = tuple(_padded(above[-1 - used], width))
-        return Layout(names, units, first, typed, properties_of(above[: -1 - used]))
+        properties = {**properties_of(above[: -1 - used]), **stated}
+        has_clocks = names.count(names[0]) > 1 and meaning(names[0]).roles == ("time",)
+        return Layout(names, units, first, typed, properties, has_clocks=has_clocks)
     numbered = tuple(str(j + 1) for j in range(width))
     last = above[-1] if above else []
     is_text = sum(bool(cell) for cell in last) > 1 and all(number(cell) is None for cell in last if cell)
     return Layout(numbered, units, first, typed, properties_of(above), False, len(last) if is_text else 0)
+
+
+def _beside(above: list[list[str]]) -> tuple[list[list[str]], dict[str, str]]:
+    """Take out what an oscilloscope states beside its rows of names and units, and call its count of samples so.
+
+    It is ``X,CH1,Start,Increment`` above ``Sequence,VOLT,-0.1,1e-3``, where no rows stand below start and increment.
+    """
+    if len(above) < 2 or _COUNT not in (labels := [cell.lower() for cell in above[-1]]):
+        return above, {}
+    names = ["X_Value" if label == _COUNT else name for name, label in zip(above[-2], labels, strict=False)]
+    stated = {name.lower(): cell for name, cell in zip(names, labels, strict=False) if number(cell) is not None}
+    kept = [j for j, cell in enumerate(labels[: len(names)]) if number(cell) is None]
+    units = ["" if labels[j] == _COUNT else above[-1][j] for j in kept]
+    return [*above[:-2], [names[j] for j in kept], units], stated
 
 
 def _is_names(row: Sequence[str], width: int) -> bool:
@@ -137,10 +151,18 @@ def _is_names(row: Sequence[str], width: int) -> bool:
     return len(row) <= width + 1 and 2 * len(row) > width and any(number(cell) is None for cell in given)
 
 
-def _is_units(row: Sequence[str], width: int) -> bool:
+def _is_units(row: Sequence[str], names: Sequence[str], width: int) -> bool:
+    """Tell whether a row holds units: no words beside them, or more units than words below names that say more."""
     given = [unit for cell in row if cell and (unit := _unit(cell))]
-    plain = all(cell in ("-", "", "[]", "[-]", "()", "(-)") or parse_unit(_unit(cell) or "") for cell in row)
-    return len(row) <= width + 1 and plain and bool(given)
+    if len(row) > width + 1 or not given:
+        return False
+    is_mixed = 2 * sum(ordinary_unit(unit) is not None for unit in given) > len(given) and _said(names) > _said(row)
+    return is_mixed or all(parse_unit(unit) for unit in given)
+
+
+def _said(row: Sequence[str]) -> int:
+    """Return how many cells say in words what a column holds."""
+    return sum(bool(meaning(cell).roles) and ordinary_unit(cell) is None for cell in row if cell)
 
 
 def _unit(cell: str) -> str | None:

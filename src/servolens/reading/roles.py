@@ -11,7 +11,7 @@ import numpy as np
 from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError, as_text, by_name, names_like
 from servolens.reading.files import quote
-from servolens.reading.words import Meaning, meaning, unit_behind
+from servolens.reading.words import Meaning, allows, meaning, unit_behind
 from servolens.record import SIGNALS
 from servolens.units import COMMAND_UNITS, parse_unit
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from servolens.reading.table import Column, Table
 
-__all__ = ["Choice", "check_mapping", "choose", "offer", "typed", "unknown"]
+__all__ = ["Choice", "check_mapping", "choose", "offer", "turns", "typed", "unknown"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -124,7 +124,7 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
             if signal not in (*chosen, *absent) and (choice := _pick(signal, found, chosen, symbols)):
                 chosen[signal] = choice
     _decide(found, chosen, absent)
-    if "time" not in chosen and "position" in chosen and (clock := _clock(found, chosen["position"])):
+    if "time" not in chosen and (clock := _clock(found, chosen.get("position"))):
         chosen["time"] = clock
     _check_supply(chosen, found, mapping)
     _check_found(chosen, found)
@@ -284,9 +284,9 @@ def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping
     if choice.column.fault is not None:
         return  # refused later
     is_guessed = choice.evidence != ITS_NAME and "position" in chosen
-    turns = is_guessed and not _varies(choice, LOADED) and _turns(chosen["position"].column.values)
+    goes_round = is_guessed and not _varies(choice, LOADED) and turns(chosen["position"].column.values)
     others = [c for c in found if c.meaning.roles == ("voltage",) and c.column is not choice.column and _varies(c)]
-    if turns or (others and _is_supply(choice)):
+    if goes_round or (others and _is_supply(choice)):
         other = f", and {quote(others[0].address)} may be the command" if others else " while the axis turns round"
         instead = typed(others[0].address) if others else f"{NONE} if no command was logged"
         raise InputError(
@@ -295,7 +295,7 @@ def _check_supply(chosen: Mapping[str, Choice], found: Sequence[Choice], mapping
         )
 
 
-def _turns(position: NDArray[np.float64]) -> bool:
+def turns(position: NDArray[np.float64]) -> bool:
     """Tell whether a position goes both ways by a fair share of its range."""
     if position.dtype.kind not in "iuf" or not position.size or not np.isfinite(position).all():
         return False  # asked about later
@@ -393,13 +393,15 @@ def _correlation(choice: Choice, position: Choice, time: Choice) -> float:
     return abs(float(np.corrcoef(slope, middle)[0, 1]))
 
 
-def _clock(found: Sequence[Choice], position: Choice) -> Choice | None:
+def _clock(found: Sequence[Choice], position: Choice | None) -> Choice | None:
     """Return the first column of the position's table that increases all along, if no name says which is the time."""
     for choice in found:
         values = choice.column.values
-        if choice.table != position.table or choice.column is position.column or choice.meaning.roles:
+        if choice.meaning.roles or (position and (choice.table != position.table or choice.column is position.column)):
             continue
-        if choice.unit is not None and values.size > 2 and np.isfinite(values).all() and np.all(np.diff(values) > 0):
+        if not (choice.unit and allows("time", choice.unit)):
+            continue
+        if values.size > 2 and np.isfinite(values).all() and np.all(np.diff(values) > 0):
             return choice.because("increases all along, and its unit is one of time")
     return None
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from servolens.errors import InputError
 from servolens.reading.files import quote
-from servolens.reading.words import BY_ARMATURE
+from servolens.reading.roles import typed
+from servolens.reading.words import BY_ARMATURE, DUTY
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
 ROUNDING = 1e-3
 """Of sample times from dates, which programs round to about 0.1 ms."""
 FEWEST_SAMPLES = 20
-"""Samples below which a rate and a travel say nothing."""
+"""Samples below which a rate and a travel say nothing, and levels above which a command is no hand-made pulse."""
 LONGEST_AXIS = 10.0
 """Travel beyond which metres are doubtful [m]: gantries are shorter."""
 MOST_TURNS = 4 * np.pi
@@ -77,7 +78,7 @@ def _is_date(values: Values) -> bool:
     return any(first <= float(values[0]) <= last for first, last in DATES)
 
 
-def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
+def length_unit(choice: Choice, settled: str | None, beside: Choice | None = None) -> tuple[str | None, str]:
     """Return the unit of a position that states none, and why; None where SI is.
 
     Parameters
@@ -86,6 +87,8 @@ def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
         The column.
     settled : str or None
         Of the reference or of the gains, where they state one.
+    beside : Choice, optional
+        The reference, or the position, whose unit `settled` is.
 
     Raises
     ------
@@ -95,8 +98,14 @@ def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
     is_angle = choice.meaning.kind == "angle"
     si = "rad" if is_angle else "m"
     if settled:
+        _check_alike(choice, beside, settled, si)
         return settled, "the unit of what belongs to it"
     values = choice.column.values
+    if choice.column.name.strip().lower().endswith("_in"):
+        raise InputError(
+            f"column {quote(choice.address)} may be in inches, or an input; say --unit position=in or"
+            f" --unit position={si}"
+        )
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
@@ -110,6 +119,29 @@ def length_unit(choice: Choice, settled: str | None) -> tuple[str | None, str]:
         f"column {quote(choice.address)} travels {travel:.4g} and states no unit: {', '.join(units[:-1])} and"
         f" {units[-1]} are plausible; say {readings.replace('{}', 'position')}"
     )
+
+
+def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -> None:
+    """Ask about a column whose travel is nearer to that of its partner in SI than in the partner's unit."""
+    unit = parse_unit(settled)
+    sizes = [0.0 if one is None else _travel(one.column.values) for one in (choice, beside)]
+    if unit is None or not all(sizes) or unit.factor == 1.0:
+        return
+    ratio = float(np.log(sizes[0] / sizes[1]))
+    if abs(ratio - np.log(unit.factor)) < abs(ratio):
+        signal = "reference" if "reference" in choice.meaning.roles else "position"
+        readings = " or ".join(f"--unit {signal}={text}" for text in (settled, si))
+        raise InputError(
+            f"column {quote(choice.address)} travels {sizes[0]:.3g} and states no unit, beside {sizes[1]:.3g} {settled}"
+            f" of {quote(beside.address if beside else '')}; say {readings}"
+        )
+
+
+def _travel(values: Values) -> float:
+    """Return the range of a column, of a constant one its size, zero where some value is none."""
+    if values.dtype.kind not in "iuf" or not values.size or not np.isfinite(values).all():
+        return 0.0
+    return float(np.ptp(values)) or abs(float(values[0]))
 
 
 def velocity_unit(
@@ -149,11 +181,24 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
             f"column {quote(choice.label)} may be the armature's voltage, or a command in A; say --unit voltage=V or"
             " --unit voltage=A"
         )
-    if values.size >= FEWEST_SAMPLES and np.isfinite(values).all() and np.array_equal(values, np.round(values)):
-        largest = float(np.max(np.abs(values)))
-        if largest in FULL_SCALES:
-            raise InputError(
-                f"column {quote(choice.address)} holds whole numbers up to {largest:g} and states no unit: volts and"
-                " counts of a PWM are plausible; say --unit voltage=V or --unit voltage=pwm"
-            )
+    if choice.unit == DUTY:
+        raise InputError(
+            f"column {quote(choice.label)} reaches {np.max(np.abs(values)):.4g}, and 1 is full duty: per cent and"
+            " counts of a PWM are plausible; say --unit voltage=% or --unit voltage=pwm"
+        )
+    if is_counted(values):
+        units = (choice.unit, f"m{choice.unit}") if choice.unit else ("V", "pwm")
+        spoken = " and ".join(units) if choice.unit else "volts and counts of a PWM"
+        answers = " or ".join("--unit " + typed(f"voltage={unit}") for unit in units)
+        raise InputError(
+            f"column {quote(choice.address)} holds whole numbers up to {np.max(np.abs(values)):g} and states no unit:"
+            f" {spoken} are plausible; say {answers}"
+        )
     return None, "volts are assumed"
+
+
+def is_counted(values: Values) -> bool:
+    """Tell whether a command is in whole numbers of something small: up to a full scale, or of many levels."""
+    if values.size < FEWEST_SAMPLES or not np.isfinite(values).all() or not np.array_equal(values, np.round(values)):
+        return False
+    return float(np.max(np.abs(values))) in FULL_SCALES or np.unique(values).size > FEWEST_SAMPLES

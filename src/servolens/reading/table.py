@@ -22,11 +22,15 @@ MOST_COLUMNS = 1000
 @final
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a column cannot be used: its first cell that is no number and where that stands, or what the column is."""
+    """Why a column cannot be used: its first cell that is no number and where that stands, or what the column is.
+
+    With `is_blank` all such cells are blank.
+    """
 
     where: str
     what: str
     remedy: str = "fill or leave out such rows"
+    is_blank: bool = False
 
     def sentence(self, signal: str) -> str:
         """Return the refusal of the column for a signal."""

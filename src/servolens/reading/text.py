@@ -14,12 +14,13 @@ from servolens.reading.cells import (
     decimal_sign,
     fields_of,
     grouped_or_decimal,
-    is_stamp,
+    is_value,
     number,
 )
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of
+from servolens.reading.serial_monitor import as_table
 from servolens.reading.settings import comment_settings
 from servolens.reading.table import MOST_COLUMNS, Column, Table
 
@@ -41,8 +42,8 @@ LARGE_FILE = 4 * 2**20
 """From this size on [bytes] importing pyarrow's reader pays, where it is installed."""
 FILETIME = 1e16
 """Times of a scope from which on they count 100 ns since 1601: such of this century begin with 1.2e17."""
-LAST_WORDS = 5
-"""Lines at the end that may be no numbers, as ``EOF``."""
+LAST_WORDS = 20
+"""Lines at the end that may be no numbers, as ``EOF``, or the ten or so of a table's statistics."""
 _COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
 _SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
@@ -70,8 +71,8 @@ def read_text(content: bytes) -> tuple[Table, ...]:
     InputError
         With one sentence that names the line.
     """
-    content = unified(content)
-    plain, comments = _without_comments(content)
+    plain, comments = _without_comments(unified(content))
+    plain = as_table(plain)
     form = _form(plain, comments)
     table = Table(
         columns=_columns(plain, form),
@@ -87,11 +88,12 @@ def _by_clock(table: Table) -> tuple[Table, ...]:
 
     Slower channels end above the last row, and times may be FILETIME: both are how TwinCAT Scope exports.
     """
-    clocks = [column.values for column in table.columns if column.name == "time"]
+    label = table.columns[0].name
+    clocks = [column.values for column in table.columns if column.name == label]
     start = min((float(clock[0]) for clock in clocks if clock.size), default=0.0)
     groups: list[list[Column]] = []
     for column in table.columns:
-        if column.name != "time":
+        if column.name != label:
             groups[-1].append(column)
             continue
         clock = replace(column, values=_milliseconds(column.values, start))
@@ -174,7 +176,7 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
         layout = find_layout(rows, decimal)
         if layout is not None:
             row = [cell for cell in rows[layout.first] if cell.strip()]
-            good = sum(number(cell, decimal) is not None or is_stamp(cell) for cell in row)
+            good = sum(is_value(cell, decimal) for cell in row)
             rank = (good / max(len(row), 1), layout.has_names, not layout.other_width, good)
             found.append((rank, separator, decimal, layout))
     if not found:
@@ -228,15 +230,18 @@ def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
 
 
 def _without_last_words(body: bytes, form: _Form) -> bytes:
-    """Leave out what a program has written below the numbers: lines of one cell that is no number."""
+    """Leave out what a program has written below the numbers: a word alone, or rows that begin with one (``Mean``)."""
+    end = len(body)
     for _ in range(LAST_WORDS):
-        at = body.rfind(b"\n")
-        cells = fields_of(body[at + 1 :].decode(errors="replace").strip(), form.separator)
+        at = body.rfind(b"\n", 0, end)
+        cells = fields_of(body[at + 1 : end].decode(errors="replace").strip(), form.separator)
         given = [cell for cell in cells if cell.strip()]
-        if at < 0 or len(given) != 1 or number(given[0], form.decimal) is not None or is_stamp(given[0]):
+        begins = bool(cells[0].strip()) and 0 in form.layout.typed and cells[0].strip()[0].isalpha()
+        is_word = bool(given) and (len(given) == 1 or begins) and not is_value(given[0], form.decimal)
+        if at < 0 or (given and not is_word):
             break
-        body = _trimmed(body[:at])
-    return body
+        end = at
+    return _trimmed(body[:end])
 
 
 def _trimmed(body: bytes) -> bytes:

@@ -12,7 +12,7 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-__all__ = ["BY_ARMATURE", "BY_PROTOCOL", "Meaning", "allows", "meaning", "unit_behind"]
+__all__ = ["BY_ARMATURE", "BY_KIND", "BY_NAME", "BY_PROTOCOL", "DUTY", "Meaning", "allows", "meaning", "unit_behind"]
 
 _WORDS: Mapping[str, str] = {
     "time": (
@@ -21,7 +21,7 @@ _WORDS: Mapping[str, str] = {
     ),
     "position": (
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
-        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos"
+        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos"
     ),
     "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
     "velocity": (
@@ -30,8 +30,8 @@ _WORDS: Mapping[str, str] = {
     ),
     "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
-    "current": "strom amps ampere iq",
-    "torque": "torque tau moment momenten drehmoment drehmomenten effort",
+    "current": "strom amps ampere iq curr",
+    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
     "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
     "either": "command cmd commanded",
@@ -39,13 +39,14 @@ _WORDS: Mapping[str, str] = {
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action"
+        "leitwert set action rpos profile"
     ),
     "actual": (
         "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
         "est sensor real mess messwert gemessen response regelgroesse observation state"
     ),
     "feedforward": "feedforward ff vorsteuerung",
+    "direction": "dir direction richtung drehrichtung vorzeichen",
     "enabled": "enabled enable freigabe",
     "other": (
         "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
@@ -114,7 +115,7 @@ _UNITS = {
     "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
     "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
     "ampere": "A",
-    "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
+    "inch": "inch", "inches": "inch", "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
     "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
@@ -122,6 +123,7 @@ _UNITS = {
 _ARMATURE = ("u", "a")
 BY_ARMATURE = "perhaps at the end of its name"
 """Where the unit of ``U_A`` stands: it is the armature's voltage, or a command in amperes."""
+BY_NAME, DUTY, BY_KIND = "by its name", "duty", "which a column of that name is in"
 BY_PROTOCOL = "which servos of that protocol count in"
 _CONVENTIONS = (
     (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
@@ -163,7 +165,8 @@ class Meaning:
     symbol : bool
         Whether a single letter is all there is.
     kind : str
-        Of a command: voltage, duty, current, torque, force or output; of a position: angle or position.
+        Of a command: voltage, duty, current, torque, force or output; of a position: angle or position; of what gives a
+        magnitude its sign: direction.
     grade : int
         Of a command: 0 what was asked for, 1 unsaid, 2 what was measured.
     rest : frozenset of str
@@ -317,11 +320,11 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
     implied = next((_IMPLIED[token] for token in tokens if token in _IMPLIED), None)
     if unit is None and implied:
-        unit, where = implied, "by its name"
+        unit, where = implied, BY_NAME
     if len(tokens) == 1 and unit is None and allows("position", _UNITS.get(tokens[0], "s")):
-        return Meaning(("position",), _UNITS[tokens[0]], tokens[0], "by its name")
+        return Meaning(("position",), _UNITS[tokens[0]], tokens[0], BY_NAME)
     if len(tokens) == 1 and unit is None and tokens[0] in ("ms", "us", "ns", "sec", "s"):
-        return Meaning(("time",), _UNITS[tokens[0]], tokens[0], "by its name", symbol=True)
+        return Meaning(("time",), _UNITS[tokens[0]], tokens[0], BY_NAME, symbol=True)
     asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
     symbols = [token for token in tokens if token in _LETTERS]
     words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
@@ -329,7 +332,7 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     if unit is None:
         unit, where = _convention(name) or (None, BY_ARMATURE if tokens[-2:] == _ARMATURE else "")
     if unit is None and kind in _ASSUMED:
-        unit, where = _ASSUMED[kind], "which a column of that name is in"
+        unit, where = _ASSUMED[kind], BY_KIND
     asked = asked or bool({"either", "input"} & set(kinds))
     roles = _agreeing(roles, unit, kind, asked)
     grade = 0 if asked else 2 if measured else 1
@@ -360,6 +363,8 @@ def _roles(
     asked = asked or bool({"either", "input"} & set(kinds))
     if "velocity" in kinds or (place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
+    if "direction" in kinds and not place:
+        return (), "direction", False
     command = next((kind for kind in _COMMANDS if kind in kinds), "")
     if place:
         roles = ("reference",) if asked else ("position",)

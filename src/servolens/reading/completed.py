@@ -1,0 +1,144 @@
+"""What chosen columns lack and others, or rows before, supply: a value that holds on, the sign of a magnitude."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.reading.files import quote
+from servolens.reading.roles import turns
+from servolens.reading.words import meaning
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from servolens.reading.roles import Choice
+    from servolens.reading.table import Column, Table
+
+    Values = NDArray[np.float64]
+
+__all__ = ["held", "signed"]
+
+HELD = ("reference", "feedforward", "enabled")
+"""Signals that keep their value until a new one is set."""
+WORK = 0.1
+"""Correlation of command and speed from which on the motor surely drives the axis; chosen: a few times that of
+unrelated signals in short records, and less than that of the axes of the laboratory (0.15 to 0.8)."""
+
+
+def held(chosen: Mapping[str, Choice]) -> tuple[dict[str, Choice], list[Finding]]:
+    """Return the columns with blank cells filled where a signal holds its value, and what was done.
+
+    Cells before the first value stay blank, as do all of a column with other texts.
+
+    Parameters
+    ----------
+    chosen : mapping of str to Choice
+        The columns of the signals.
+    """
+    filled, remarks = dict(chosen), list[Finding]()
+    for signal in HELD:
+        choice = chosen.get(signal)
+        if choice is None or not _has_blanks(choice.column):
+            continue
+        values = choice.column.values
+        known = np.isfinite(values)
+        latest = np.maximum.accumulate(np.where(known, np.arange(values.size), 0))
+        filled[signal] = replace(choice, column=replace(choice.column, values=values[latest], fault=None))
+        message = (
+            f"the {signal} is blank in {np.count_nonzero(~known)} of {values.size} rows; each value was held until the"
+            " next one. If it moved in between, log it in each row."
+        )
+        remarks.append(Finding(code=f"{signal}_held", severity="note", message=message))
+    return filled, remarks
+
+
+def _has_blanks(column: Column) -> bool:
+    values = column.values
+    if column.fault is not None and not column.fault.is_blank:
+        return False
+    return bool(values.dtype.kind == "f" and values.size and np.isfinite(values[0]) and np.isnan(values).any())
+
+
+def signed(chosen: Mapping[str, Choice], tables: Sequence[Table]) -> tuple[dict[str, Choice], list[Finding]]:
+    """Return the columns with a command that was logged without its sign given that of the direction beside it.
+
+    Of 1 and -1 the sign is known. Which of two other values is forward, the work tells: what drives an axis from rest
+    does not take power out of it, so that command and speed correlate. Without a direction, nor a reference by which
+    the control law tells, a command of one sign is remarked on where the axis goes both ways.
+
+    Parameters
+    ----------
+    chosen : mapping of str to Choice
+        The columns of the signals.
+    tables : sequence of Table
+        Of the file.
+
+    Raises
+    ------
+    InputError
+        If a direction stands beside the command and leaves open what it means.
+    """
+    choice, position = chosen.get("voltage"), chosen.get("position")
+    if choice is None or position is None or not _is_magnitude(choice.column):
+        return dict(chosen), []
+    beside = [column for column in tables[choice.table].columns if _is_direction(column, choice.column)]
+    if not beside:
+        asks = "reference" not in chosen and turns(position.column.values)
+        return dict(chosen), [_of_one_sign(choice)] if asks else []
+    signs, why = _signs(beside[0], choice, position) if len(beside) == 1 else (None, "")
+    if signs is None:
+        raise InputError(
+            f"column {quote(choice.label)} has one sign throughout, and what {quote(beside[0].name)} says of its"
+            " direction is not clear; log the command with its sign, or the direction as 1 and -1"
+        )
+    column = replace(choice.column, values=choice.column.values * signs)
+    message = f"the voltage, {quote(choice.label)}, was given the sign of {quote(beside[0].name)}{why}."
+    remark = Finding(code="voltage_signed", severity="note", message=message)
+    evidence = f"{choice.evidence}; its sign from {quote(beside[0].name)}{why}"
+    return {**chosen, "voltage": replace(choice, column=column, evidence=evidence)}, [remark]
+
+
+def _is_direction(column: Column, command: Column) -> bool:
+    values = column.values
+    stands = values.size > 0 and bool(np.isfinite(values).all() and np.ptp(values) == 0)
+    is_one = meaning(column.name, column.unit).kind == "direction" and not stands
+    return is_one and values.size == command.values.size
+
+
+def _of_one_sign(choice: Choice) -> Finding:
+    message = (
+        f"the voltage, {quote(choice.label)}, has one sign throughout while the axis goes both ways; if it is a"
+        " magnitude, log it with its sign, or beside it a column direction of 1 and -1."
+    )
+    return Finding(code="voltage_of_one_sign", severity="warning", message=message)
+
+
+def _is_magnitude(column: Column) -> bool:
+    values = column.values
+    return bool(column.fault is None and values.size and np.min(values) >= 0 and np.any(values))
+
+
+def _signs(direction: Column, command: Choice, position: Choice) -> tuple[Values | None, str]:
+    """Return 1 and -1 by sample, and how they were found; None where the direction leaves them open."""
+    values, y = direction.values, position.column.values
+    levels = np.unique(values)
+    if direction.fault is not None or not np.isfinite(values).all():
+        return None, ""
+    if set(levels.tolist()) <= {-1.0, 0.0, 1.0} and -1.0 in levels:
+        return values, ""
+    if levels.size != 2 or y.size != values.size or not np.isfinite(y).all():
+        return None, ""
+    signs: Values = np.where(values == levels[1], 1.0, -1.0)
+    driven, speed = (signs * command.column.values)[1:-1], y[2:] - y[:-2]
+    size = float(np.linalg.norm(driven) * np.linalg.norm(speed))
+    work = float(driven @ speed) / size if size > 0 else 0.0
+    forward = levels[1] if work > 0 else levels[0]
+    why = f" ({forward:g} is forward, as command and speed agree: r = {abs(work):.2f})"
+    return (None if abs(work) < WORK else np.sign(work) * signs), why

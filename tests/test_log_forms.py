@@ -1,0 +1,442 @@
+"""Logs as tools write them that stray from a plain table: each is read as the laboratory made it, or asked about."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from time import process_time
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from servolens import lab
+from servolens.campaign import read_records
+from servolens.cli import group
+from servolens.errors import InputError
+from servolens.reading import read_log, stamps
+
+TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.2, noise=1e-5, seed=5)
+T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
+MM = "time [s],position [mm],reference [mm],voltage [V]\n"
+DIGITS = 2e-6
+"""Relative error of what is logged with six digits behind the point."""
+
+
+def rows(*columns, separator=",", form="{:.6f}"):
+    """Lines of cells; texts stay as they are."""
+    cells = zip(*columns, strict=True)
+    lines = (separator.join(x if isinstance(x, str) else form.format(x) for x in row) for row in cells)
+    return "\n".join(lines) + "\n"
+
+
+def texts(form, values):
+    return [form.format(value) for value in values]
+
+
+def stamped(form, start="2026-11-28 11:59:59.900000"):
+    """Time stamps of milliseconds; noon passes after 100 of them."""
+    instants = [datetime.fromisoformat(start) + timedelta(milliseconds=k) for k in range(T.size)]
+    return [x.strftime(form.replace("%ms", f"{x.microsecond // 1000:03d}")) for x in instants]
+
+
+def blank(values, keep):
+    return [f"{1e3 * x:.6f}" if kept else "" for x, kept in zip(values, keep, strict=True)]
+
+
+TENTH = np.arange(T.size) % 10 == 0
+CHANGES = np.append(True, np.diff(R) != 0)
+STAMPED = "Time,Position [mm],Setpoint [mm],Voltage [V]\n"
+SIGNALS = (Y * 1e3, R * 1e3, U)
+COUNTS = [str(k) for k in range(T.size)]
+CHANNELS = {"position": "CH1", "reference": "CH2", "voltage": "CH3"}
+SCALE = {"columns": CHANNELS, "units": {"position": "0.1 m", "reference": "100 mm"}}
+VOLTS = (Y * 10, R * 10, U)
+LISTED = [("t", T, "s"), ("ref", R * 1e3, "mm"), ("pos", Y * 1e3, "mm"), ("u", U, "V")]
+FOOT = (
+    "Mean,50.1,30.2,0.1\nMax,107.3,100.0,6.0\nMin,-0.1,0.0,-6.0\nStd,30.1,20.2,1.0\nCount,1801,1801,1801\nRMS,1,2,3\n"
+)
+IN_UNITS = ("{:.3f} s", "{:.6f} mm", "{:.3f}mm", "{:.6f}V")
+READ = {
+    "AM and PM, American date": (STAMPED + rows(stamped("%m/%d/%Y %I:%M:%S.%ms %p"), *SIGNALS), {}),
+    "AM and PM, no date": (STAMPED + rows(stamped("%I:%M:%S.%ms %p"), *SIGNALS), {}),
+    "European date with slashes": (STAMPED + rows(stamped("%d/%m/%Y %H:%M:%S.%ms"), *SIGNALS), {}),
+    "name of the month": (STAMPED + rows(stamped("%d-%b-%Y %H:%M:%S.%ms"), *SIGNALS), {}),
+    "minutes and seconds": (STAMPED + rows(stamped("%M:%S.%ms", "2026-11-28 11:00:59.9"), *SIGNALS), {}),
+    "reference in every tenth row": (MM + rows(T, Y * 1e3, blank(R, TENTH), U), {}),
+    "reference where it changes": (MM + rows(T, Y * 1e3, blank(R, CHANGES), U), {}),
+    "reference, nan between": (MM + rows(T, Y * 1e3, [x or "NaN" for x in blank(R, TENTH)], U), {}),
+    "units in cells": (
+        "Time,Position,Setpoint,Voltage\n"
+        + rows(*(texts(form, x) for form, x in zip(IN_UNITS, (T, *SIGNALS), strict=True))),
+        {},
+    ),
+    "units in cells, decimal commas": (
+        "Zeit;Position;Sollwert;Spannung\n"
+        + rows(
+            *(texts(f"{{:.6f}} {u}", x) for u, x in zip(("s", "mm", "mm", "V"), (T, *SIGNALS), strict=True)),
+            separator=";",
+        ).replace(".", ","),
+        {},
+    ),
+    "prefixes in cells": (
+        "Time,Position,Setpoint,Voltage\n"
+        + rows(T, [f"{1e3 * y:.6f} mm" if y < 0.05 else f"{100 * y:.7f} cm" for y in Y], texts("{:.6f} m", R), U),
+        {},
+    ),
+    "statistics below": (MM + rows(T, *SIGNALS) + "\n" + FOOT, {}),
+    "statistics without a blank line": (MM + rows(T, *SIGNALS) + FOOT, {}),
+    "pairs of values below": (MM + rows(T, *SIGNALS) + "\nStatistics\nMean position,50\nOvershoot,7.3\n", {}),
+    "Rigol": (
+        "X,CH1,CH2,CH3,Start,Increment\nSequence,VOLT,VOLT,VOLT,0.000000e+00,1.000000e-03\n"
+        + rows(COUNTS, *VOLTS).replace("\n", ",,\n"),
+        SCALE,
+    ),
+    "Rigol, short rows": (
+        "X,CH1,CH2,CH3,Start,Increment,\nSequence,Volt,Volt,Volt,0.000000e+00,1.000000e-03\n"
+        + rows(COUNTS, *VOLTS).replace("\n", ",\n"),
+        SCALE,
+    ),
+    "Siglent": (
+        "Record Length,Analog:601\nSample Interval,Analog:1.0e-03\nModel Number,SDS1104X-E\n\n"
+        "Source,CH1,CH2,CH3\nSecond,Volt,Volt,Volt\n" + rows(T, *VOLTS),
+        SCALE,
+    ),
+    "Graphtec": (
+        "Vendor,GRAPHTEC\nSampling interval,1ms\nData\nNumber,Date&Time,ms,Position,Setpoint,Voltage\n"
+        "NO.,time,ms,mm,mm,V\n" + rows(COUNTS, stamped("%Y/%m/%d %H:%M:%S"), stamped("%ms"), *SIGNALS),
+        {"settings": {"sample_time": "1 ms"}},
+    ),
+    "a time before each signal": (
+        "Time (s),Position (mm),Time (s),Setpoint (mm),Time (s),Voltage (V)\n" + rows(T, Y * 1e3, T, R * 1e3, T, U),
+        {},
+    ),
+    "quoted decimal commas": (
+        '"Zeit [s]","Position [mm]","Sollwert [mm]","Spannung [V]"\n'
+        + rows(*([f'"{x:.6f}"'.replace(".", ",") for x in column] for column in (T, *SIGNALS))),
+        {},
+    ),
+    "Arduino, labels": (
+        "".join(f"t_ms:{t * 1e3:.0f},target_mm:{r * 1e3:.1f},pos_mm:{y * 1e3:.6f},volts:{u:.6f}\n"
+                for t, r, y, u in zip(T, R, Y, U, strict=True)),
+        {},
+    ),
+    "Arduino, labels and units, cut at the beginning": (
+        "s: 30.0 mm, u: 0.1 V\n"
+        + rows(*(texts(f"{name}: {{:.6f}} {unit}", x) for name, x, unit in LISTED), separator=", "),
+        {},
+    ),
+    "Arduino's monitor with time stamps": (
+        "11:59:59.100 -> ref_mm,pos_mm,volts\n"
+        + rows(texts("{} -> ", stamped("%H:%M:%S.%ms")), *(R * 1e3, Y * 1e3, U)).replace(" -> ,", " -> "),
+        {},
+    ),
+    "inches by name": ("t_ms,pos_inch,target_inch,u_V\n" + rows(T * 1e3, Y / 0.0254, R / 0.0254, U), {}),
+    "ACS": (
+        "Time [msec],FPOS(0),RPOS(0),DCOM(0) [V]\n" + rows(T * 1e3, Y * 1e3, R * 1e3, U),
+        {"units": {"position": "mm"}, "columns": {"voltage": "DCOM(0)"}},
+    ),
+}  # fmt: skip
+
+
+def written(tmp_path, content):
+    path = tmp_path / "run.csv"
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def refusal(tmp_path, content, **options):
+    with pytest.raises(InputError) as error:
+        read_log(written(tmp_path, content), **options)
+    return str(error.value).partition("run.csv: ")[2]
+
+
+def notes(reading):
+    return {remark.code: remark.message for remark in reading.record.remarks}
+
+
+@pytest.mark.parametrize(("content", "options"), READ.values(), ids=READ)
+def test_log_is_read_as_it_was_made(tmp_path, content, options):
+    record = read_log(written(tmp_path, content), **options).record
+    assert record.time == pytest.approx(T, abs=1e-9)
+    for signal, truth in (("position", Y), ("reference", R), ("voltage", U)):
+        assert np.max(np.abs(getattr(record, signal) - truth)) < DIGITS * np.ptp(truth), signal
+
+
+@pytest.mark.parametrize("form", READ)
+def test_campaign_of_such_a_log_reads_it_again(tmp_path, form):
+    content, options = READ[form]
+    named = [("--column", "columns"), ("--unit", "units"), ("--setting", "settings")]
+    answers = [f"{option}={key}={x}" for option, kind in named for key, x in options.get(kind, {}).items()]
+    arguments = ["convert", str(written(tmp_path, content)), "--out", str(tmp_path / "c.toml"), *answers]
+    done = CliRunner().invoke(group, arguments)
+    assert done.exit_code == 0, done.output
+    (record,) = read_records(tmp_path / "c.toml")
+    assert np.max(np.abs(record.position - Y)) < DIGITS * np.ptp(Y)
+    assert np.max(np.abs(record.voltage - U)) < DIGITS * np.ptp(U)
+
+
+# ---- time stamps
+
+
+def test_noon_and_midnight_of_half_a_day():
+    found = stamps.stamps(["12:00:00.5 AM", "1:00:00 am", "12:00:00 PM", "11:59:59 p.m."])
+    assert found.astype("datetime64[s]").astype(int).tolist() == [0, 3600, 12 * 3600, 24 * 3600 - 1]
+
+
+def test_hours_of_half_a_day_end_at_twelve(tmp_path):
+    content = STAMPED + rows(stamped("%H:%M:%S.%ms AM", "2026-11-28 12:59:59.9"), *SIGNALS)
+    assert refusal(tmp_path, content) == "a time stamp has a date or a clock that does not exist"
+
+
+@pytest.mark.parametrize(("form", "start"), [("%m/%d/%Y", "2026-11-28"), ("%d/%m/%Y", "2026-11-28")])
+def test_dates_with_slashes_tell_their_order_past_midnight(tmp_path, form, start):
+    content = STAMPED + rows(stamped(f"{form} %H:%M:%S.%ms", f"{start} 23:59:59.9"), *SIGNALS)
+    assert read_log(written(tmp_path, content)).record.time == pytest.approx(T, abs=1e-9)
+
+
+def test_dates_with_slashes_of_two_readings_are_a_question(tmp_path):
+    content = STAMPED + rows(stamped("%m/%d/%Y %H:%M:%S.%ms", "2026-03-04 23:59:59.9"), *SIGNALS)
+    said = "the time stamps' dates may begin with the day or the month; write them as 2026-11-28"
+    assert refusal(tmp_path, content) == said
+
+
+@pytest.mark.parametrize("wrong", ["/", "11/28 /2026 1:00:00", "a/"])
+def test_a_damaged_date_is_refused(tmp_path, wrong):
+    instants = stamped("%m/%d/%Y %H:%M:%S.%ms")
+    instants[5] = wrong
+    said = f"line 7, time: '{wrong}' is no time stamp; fill or leave out such rows"
+    assert refusal(tmp_path, STAMPED + rows(instants, *SIGNALS)) == said
+
+
+# ---- blank cells
+
+
+def test_what_was_held_is_said(tmp_path):
+    reading = read_log(written(tmp_path, MM + rows(T, Y * 1e3, blank(R, TENTH), U)))
+    count = np.count_nonzero(~TENTH)
+    assert notes(reading)["reference_held"] == (
+        f"the reference is blank in {count} of {T.size} rows; each value was held until the next one."
+        " If it moved in between, log it in each row."
+    )
+
+
+@pytest.mark.parametrize("signal", ["position", "voltage"])
+def test_only_what_holds_its_value_is_held(tmp_path, signal):
+    cells = {"position": Y, "voltage": U / 1e3}
+    columns = {"position": Y * 1e3, "reference": R * 1e3, "voltage": U} | {signal: blank(cells[signal], TENTH)}
+    said = f"line 3, {signal}: the value is missing; fill or leave out such rows"
+    assert refusal(tmp_path, MM + rows(T, *columns.values())) == said
+
+
+def test_cells_before_the_first_value_are_refused(tmp_path):
+    content = MM + rows(T, Y * 1e3, blank(R, np.arange(T.size) > 2), U)
+    assert refusal(tmp_path, content).startswith("line 2, reference: the value is missing")
+
+
+def test_a_reference_with_a_wrong_text_is_refused(tmp_path):
+    cells = blank(R, TENTH)
+    cells[17] = "error"
+    assert refusal(tmp_path, MM + rows(T, Y * 1e3, cells, U)).startswith("line 3, reference: the value is missing")
+
+
+# ---- units in cells
+
+
+def test_cells_in_a_unit_that_the_heading_contradicts_are_refused(tmp_path):
+    content = "time [s],position [m],voltage [V]\n" + rows(T, texts("{:.4f} mm", Y * 1e3), U)
+    said = "column 'position [m]' states 'm' in its heading and 'mm' in its cells; keep one"
+    assert refusal(tmp_path, content) == said
+
+
+@pytest.mark.parametrize("cell", ["0.5", "0.5 V", "none"])
+def test_a_cell_in_no_unit_of_its_column_is_refused(tmp_path, cell):
+    cells = texts("{:.4f} mm", Y * 1e3)
+    cells[30] = cell
+    said = f"line 32, position: '{cell}' is no number in a unit as the cells above it; fill or leave out such rows"
+    assert refusal(tmp_path, "time,position,voltage\n" + rows(T, cells, U)) == said
+
+
+# ---- what stands below
+
+
+def test_words_are_only_left_out_at_the_end(tmp_path):
+    content = MM + rows(T, *SIGNALS) + FOOT + rows(T[-1:] + 1e-3, *(x[-1:] for x in SIGNALS))
+    assert "'Mean' is not a number" in refusal(tmp_path, content)
+
+
+def test_a_wrong_value_in_the_last_row_is_refused(tmp_path):
+    assert "'error' is not a number" in refusal(tmp_path, MM + rows(T, *SIGNALS) + "0.601,error,70,0\n")
+
+
+# ---- gains without a unit
+
+
+@pytest.mark.parametrize(("head", "says"), [("", True), ("# kp = 60 V/m\n", False)], ids=["bare", "with its unit"])
+def test_a_bare_kp_beside_millimetres_is_said_to_be_in_si(tmp_path, head, says):
+    head = head or "# kp = 60\n"
+    found = notes(read_log(written(tmp_path, head + "time [s],position [mm],reference [mm]\n" + rows(T, *SIGNALS[:2]))))
+    assert found.get("unit_of_kp_assumed") == (
+        "kp = 60 states no unit and was taken in V/m, while the position is logged in mm; if it is meant so, write"
+        " kp = 60 V/mm."
+        if says
+        else None
+    )
+
+
+@pytest.mark.parametrize("content", ["time,position,reference\n" + rows(T, Y, R), MM + rows(T, *SIGNALS)])
+def test_a_bare_kp_is_no_question_in_si_or_beside_the_command(tmp_path, content):
+    assert "unit_of_kp_assumed" not in notes(read_log(written(tmp_path, "# kp = 60\n# kd = 4\n" + content)))
+
+
+# ---- a magnitude and its direction
+
+PWM = np.round(U * 255 / 12)
+
+
+@pytest.mark.parametrize(
+    ("name", "direction", "why"),
+    [
+        ("dir", np.sign(U), ""),
+        ("motor_direction", np.where(PWM > 0, 1, 0), "1 is forward"),
+        ("Drehrichtung", np.where(PWM > 0, 0, 1), "0 is forward"),
+        ("dir", np.where(PWM > 0, 1, 2), "1 is forward"),
+    ],
+    ids=["signs", "one is forward", "zero is forward", "one and two"],
+)
+@pytest.mark.parametrize("with_reference", [True, False], ids=["with reference", "without"])
+def test_a_magnitude_is_given_its_direction(tmp_path, name, direction, why, with_reference):
+    heads, columns = ("t_ms,pos_mm,ref_mm,pwm", (R * 1e3,)) if with_reference else ("t_ms,pos_mm,pwm", ())
+    content = f"{heads},{name}\n" + rows(T * 1e3, Y * 1e3, *columns, np.abs(PWM), direction)
+    reading = read_log(written(tmp_path, content))
+    assert reading.record.voltage.tolist() == PWM.tolist()
+    assert f"was given the sign of '{name}'" in notes(reading)["voltage_signed"]
+    assert why in notes(reading)["voltage_signed"]
+
+
+@pytest.mark.parametrize(
+    "direction",
+    [np.where(PWM > 0, "F", "R").tolist(), np.arange(T.size) % 2, np.arange(T.size) % 3],
+    ids=["words", "unrelated", "three values"],
+)
+def test_a_direction_that_is_not_clear_is_a_question(tmp_path, direction):
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), direction)
+    assert refusal(tmp_path, content) == (
+        "column 'pwm' has one sign throughout, and what 'dir' says of its direction is not clear; log the command with"
+        " its sign, or the direction as 1 and -1"
+    )
+
+
+def test_a_signed_command_keeps_its_sign(tmp_path):
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, PWM, np.where(PWM > 0, 0, 1))
+    assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()
+
+
+@pytest.mark.parametrize("says", [True, False], ids=["both ways", "one way"])
+def test_a_command_of_one_sign_is_remarked_on_where_the_axis_goes_both_ways(tmp_path, says):
+    position = Y if says else np.maximum.accumulate(Y)
+    found = notes(read_log(written(tmp_path, "t_ms,pos_mm,pwm\n" + rows(T * 1e3, position * 1e3, np.abs(PWM)))))
+    assert ("voltage_of_one_sign" in found) == says
+
+
+def test_a_direction_of_travel_is_a_part_of_a_position_s_name(tmp_path):
+    heads = "t [s];Weg in x-Richtung [mm];Sollweg in x-Richtung [mm];Spannung [V]\n"
+    record = read_log(written(tmp_path, heads + rows(T, *SIGNALS, separator=";"))).record
+    assert np.max(np.abs(record.reference - R)) < DIGITS * np.ptp(R)
+
+
+# ---- units that names leave open
+
+
+def test_a_duty_beyond_one_is_a_question(tmp_path):
+    content = "t_ms,pos_mm,target_mm,duty\n" + rows(T * 1e3, *SIGNALS[:2], U / 6.5 * 50)
+    assert refusal(tmp_path, content).endswith(
+        "and 1 is full duty: per cent and counts of a PWM are plausible; say --unit voltage=% or --unit voltage=pwm"
+    )
+    record = read_log(written(tmp_path, content), units={"voltage": "%"}).record
+    assert np.max(np.abs(record.voltage - U / 6.5 * 50)) < DIGITS * 100
+
+
+def test_in_at_a_name_s_end_is_inches_or_an_input(tmp_path):
+    content = "t_ms,pos_in,target_in,u_V\n" + rows(T * 1e3, Y / 0.0254, R / 0.0254, U)
+    said = "column 'pos_in' may be in inches, or an input; say --unit position=in or --unit position=m"
+    assert refusal(tmp_path, content) == said
+    record = read_log(written(tmp_path, content), units={"position": "in"}).record
+    assert np.max(np.abs(record.reference - R)) < DIGITS * np.ptp(R)
+
+
+def test_a_sensor_s_voltage_needs_its_scale(tmp_path):
+    assert refusal(tmp_path, READ["Siglent"][0], columns=CHANNELS) == (
+        "position is in 'Volt', which is not a unit for it; a sensor's voltage needs its scale: state what one V is,"
+        " e.g. --unit 'position=0.01 m'"
+    )
+
+
+def test_oscilloscope_is_asked_for_its_channels(tmp_path):
+    said = "no column named position; the columns are 'Source, CH1, CH2, CH3' (map names of your own, e.g. --column"
+    assert refusal(tmp_path, READ["Siglent"][0]).startswith(said)
+
+
+def test_a_slower_signal_with_its_own_times_is_held(tmp_path):
+    slow = [(f"{t:.4f}", f"{r * 1e3:.4f}") for t, r in zip(T[::10], R[::10], strict=True)]
+    slow += [("", "")] * (T.size - len(slow))
+    content = "Time (s),Position (mm),Time (s),Setpoint (mm)\n" + rows(T, Y * 1e3, *zip(*slow, strict=True))
+    record = read_log(written(tmp_path, content), settings={"kp": 60}).record
+    assert np.max(np.abs(record.reference - R[np.arange(T.size) // 10 * 10])) < DIGITS * np.ptp(R)
+
+
+def test_labels_that_change_are_no_table(tmp_path):
+    content = READ["Arduino, labels"][0].replace("pos_mm:", "pos:", 5)
+    assert refusal(tmp_path, content) == "the header row is not followed by numbers"
+
+
+def test_time_stamps_are_no_labels(tmp_path):
+    iso = stamped("%Y-%m-%dT%H:%M:%S.%ms", "2026-11-28 12:00:00.0")
+    content = "stamp_header,time,position [mm],reference [mm],voltage [V]\n" + rows(iso, iso, *SIGNALS)
+    assert read_log(written(tmp_path, content)).record.time == pytest.approx(T, abs=1e-9)
+
+
+def test_names_with_units_among_them_are_no_row_of_units(tmp_path):
+    content = "Device,PSU,4\nTime,mm,V\n" + rows(T, Y * 1e3, U)
+    record = read_log(written(tmp_path, content)).record
+    assert np.max(np.abs(record.position - Y)) < DIGITS * np.ptp(Y)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "spoken", "answers"),
+    [
+        ("dac", "", "volts and counts of a PWM", "voltage=V or --unit voltage=pwm"),
+        ("motor_current", "A", "A and mA", "voltage=A or --unit voltage=mA"),
+        ("Act.Trq", "N m", "N m and mN m", "'voltage=N m' or --unit 'voltage=mN m'"),
+    ],
+)
+def test_whole_numbers_of_a_command_without_a_unit_are_a_question(tmp_path, name, unit, spoken, answers):
+    content = f"t_ms,pos_mm,ref_mm,{name}\n" + rows(T * 1e3, *SIGNALS[:2], np.round(U * 1e3))
+    assert refusal(tmp_path, content) == (
+        f"column '{name}' holds whole numbers up to {np.max(np.abs(np.round(U * 1e3))):g} and states no unit: {spoken}"
+        f" are plausible; say --unit {answers}"
+    )
+    milli = {"voltage": f"m{unit or 'V'}"}
+    assert np.max(np.abs(read_log(written(tmp_path, content), units=milli).record.voltage - U)) <= 0.5e-3 + 1e-9
+
+
+def test_a_few_whole_levels_of_a_command_are_in_its_unit(tmp_path):
+    content = "t_ms,pos_mm,ref_mm,current\n" + rows(T * 1e3, *SIGNALS[:2], np.round(U))
+    assert read_log(written(tmp_path, content)).record.command_unit == "A"
+
+
+@pytest.mark.parametrize(("factor", "asks"), [(1.0, True), (1e3, False)], ids=["metres", "millimetres"])
+def test_a_reference_that_travels_otherwise_than_its_position_is_a_question(tmp_path, factor, asks):
+    content = "t_ms,pos_mm,target,u_V\n" + rows(T * 1e3, Y * 1e3, R * factor, U)
+    if asks:
+        said = refusal(tmp_path, content)
+        assert said.startswith("column 'target' travels 0.08 and states no unit, beside ")
+        assert said.endswith(" mm of 'pos_mm'; say --unit reference=mm or --unit reference=m")
+    options = {"units": {"reference": "m"}} if asks else {}
+    record = read_log(written(tmp_path, content), **options).record
+    assert np.max(np.abs(record.reference - R)) < DIGITS * np.ptp(R)
+
+
+def test_a_long_run_of_blanks_keeps_nobody_busy(tmp_path):
+    begin = process_time()
+    refusal(tmp_path, "1 a" + " " * 200_000 + "b,2\n")
+    assert process_time() - begin < 5  # it took minutes where each blank was a beginning
