@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servolens import lab
+from servolens import Plant, lab, predict
 from servolens.checking import check
 from servolens.quality import fatal
 from servolens.record import Controller, Record
@@ -267,3 +267,11 @@ def test_filter_of_measured_intervals_is_named():
     found = told(own_loop(late, share=0.3))
     assert set(found) == {"jitter", "settings_contradict_log"}
     assert "derivative_filter = 0.3, not 1 " in found["settings_contradict_log"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_loop_with_late_stamps_is_simulated_as_it_ran(seed):
+    record = own_loop(late, by_interval=False, seed=seed)
+    assert record.sample_time == pytest.approx(CYCLE, rel=1e-3)
+    ((error,),) = predict(Plant(gain=1.9, damping=6.0), record).errors
+    assert error.rms_error < 2e-5  # the sensor's noise is half of that, and the loop answers to it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -9,10 +10,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHANGED", "Clock", "clock_of"]
+__all__ = ["CHANGED", "EVEN", "Clock", "clock_of", "cycle_of"]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
+EVEN = 0.01
+"""Share of the median interval within which half of all intervals are where it is the cycle."""
 WINDOW, HAMPEL = 31, 3.0
 """Intervals of the running median: half of them may be wrong; robust standard deviations by which what differs from it
 differs for good (Hampel's filter)."""
@@ -51,6 +54,16 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
     ([5], {1.0})
     """
     intervals = np.diff(time)
+    usual = float(np.median(intervals))
+    if np.all(np.abs(intervals - usual) <= CHANGED * usual):
+        return Clock(np.full(intervals.size, usual), np.zeros(intervals.size, dtype=bool))
+    return _uneven(time.tobytes())
+
+
+@lru_cache(maxsize=16)  # the law of one log is tried with many settings
+def _uneven(stamps: bytes) -> Clock:
+    time = np.frombuffer(stamps)
+    intervals = np.diff(time)
     cycles = _cycles(time, intervals)
     lost = intervals > LONG * cycles
     if lost.any():
@@ -62,7 +75,29 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
         by_itself = (intervals / cycles)[long] > 2.0 - np.min(intervals / cycles)
         longest = intervals[long] == maximum_filter1d(intervals, 2 * SIDE + 1)[long]
         lost[long] = (shifts > LONG) & (by_itself | (longest & (shifts > 2.0 - np.min(usual))))
+    cycles.setflags(write=False)
+    lost.setflags(write=False)
     return Clock(cycles, lost)
+
+
+def cycle_of(time: NDArray[np.float64]) -> float:
+    """Return the cycle of time stamps [s], shape (n,), rising, n ≥ 2: the median interval, where most are like it.
+
+    Of a clock that jitters, what has passed in all by the number of cycles, lost ones included.
+
+    Examples
+    --------
+    >>> cycle_of(np.array([0.0, 1.0, 2.0, 4.0, 5.0])), cycle_of(np.array([0.0, 1.2, 1.9, 3.1, 3.9, 5.0]))
+    (1.0, 1.0)
+    """
+    intervals = np.diff(time)
+    usual = float(np.median(intervals))
+    if float(np.median(np.abs(intervals - usual))) <= EVEN * usual:
+        return usual
+    cycles, lost = clock_of(time)
+    if np.ptp(cycles) > 0.0:
+        return float(np.median(cycles))
+    return float((time[-1] - time[0]) / np.sum(np.where(lost, np.rint(intervals / cycles), 1.0)))
 
 
 def _cycles(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -71,9 +106,6 @@ def _cycles(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArra
     A bus that changes its cycle keeps the new one. Where hardly more than half of the intervals are like the median
     beside them, long and short ones alternate: then two together make two cycles.
     """
-    usual = float(np.median(intervals))
-    if np.all(np.abs(intervals - usual) <= CHANGED * usual):
-        return np.full(intervals.size, usual)
     from scipy.ndimage import median_filter, uniform_filter1d
 
     pairs = np.append(0.5 * (time[2:] - time[:-2]), intervals[-1])

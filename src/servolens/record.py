@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, final
 
 import numpy as np
 
+from servolens.clock import cycle_of
 from servolens.control_arithmetic import Answer, LoopSignals, answer, ticks_a_sample
 from servolens.controller import Controller
 from servolens.errors import as_text, by_name, needed, unwrapped
@@ -135,7 +136,7 @@ class Record:
             object.__setattr__(self, unit, settled(getattr(self, unit), known, f"{self.name}: {unit}"))
         steps = np.diff(self.time)
         check_time(self.time, steps, self.name)
-        object.__setattr__(self, "sample_time", float(np.median(steps)))
+        object.__setattr__(self, "sample_time", cycle_of(self.time))
         require(
             self.reference is not None or self.voltage is not None,
             f"{self.name}: neither reference nor voltage is given; log at least one of the two",

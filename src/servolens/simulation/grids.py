@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.clock import EVEN, cycle_of
 from servolens.errors import InputError
 from servolens.record_signals import as_numbers
 
@@ -16,9 +17,12 @@ __all__ = ["as_floats", "as_grid", "sample_time_of"]
 
 
 def sample_time_of(grid: NDArray[np.float64]) -> float:
-    """Median of the first intervals; a few suffice, and this runs for every simulated step."""
+    """Return the cycle [s]: median of the first intervals if these are alike, for this runs for every simulation."""
     steps = np.sort(grid[1:64] - grid[:63][: grid[1:64].size])
-    return float(steps[steps.size // 2]) if steps.size else 1.0
+    usual = float(steps[steps.size // 2]) if steps.size else 1.0
+    if steps.size < 2 or steps[-1] - steps[0] <= EVEN * usual:
+        return usual
+    return cycle_of(grid)
 
 
 def as_grid(time: ArrayLike) -> NDArray[np.float64]:
