@@ -1098,3 +1098,17 @@ def test_degrees_in_place_of_radians_are_said_to_be_so(stated, tells):
     finding = only(turned.with_({"controller": Controller(kp=stated)}))
     assert finding.code == "gains_contradict_log"
     assert finding.message.endswith(f"; {tells}")
+
+
+def test_reference_that_changes_in_a_gap_is_said():
+    record = lab.step_record(lab.NLM2, 60, reference=(0.0, 0.1), noise=1e-5, seed=4)
+    edge = int(record.edges()[0])
+    torn = cut(record, np.delete(np.arange(len(record)), [edge, 200]))
+    (finding,) = [finding for finding in check(torn) if finding.code == "gaps"]
+    assert finding.message.startswith("2 samples are lost in 2 places, ")
+    assert finding.message.endswith(
+        f"The reference changes in the gap before {record.time[edge + 1]:g} s, and when is not known: leave out the"
+        " step that begins there."
+    )
+    (finding,) = [f for f in check(cut(record, np.delete(np.arange(len(record)), [200]))) if f.code == "gaps"]
+    assert finding.message == "1 sample is lost in one place, the first before 0.201 s; log without gaps, or cut there."

@@ -73,7 +73,7 @@ def test_record_is_read_as_it_was_written_to_the_last_bit(tmp_path, changes):
 
 
 MEANT = {
-    "V": "V", "Volt": "V", "volt": "V", "Volts": "V", "volts": "V", "VOLT": "V",
+    "V": "V", "Volt": "V", "volt": "V", "Volts": "V", "volts": "V", "VOLT": "V", "VOLTS": "V",
     "A": "A", "N": "N", "newton": "N", "N m": "N m", "Nm": "N m", "N*m": "N m",
     "%": "%", "percent": "%", "pwm": "pwm",
 }  # fmt: skip

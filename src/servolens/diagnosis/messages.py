@@ -87,14 +87,11 @@ def _noise(case: Case, chosen: Hypothesis, gains: Gains) -> Iterator[Finding]:
     message = f"the sensor's noise is {readable(size, unit, error)} ({of_what})."
     yield Finding(code="noise_model", severity="note", message=message)
     parts = []
-    memory = noise.memory()
-    if noise.rate == 0.0 and memory > 2.0 and not dominates(noise):
+    if noise.rate == 0.0 and noise.memory() > 2.0 and not dominates(noise):
         slow = size * float(np.sqrt(max(1.0 - (noise.innovation / noise.spread) ** 2, 0.0)))
-        sample = float(np.median(np.diff(case.likelihood.signals[0].time[:64])))
         if slow > error:  # less is within the error of the noise itself
-            parts.append(
-                f"{readable(slow, unit)} of the sensor's noise change slowly ({readable(memory * sample, 's')})"
-            )
+            lasts = readable(noise.time_constant() * case.likelihood.every * case.records[0].sample_time, "s")
+            parts.append(f"{readable(slow, unit)} of the sensor's noise change slowly ({lasts})")
     if dominates(noise):
         parts.append(
             f"rounding to {readable(noise.rounding, unit)}, by the encoder or in the log, is most of the noise"

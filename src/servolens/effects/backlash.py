@@ -76,6 +76,10 @@ class Backlash(Transmission):
         """See :attr:`servolens.effects.kinds.Transmission.play`."""
         return 0.5 * self.gap
 
+    def is_whole(self, seen: Seen) -> bool:
+        """See :meth:`servolens.effects.base.Effect.is_whole`: without a gap it is a stiff coupling, and has no play."""
+        return self.gap > 0.0
+
     def freed(self) -> Iterator[Backlash]:
         """See :meth:`servolens.effects.base.Effect.freed`: with another contact."""
         yield from other_contacts(self)

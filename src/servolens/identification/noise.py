@@ -188,6 +188,24 @@ class NoiseModel:
         total = float(np.sum(self.filters[-1]))
         return max((self.innovation / max(abs(total), 1e-12)) ** 2 / max(self.spread**2, 1e-300), 1.0)
 
+    def time_constant(self) -> float:
+        """Return how many samples its slow part takes to change: till its autocorrelation falls by a factor of e.
+
+        White noise beside it takes part at lag 0 only, and so the fall is counted from the next sample on.
+
+        Examples
+        --------
+        >>> round(replace(NoiseModel.white(1.0), filters=(np.array([1.0, -0.9]),)).time_constant(), 1)
+        9.5
+        """
+        spectrum = 1.0 / np.maximum(np.abs(np.fft.rfft(self.filters[-1], LINES)), 1e-12) ** 2
+        after = np.fft.irfft(spectrum)[1 : LINES // 2]
+        fallen = int(np.argmax(after < after[0] / np.e))
+        if fallen == 0:
+            return float(after.size)
+        before, now = after[fallen - 1 : fallen + 1] * np.e / after[0]
+        return float(fallen - 1 + (before - 1.0) / (before - now))
+
     def spread_error(self, samples: int) -> float:
         """Return the standard error of `spread` from so many `samples` [m or rad].
 

@@ -126,9 +126,15 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     if seen.gaps:
         where = record.time[seen.first_gap]
         places = "one place" if seen.gaps == 1 else f"{seen.gaps} places"
-        message = (
-            f"{seen.lost} samples are lost in {places}, the first before {where:g} s; log without gaps, or cut there."
-        )
+        lost = "1 sample is" if seen.lost == 1 else f"{seen.lost} samples are"
+        message = f"{lost} lost in {places}, the first before {where:g} s; log without gaps, or cut there."
+        edges = record.jumps()
+        unsure = edges[clock_of(record.time).lost[edges - 1]]
+        if unsure.size:
+            message = (
+                f"{message[:-1]}. The reference changes in the gap before {record.time[unsure[0]]:g} s, and when is not"
+                " known: leave out the step that begins there."
+            )
         yield Finding(code="gaps", severity="warning", message=message)
     short, long = seen.cycles
     if long - short > CHANGED * short:

@@ -60,8 +60,8 @@ def cause_phrase(cause: Cause) -> str:
     known = {name: q for name, q in all_known.items() if q.value != cause.kind.absent_at.get(name)} or all_known
     if len(known) >= MANY:
         return f"{spoken(cause.effect)} ({len(known)} parameters, in the table of the model)"
-    is_told = {name: q.reason not in (UNDETERMINED, NOT_REACHED) for name, q in known.items()}
-    shown = {name: q for name, q in known.items() if is_told[name] or not any(is_told.values())}
+    reached = {name: q for name, q in known.items() if q.reason != NOT_REACHED} or known
+    shown = {name: q for name, q in reached.items() if q.reason != UNDETERMINED} or reached
     told = {name: value_and_error(q, beside=shown.values()) for name, q in shown.items()}
     if len(all_known) == 1 and told:
         return f"{spoken(cause.effect)} ({next(iter(told.values()))})"
