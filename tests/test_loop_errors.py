@@ -89,11 +89,31 @@ def test_what_follows_the_motion_is_no_shaking(kind, depends):
 
 
 def test_a_record_of_a_moment_does_not_show_whether_its_axis_is_shaken():
-    record = steps().slice(0.4, 0.9)
+    record = steps().slice(0.45, 0.6)
     noise = replace(WHITE, rate=400.0, corner=2.0)
     drawn = drawn_loop_errors([CART], [record], noise)[:5]
     found = [loop_error([CART], [record], draw, noise, 11.0) for draw in drawn]
     assert [(one.depends, one.is_seen) for one in found] == [(False, False)] * 5
+
+
+def test_shaking_that_moves_an_axis_far_and_slowly_is_told_from_what_follows_its_motion():
+    """Such errors last as long as those of a model that lacks something: unwhitened they hardly count."""
+    record = steps(4.0, kp=30.0)
+    noise = replace(WHITE, spread=4e-5, rate=220.0, corner=25.0)
+    draws = drawn_loop_errors([CART], [record], noise)[:8]
+    assert all(np.std(draw[0]) > 0.005 * np.ptp(record.position) for draw in draws)  # material
+    found = [loop_error([CART], [record], draw, noise, 8.0) for draw in draws]
+    assert [(one.depends, one.is_seen) for one in found] == [(False, True)] * 8
+    speed = np.gradient(record.position, record.time)
+    for (draw,) in draws:
+        for like in (speed / np.std(speed), np.sign(speed)):  # as large as the shaking
+            assert loop_error([CART], [record], [draw + np.std(draw) * like], noise, 8.0).depends
+
+
+def test_an_axis_that_does_not_move_depends_on_nothing_seen():
+    record = steps().slice(0.0, 0.4)
+    found = loop_error([CART], [record], drawn_loop_errors([CART], [record], SHAKEN)[0], SHAKEN, 11.0)
+    assert not found.depends
 
 
 def test_an_axis_that_sticks_may_rest_while_something_shakes_it():

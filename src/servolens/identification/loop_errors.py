@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import ServolensError
+from servolens.identification.noise import MOST_ORDER
 from servolens.identification.repeats import common_share, repeats
 from servolens.identification.rounding import DRAWS, before_rounding, drawn_noise
 from servolens.identification.score import FALSE_ALARM
@@ -40,6 +41,9 @@ REFERENCE_LAGS = (0.5, 1.0, 2.0, 4.0)
 """Lags of the reference in time constants of the loop."""
 PARAMETER_STEP = 1e-3
 """Share of a parameter by which it is moved for the sensitivity of the loop."""
+INTERVAL = 0.1
+"""Time constants of the loop over which errors are averaged before they are whitened: what changes faster is the
+sensor's."""
 UNSURE = 0.1
 """Probability with which few draws show so little of a variance that the limit is too low."""
 VISIBLE, MATTERS = 0.9, 0.5
@@ -91,9 +95,10 @@ def loop_error(
     does and by the reference at several lags, beside what the parameters could make good; and what arises in the third
     of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
     doi:10.1080/01621459.1965.10480811); and what runs that repeat each other have in common, if there are any. What
-    knows nothing of the inputs is as large at rest as in motion, and another in each run. Where nothing shakes the
-    axis, the first of these is asked alone: an encoder's rounding differs at rest. An error that is material must be no
-    larger than those of the draws, either.
+    knows nothing of the inputs is as large at rest as in motion, and another in each run. The first is asked of errors
+    whitened as the draws are: a loop that is shaken answers slowly, so that few of its errors count by themselves, and
+    may follow anything. Where nothing shakes the axis, it is asked alone: an encoder's rounding differs at rest. An
+    error that is material must be no larger than those of the draws, either.
 
     Parameters
     ----------
@@ -115,11 +120,11 @@ def loop_error(
     """
     if not all(np.isfinite(error).all() for error in errors):
         return NO_LOOP
-    shares = _Shares(plants, records, rate)
-    asked = slice(None) if noise.rate > 0.0 else slice(1)
     draws = drawn_loop_errors(plants, records, noise, ripples, unrounded)
     if len(draws) < DRAWS // 2:
         return NO_LOOP
+    shares = _Shares(plants, records, rate, draws)
+    asked = slice(None) if noise.rate > 0.0 else slice(1)
     drawn = np.array([shares.of(draw)[asked] for draw in draws])
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
     found = np.array(shares.of(errors)[asked])
@@ -127,7 +132,8 @@ def loop_error(
     is_material = size > MATERIAL * max(float(np.ptp(record.position)) for record in records)
     is_larger = size > _largest([_size(draw) for draw in draws])
     depends = bool(np.any(found > limits)) or (is_material and is_larger)
-    return LoopError(depends, bool(limits[0] < (MATTERS if is_material else VISIBLE)), is_larger)
+    seen = shares.least(MATTERS if is_material else VISIBLE)
+    return LoopError(depends, bool(limits[0] < seen), is_larger)
 
 
 def _size(errors: Errors) -> float:
@@ -188,9 +194,20 @@ def drawn_loop_errors(
 
 
 class _Shares:
-    """Which shares of a squared error follow the inputs."""
+    """Which shares of a squared error follow the inputs.
 
-    def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float) -> None:
+    Parameters
+    ----------
+    plants, measured : sequence of Plant, of Record
+    rate : float
+        Of the loops [rad/s].
+    draws : sequence of errors
+        Of noise and shaking alone: they tell how to whiten.
+    """
+
+    def __init__(
+        self, plants: Sequence[Plant], measured: Sequence[Record], rate: float, draws: Sequence[Errors]
+    ) -> None:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
         begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
@@ -208,7 +225,14 @@ class _Shares:
             activity.append(_faded(run.velocity**2, rate * record.sample_time))
         rows = np.concatenate(columns)
         rows -= self._own @ (self._own.T @ rows)
-        self._basis = _spanned(rows)
+        self._ends = np.cumsum([len(record) for record in records])[:-1]
+        self._every = [max(int(INTERVAL / rate / record.sample_time), 1) for record in records]
+        self._filter = _whitening([slow for draw in draws for slow in self._slow(draw)])
+        self._own_white = _spanned(self._filtered(np.split(self._own, self._ends)))
+        basis, self._seen, _ = np.linalg.svd(self._white(np.split(_spanned(rows), self._ends)), full_matrices=False)
+        self._basis = basis[:, self._seen > 0.0]
+        sizes = [(float(np.sum(self._free(draw) ** 2)), float(np.sum(self._white(draw) ** 2))) for draw in draws]
+        self._whitened = float(np.mean([white / max(error, 1e-300) for error, white in sizes]))
         order = np.argsort(np.concatenate(activity), kind="stable")
         third = order.size // 3
         self._repeats = repeats(records)
@@ -219,12 +243,40 @@ class _Shares:
 
         The last only where runs repeat each other.
         """
-        error = np.concatenate(errors)
-        error = error - self._own @ (self._own.T @ error)
-        along = float(np.sum((self._basis.T @ error) ** 2))
+        error, white = self._free(errors), self._white(errors)
+        along = float(np.sum((self._basis.T @ white) ** 2))
         low, high = (float(np.sum(error[part] ** 2)) for part in (self._least, self._most))
-        shares = [along / max(float(error @ error), 1e-300), high / max(low + high, 1e-300)]
+        shares = [along / max(float(white @ white), 1e-300), high / max(low + high, 1e-300)]
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
+
+    def least(self, part: float) -> float:
+        """Return what the first of these shares is at least if the inputs make such a `part` of the squared error."""
+        made = part * float(np.min(self._seen, initial=np.inf)) ** 2 if self._seen.size else 0.0
+        return made / max(made + (1.0 - part) * self._whitened, 1e-300)
+
+    def _free(self, errors: Errors) -> NDArray[np.float64]:
+        error = np.concatenate(errors)
+        return np.asarray(error - self._own @ (self._own.T @ error))
+
+    def _white(self, errors: Errors) -> NDArray[np.float64]:
+        """Return errors, or columns of each record, whitened and free of what the parameters could make good."""
+        white = self._filtered(errors)
+        return np.asarray(white - self._own_white @ (self._own_white.T @ white))
+
+    def _filtered(self, errors: Errors) -> NDArray[np.float64]:
+        from scipy.signal import lfilter
+
+        slow = self._slow(errors)
+        return np.concatenate([lfilter(self._filter, [1.0], one, axis=0) if one.size else one for one in slow])
+
+    def _slow(self, errors: Errors) -> list[NDArray[np.float64]]:
+        """Return the means of each record's error over intervals, the last of which may be shorter."""
+        found = []
+        for error, every in zip(errors, self._every, strict=True):
+            begins = np.arange(0, len(error), every)
+            counts = np.diff(begins, append=len(error)).reshape(-1, *[1] * (error.ndim - 1))
+            found.append(np.add.reduceat(error, begins, axis=0) / counts)
+        return found
 
 
 def _shown(plants: Sequence[Plant], begun: Sequence[Beginning]) -> list[NDArray[np.float64]]:
@@ -275,6 +327,18 @@ def share_limit(draws: NDArray[np.float64], level: float) -> float:
         return mean
     count = max(mean * (1.0 - mean) / variance - 1.0, 1e-3)
     return float(beta.isf(level, mean * count, (1.0 - mean) * count))
+
+
+def _whitening(errors: Errors) -> NDArray[np.float64]:
+    """Return the coefficients of an autoregressive filter that whitens processes like `errors` (Yule and Walker)."""
+    from scipy.linalg import solve_toeplitz
+
+    order = min(MOST_ORDER, min(error.size for error in errors) - 1)
+    lags = np.array([sum(float(e[k:] @ e[: e.size - k]) for e in errors) for k in range(order + 1)])
+    if order < 1 or lags[0] <= 0.0:
+        return np.ones(1)
+    lags[0] *= 1.0 + 1e-9  # what is as smooth as a sum of few waves leaves nothing
+    return np.concatenate(([1.0], -solve_toeplitz(lags[:-1], lags[1:])))
 
 
 def _faded(signal: NDArray[np.float64], decay: float) -> NDArray[np.float64]:
