@@ -62,13 +62,15 @@ def test_an_axis_that_is_shaken_depends_on_no_input(seed):
 
 
 SHAKEN = replace(WHITE, rate=80.0, corner=60.0)
+OTHERS = 57
+"""Draws that are not those from which the limits are taken: so many at once differ from any other number of them."""
 
 
 def errors_of(kind, record, size):
     """Return errors of `record` that follow its motion, or that know nothing of it."""
     stream = np.random.default_rng(11)
     speed = np.gradient(record.position, record.time)
-    missed = [draw[0] for draw in drawn_loop_errors([CART], [record], SHAKEN)]
+    missed = [draw[0] for draw in drawn_loop_errors([CART], [record], SHAKEN, count=OTHERS)]
     return {
         "shaking": missed[0],
         "friction": size * np.sign(speed) * (np.abs(speed) > 1e-3),
@@ -91,7 +93,7 @@ def test_what_follows_the_motion_is_no_shaking(kind, depends):
 def test_a_record_of_a_moment_does_not_show_whether_its_axis_is_shaken():
     record = steps().slice(0.45, 0.6)
     noise = replace(WHITE, rate=400.0, corner=2.0)
-    drawn = drawn_loop_errors([CART], [record], noise)[:5]
+    drawn = drawn_loop_errors([CART], [record], noise, count=OTHERS)[:5]
     found = [loop_error([CART], [record], draw, noise, 11.0) for draw in drawn]
     assert [(one.depends, one.is_seen) for one in found] == [(False, False)] * 5
 
@@ -100,7 +102,7 @@ def test_shaking_that_moves_an_axis_far_and_slowly_is_told_from_what_follows_its
     """Such errors last as long as those of a model that lacks something: unwhitened they hardly count."""
     record = steps(4.0, kp=30.0)
     noise = replace(WHITE, spread=4e-5, rate=220.0, corner=25.0)
-    draws = drawn_loop_errors([CART], [record], noise)[:8]
+    draws = drawn_loop_errors([CART], [record], noise, count=OTHERS)[:8]
     assert all(np.std(draw[0]) > 0.005 * np.ptp(record.position) for draw in draws)  # material
     found = [loop_error([CART], [record], draw, noise, 8.0) for draw in draws]
     assert [(one.depends, one.is_seen) for one in found] == [(False, True)] * 8
@@ -110,9 +112,20 @@ def test_shaking_that_moves_an_axis_far_and_slowly_is_told_from_what_follows_its
             assert loop_error([CART], [record], [draw + np.std(draw) * like], noise, 8.0).depends
 
 
+def test_a_record_of_few_samples_beside_a_long_one_does_not_hide_what_follows_the_motion():
+    record = steps(4.0, kp=30.0)
+    records = [record, record.slice(0.5, 0.503)]
+    noise = replace(WHITE, spread=4e-5, rate=220.0, corner=25.0)
+    draw = drawn_loop_errors([CART] * 2, records, noise, count=OTHERS)[0]
+    assert not loop_error([CART] * 2, records, draw, noise, 8.0).depends
+    speed = np.gradient(record.position, record.time)
+    follows = [draw[0] + np.std(draw[0]) / np.std(speed) * speed, draw[1]]
+    assert loop_error([CART] * 2, records, follows, noise, 8.0).depends
+
+
 def test_an_axis_that_does_not_move_depends_on_nothing_seen():
     record = steps().slice(0.0, 0.4)
-    found = loop_error([CART], [record], drawn_loop_errors([CART], [record], SHAKEN)[0], SHAKEN, 11.0)
+    found = loop_error([CART], [record], drawn_loop_errors([CART], [record], SHAKEN, count=OTHERS)[0], SHAKEN, 11.0)
     assert not found.depends
 
 

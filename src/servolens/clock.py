@@ -1,4 +1,4 @@
-"""A log's clock: its cycle at each interval, and where samples are lost."""
+"""A log's clock: its cycle, and where samples are lost."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHANGED", "EVEN", "Clock", "clock_of", "cycle_of"]
+__all__ = ["ALIKE", "CHANGED", "Clock", "clock_of", "cycle_of", "cycles_passed"]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
-EVEN = 0.01
-"""Share of the median interval within which half of all intervals are where it is the cycle."""
-WINDOW, HAMPEL = 31, 3.0
-"""Intervals of the running median: half of them may be wrong; robust standard deviations by which what differs from it
-differs for good (Hampel's filter)."""
-SIDE, USUAL = 6, 10_000
-"""Stamps before and after an interval that tell whether the clock is late from there on; about how many intervals are
-looked at so."""
+ALIKE = 0.01
+"""Share of the cycle by which most intervals of a clock that does not jitter differ from those beside them, at most."""
+MEDIAN, SMOOTH = 7, 31
+"""Intervals of a running median: three lost samples in a row do not move the short one, and jitter hardly the long."""
+HAMPEL = 3.0
+"""Robust standard deviations beyond which a running median differs from the usual value (Hampel's filter)."""
+SIDE = 6
+"""Stamps before and after an interval that tell whether the clock is late from there on."""
+COMPARED = 10_000
+"""Intervals, about, among which it is looked how far stamps shift where nothing is lost."""
 
 
 class Clock(NamedTuple):
@@ -33,57 +35,48 @@ class Clock(NamedTuple):
         The log's cycle at each interval [s].
     lost : ndarray of bool, shape (n - 1,)
         Intervals in which samples are lost.
+    passed : ndarray, shape (n - 1,)
+        Cycles of the most usual length that have passed in each interval, at least 1.
     """
 
     cycles: NDArray[np.float64]
     lost: NDArray[np.bool_]
+    passed: NDArray[np.float64]
 
 
 def clock_of(time: NDArray[np.float64]) -> Clock:
     """Return the clock of time stamps [s], shape (n,), rising, n ≥ 2.
 
-    A sample that is stamped late makes a long interval as a lost one does, but the next is short. Samples are lost in
-    an interval after which all stamps are later by more than half a cycle, and which is too long by more than any other
-    is too short, for a clock that jitters does both alike. Where the interval does not tell, the shift of the stamps is
-    compared in the same way, and the place is the longest interval nearby.
+    Samples are lost in an interval of more than one and a half cycles at that time. Not so where the clock jitters: a
+    sample that is stamped late makes a long interval as well, but the next is short. There all stamps after the
+    interval have to be later by more than half a cycle. Besides, a clock that jitters makes intervals too short as far
+    as too long: the interval must be too long by more than the shortest of all is too short; or its stamps must be
+    shifted by more than any others are shifted back, and no interval nearby be longer.
 
     Examples
     --------
-    >>> clock = clock_of(np.array([0.0, 1.0, 2.0, 3.4, 4.0, 5.0, 7.0, 8.0, 9.0, 10.0]))
-    >>> clock.lost.nonzero()[0].tolist(), set(clock.cycles.tolist())
-    ([5], {1.0})
+    >>> clock = clock_of(np.array([0.0, 1.0, 2.0, 4.0, 5.0, 6.0]))
+    >>> clock.lost.tolist(), clock.passed.tolist()
+    ([False, False, True, False, False], [1.0, 1.0, 2.0, 1.0, 1.0])
     """
+    time = np.ascontiguousarray(time, dtype=np.float64)
     intervals = np.diff(time)
     usual = float(np.median(intervals))
     if np.all(np.abs(intervals - usual) <= CHANGED * usual):
-        return Clock(np.full(intervals.size, usual), np.zeros(intervals.size, dtype=bool))
-    return _uneven(time.tobytes())
+        return Clock(np.full(intervals.size, usual), np.zeros(intervals.size, dtype=bool), np.ones(intervals.size))
+    from scipy.ndimage import median_filter
 
-
-@lru_cache(maxsize=16)  # the law of one log is tried with many settings
-def _uneven(stamps: bytes) -> Clock:
-    time = np.frombuffer(stamps)
-    intervals = np.diff(time)
-    cycles = _cycles(time, intervals)
-    lost = intervals > LONG * cycles
-    if lost.any():
-        from scipy.ndimage import maximum_filter1d
-
-        long = np.flatnonzero(lost)
-        shifts = _shifts(time, cycles, long)
-        usual = _shifts(time, cycles, np.arange(0, intervals.size, max(intervals.size // USUAL, 1)))
-        by_itself = (intervals / cycles)[long] > 2.0 - np.min(intervals / cycles)
-        longest = intervals[long] == maximum_filter1d(intervals, 2 * SIDE + 1)[long]
-        lost[long] = (shifts > LONG) & (by_itself | (longest & (shifts > 2.0 - np.min(usual))))
-    cycles.setflags(write=False)
-    lost.setflags(write=False)
-    return Clock(cycles, lost)
+    local = median_filter(intervals, size=MEDIAN, mode="nearest")
+    if float(np.median(np.abs(intervals - local))) > ALIKE * usual:
+        return _jittering(time.tobytes())
+    cycles = np.where(np.abs(local - usual) > CHANGED * usual, local, usual)
+    return Clock(cycles, intervals > LONG * cycles, np.maximum(np.rint(intervals / usual), 1.0))
 
 
 def cycle_of(time: NDArray[np.float64]) -> float:
-    """Return the cycle of time stamps [s], shape (n,), rising, n ≥ 2: the median interval, where most are like it.
+    """Return the cycle of time stamps [s], shape (n,), rising, n ≥ 2: the median interval.
 
-    Of a clock that jitters, what has passed in all by the number of cycles, lost ones included.
+    Of a clock that jitters, the time that has passed over the number of cycles in it, lost ones included.
 
     Examples
     --------
@@ -92,38 +85,61 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     """
     intervals = np.diff(time)
     usual = float(np.median(intervals))
-    if float(np.median(np.abs(intervals - usual))) <= EVEN * usual:
+    if float(np.median(np.abs(intervals - usual))) <= ALIKE * usual:
         return usual
-    cycles, lost = clock_of(time)
-    if np.ptp(cycles) > 0.0:
-        return float(np.median(cycles))
-    return float((time[-1] - time[0]) / np.sum(np.where(lost, np.rint(intervals / cycles), 1.0)))
+    from scipy.ndimage import median_filter
+
+    if float(np.median(np.abs(intervals - median_filter(intervals, size=MEDIAN, mode="nearest")))) <= ALIKE * usual:
+        return usual
+    return float((time[-1] - time[0]) / np.sum(cycles_passed(time)))
 
 
-def _cycles(time: NDArray[np.float64], intervals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the cycle at each interval: a running median where that differs from the median of all.
+def cycles_passed(time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how many cycles have passed in each interval of time stamps [s], shape (n - 1,): 1 but across gaps."""
+    intervals = np.diff(time)
+    if not intervals.size or intervals.max() < LONG * float(np.median(intervals)):
+        return np.ones(intervals.size)
+    return clock_of(time).passed
 
-    A bus that changes its cycle keeps the new one. Where hardly more than half of the intervals are like the median
-    beside them, long and short ones alternate: then two together make two cycles.
-    """
-    from scipy.ndimage import median_filter, uniform_filter1d
 
-    pairs = np.append(0.5 * (time[2:] - time[:-2]), intervals[-1])
-    local, even = (median_filter(one, size=WINDOW, mode="nearest") for one in (intervals, pairs))
-    alike = uniform_filter1d(np.where(np.abs(intervals - local) <= CHANGED * local, 1.0, 0.0), WINDOW, mode="nearest")
-    alternates = np.median(alike) * WINDOW < 0.5 * WINDOW + 1.0
-    seen, local = (pairs, even) if alternates else (intervals, local)
-    varies = 1.4826 * float(np.median(np.abs(seen - local)))
-    usual = float(np.median(local))
+@lru_cache(maxsize=4)  # the law of one log is tried with many settings
+def _jittering(stamps: bytes) -> Clock:
+    """Return the clock of stamps that jitter, see :func:`clock_of`."""
+    from scipy.ndimage import maximum_filter1d
+
+    time = np.frombuffer(stamps)
+    intervals = np.diff(time)
+    cycles = _cycles(intervals)
+    lost = intervals > LONG * cycles
+    if lost.any():
+        long = np.flatnonzero(lost)
+        shifts = _shifts(time, cycles, long)
+        others = _shifts(time, cycles, np.arange(0, intervals.size, max(intervals.size // COMPARED, 1)))
+        is_too_long = (intervals / cycles)[long] > 2.0 - np.min(intervals / cycles)
+        is_longest = intervals[long] == maximum_filter1d(intervals, 2 * SIDE + 1)[long]
+        lost[long] = (shifts > LONG) & (is_too_long | (is_longest & (shifts > 2.0 - np.min(others))))
+    passed = np.where(lost, np.maximum(np.rint(intervals / cycles), 2.0), 1.0)
+    found = Clock(cycles, lost, passed)
+    for array in found:
+        array.setflags(write=False)
+    return found
+
+
+def _cycles(intervals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cycle at each interval of a clock that jitters: the median of all, unless it changes for good."""
+    from scipy.ndimage import median_filter
+
+    usual, local = float(np.median(intervals)), median_filter(intervals, size=SMOOTH, mode="reflect")
+    varies = 1.4826 * float(np.median(np.abs(intervals - local)))
     return np.where(np.abs(local - usual) > max(CHANGED * usual, HAMPEL * varies), local, usual)
 
 
 def _shifts(time: NDArray[np.float64], cycles: NDArray[np.float64], chosen: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the `chosen` intervals as the median of several stamps before and after them tell, in cycles."""
-    steps, far, ends = np.arange(SIDE), SIDE // 2 + 1, []
+    steps, ends = np.arange(SIDE), []
     for sign, place in ((-1, chosen), (1, chosen + 1)):
         at = place[:, None] + sign * steps
-        cycle = cycles[np.clip(chosen + sign * far, 0, cycles.size - 1)]
+        cycle = cycles[np.clip(chosen + sign * SIDE, 0, cycles.size - 1)]
         stamps = time[np.clip(at, 0, time.size - 1)] - sign * steps * cycle[:, None]
         ends.append(np.nanmedian(np.where((at >= 0) & (at < time.size), stamps, np.nan), axis=1))
     return np.asarray((ends[1] - ends[0]) / cycles[chosen])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.clock import clock_of
+from servolens.clock import cycles_passed
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -188,9 +188,9 @@ def _differences(signal: Signal, time: Signal, window: int, period: float) -> Si
     span = np.full(n, window * period)
     if window < n:
         rise[window:] = signal[window:] - signal[:-window]
-        lost = np.concatenate(([0], np.cumsum(clock_of(time).lost)))
+        counts = np.concatenate(([0.0], np.cumsum(cycles_passed(time))))
         passed = time[window:] - time[:-window]
-        span[window:] = np.where(lost[window:] > lost[:-window], passed, window * period)
+        span[window:] = np.where(counts[window:] - counts[:-window] > window, passed, window * period)
     return np.asarray(rise / span)
 
 

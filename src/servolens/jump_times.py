@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.clock import clock_of
+from servolens.clock import cycles_passed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -102,7 +102,7 @@ class _Window:
 
 
 def _windows(record: Record, voltage: Signal) -> list[_Window]:
-    bounds, lost = np.concatenate(([0], record.edges(), [len(record)])), clock_of(record.time).lost
+    bounds, lost = np.concatenate(([0], record.edges(), [len(record)])), cycles_passed(record.time) > 1.0
     found = []
     for k in record.jumps().tolist():
         at = int(np.searchsorted(bounds, k))

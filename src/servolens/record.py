@@ -89,7 +89,7 @@ class Record:
     Attributes
     ----------
     sample_time : float
-        Median sampling interval [s].
+        Cycle of the log: its median interval, of a clock that jitters the mean one [s].
 
     Raises
     ------

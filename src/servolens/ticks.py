@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.clock import clock_of, cycle_of
+from servolens.clock import cycle_of, cycles_passed
 from servolens.control_arithmetic import LoopSignals
 
 if TYPE_CHECKING:
@@ -68,11 +68,10 @@ class Ticks:
         jumps, leads : ndarray, shape (j,)
             Samples that first show a jump of the set point, and how long before them it came [s].
         """
-        (cycles, lost), nominal = clock_of(time), cycle_of(time)
-        missed = np.where(lost, np.rint(np.diff(time) / cycles), 1.0) * np.maximum(np.rint(cycles / nominal), 1.0)
-        if count == 1 and missed.max(initial=1.0) == 1.0:
+        nominal, passed = cycle_of(time), cycles_passed(time)
+        if count == 1 and passed.max(initial=1.0) == 1.0:
             return cls(time=time, index=None, sampled=time, held=np.arange(time.size), jumps=None, step=nominal)
-        counts = count * missed.astype(np.intp)
+        counts = count * passed.astype(np.intp)
         index = np.concatenate([[0], np.cumsum(counts)])
         grid = np.interp(np.arange(index[-1] + 1), index, time)
         held, came = np.repeat(np.arange(time.size), np.append(counts, 1)), None

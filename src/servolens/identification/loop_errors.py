@@ -330,12 +330,15 @@ def share_limit(draws: NDArray[np.float64], level: float) -> float:
 
 
 def _whitening(errors: Errors) -> NDArray[np.float64]:
-    """Return the coefficients of an autoregressive filter that whitens processes like `errors` (Yule and Walker)."""
+    """Return the coefficients of an autoregressive filter that whitens processes like `errors` (Yule and Walker).
+
+    Those of records that are no longer than its memory tell nothing of it.
+    """
     from scipy.linalg import solve_toeplitz
 
-    order = min(MOST_ORDER, min(error.size for error in errors) - 1)
-    lags = np.array([sum(float(e[k:] @ e[: e.size - k]) for e in errors) for k in range(order + 1)])
-    if order < 1 or lags[0] <= 0.0:
+    longer = [error for error in errors if error.size > MOST_ORDER]
+    lags = np.array([sum(float(e[k:] @ e[: e.size - k]) for e in longer) for k in range(MOST_ORDER + 1)])
+    if lags[0] <= 0.0:
         return np.ones(1)
     lags[0] *= 1.0 + 1e-9  # what is as smooth as a sum of few waves leaves nothing
     return np.concatenate(([1.0], -solve_toeplitz(lags[:-1], lags[1:])))

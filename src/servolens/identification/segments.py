@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens import encoder
-from servolens.clock import clock_of
+from servolens.clock import cycles_passed
 from servolens.control_law import command_at, controller_voltage
 from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
@@ -291,7 +291,7 @@ def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
     cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
-    gaps = (np.flatnonzero(clock_of(record.time).lost) + 1).tolist()
+    gaps = (np.flatnonzero(cycles_passed(record.time) > 1.0) + 1).tolist()
     is_on = np.ones(len(record)) if record.enabled is None else record.enabled
     switched = (np.flatnonzero(np.diff(is_on)) + 1).tolist()
     every = pairwise(sorted({*cuts, *gaps, *switched, len(record)}))

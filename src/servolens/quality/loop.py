@@ -213,7 +213,7 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
     if other.kind == "measured" and not settings:
         message = (
             "the derivative is that over the intervals of the time column, not over the loop's cycle"
-            f" ({left}); nothing needs to be corrected, but simulations run at even intervals."
+            f" ({left}); the gains are compared with such a loop, but simulations divide by the cycle."
         )
         return Finding(code="measured_intervals", severity="note", message=message)
     loop = other.controller

@@ -78,7 +78,7 @@ def measure(record: Record) -> Sampling:
     """
     intervals = np.diff(record.time)
     h = record.sample_time
-    cycles, lost = clock_of(record.time)
+    cycles, lost, _ = clock_of(record.time)
     gaps, kept = np.flatnonzero(lost), ~lost
     y = record.position
     step = quantisation_step(y)

@@ -134,7 +134,9 @@ class _Case(NamedTuple):
             return record.with_({self.column: _moved(getattr(record, self.column), int(self.value))})
         if self.kind == "scale":
             return record.with_({self.column: getattr(record, self.column) / self.value})
-        return {"unsigned": _signed, "measured": _over_measured_intervals}.get(self.kind, lambda same: same)(record)
+        if self.kind == "measured":
+            return _over_measured_intervals(record)
+        return _signed(record) if self.kind == "unsigned" else record
 
     def with_filter(self, share: float) -> _Case:
         """Return the case with another share of the derivative filter."""
