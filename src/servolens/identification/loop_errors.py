@@ -16,7 +16,7 @@ import numpy as np
 from servolens.errors import ServolensError
 from servolens.identification.noise import MOST_ORDER
 from servolens.identification.repeats import common_share, repeats
-from servolens.identification.rounding import DRAWS, before_rounding, drawn_noise
+from servolens.identification.rounding import DRAWS, FEW_DRAWS, before_rounding, drawn_noise
 from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
@@ -95,10 +95,11 @@ def loop_error(
     does and by the reference at several lags, beside what the parameters could make good; and what arises in the third
     of the samples in which the axis moves most, against the third in which it moves least (Goldfeld and Quandt 1965,
     doi:10.1080/01621459.1965.10480811); and what runs that repeat each other have in common, if there are any. What
-    knows nothing of the inputs is as large at rest as in motion, and another in each run. The first is asked of errors
-    whitened as the draws are: a loop that is shaken answers slowly, so that few of its errors count by themselves, and
-    may follow anything. Where nothing shakes the axis, it is asked alone: an encoder's rounding differs at rest. An
-    error that is material must be no larger than those of the draws, either.
+    knows nothing of the inputs is as large at rest as in motion, and another in each run. Where nothing shakes the
+    axis, the first of these is asked alone: an encoder's rounding differs at rest. An error that is material must be no
+    larger than those of the draws, either.
+    A loop that is shaken far answers slowly, so that few of its errors count by themselves, and may follow anything.
+    Where the records would not show it if the error depended on the inputs, whitened errors are asked as well.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def loop_error(
     draws = drawn_loop_errors(plants, records, noise, ripples, unrounded)
     if len(draws) < DRAWS // 2:
         return NO_LOOP
-    shares = _Shares(plants, records, rate, draws)
+    shares = _Shares(plants, records, rate)
     asked = slice(None) if noise.rate > 0.0 else slice(1)
     drawn = np.array([shares.of(draw)[asked] for draw in draws])
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
@@ -132,8 +133,13 @@ def loop_error(
     is_material = size > MATERIAL * max(float(np.ptp(record.position)) for record in records)
     is_larger = size > _largest([_size(draw) for draw in draws])
     depends = bool(np.any(found > limits)) or (is_material and is_larger)
-    seen = shares.least(MATTERS if is_material else VISIBLE)
-    return LoopError(depends, bool(limits[0] < seen), is_larger)
+    part = MATTERS if is_material else VISIBLE
+    is_seen = bool(limits[0] < part)
+    if not is_seen:
+        whitened = share_limit(np.array([shares.whitened(draw) for draw in draws]), FALSE_ALARM)
+        depends = depends or shares.whitened(errors) > whitened
+        is_seen = whitened < shares.least(part, draws)
+    return LoopError(depends, is_seen, is_larger)
 
 
 def _size(errors: Errors) -> float:
@@ -201,13 +207,9 @@ class _Shares:
     plants, measured : sequence of Plant, of Record
     rate : float
         Of the loops [rad/s].
-    draws : sequence of errors
-        Of noise and shaking alone: they tell how to whiten.
     """
 
-    def __init__(
-        self, plants: Sequence[Plant], measured: Sequence[Record], rate: float, draws: Sequence[Errors]
-    ) -> None:
+    def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float) -> None:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
         begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
@@ -227,12 +229,8 @@ class _Shares:
         rows -= self._own @ (self._own.T @ rows)
         self._ends = np.cumsum([len(record) for record in records])[:-1]
         self._every = [max(int(INTERVAL / rate / record.sample_time), 1) for record in records]
-        self._filter = _whitening([slow for draw in draws for slow in self._slow(draw)])
-        self._own_white = _spanned(self._filtered(np.split(self._own, self._ends)))
-        basis, self._seen, _ = np.linalg.svd(self._white(np.split(_spanned(rows), self._ends)), full_matrices=False)
-        self._basis = basis[:, self._seen > 0.0]
-        sizes = [(float(np.sum(self._free(draw) ** 2)), float(np.sum(self._white(draw) ** 2))) for draw in draws]
-        self._whitened = float(np.mean([white / max(error, 1e-300) for error, white in sizes]))
+        self._inputs = _spanned(rows)
+        self._slow_own, self._slow_inputs = (self._slow(np.split(one, self._ends)) for one in (self._own, self._inputs))
         order = np.argsort(np.concatenate(activity), kind="stable")
         third = order.size // 3
         self._repeats = repeats(records)
@@ -243,31 +241,48 @@ class _Shares:
 
         The last only where runs repeat each other.
         """
-        error, white = self._free(errors), self._white(errors)
-        along = float(np.sum((self._basis.T @ white) ** 2))
+        error = self._free(errors)
+        along = float(np.sum((self._inputs.T @ error) ** 2))
         low, high = (float(np.sum(error[part] ** 2)) for part in (self._least, self._most))
-        shares = [along / max(float(white @ white), 1e-300), high / max(low + high, 1e-300)]
+        shares = [along / max(float(error @ error), 1e-300), high / max(low + high, 1e-300)]
         return [*shares, common_share(errors, self._repeats)] if self._repeats else shares
 
-    def least(self, part: float) -> float:
-        """Return what the first of these shares is at least if the inputs make such a `part` of the squared error."""
-        made = part * float(np.min(self._seen, initial=np.inf)) ** 2 if self._seen.size else 0.0
-        return made / max(made + (1.0 - part) * self._whitened, 1e-300)
+    def whitened(self, errors: Errors) -> float:
+        """Return the share that follows the inputs of errors as an autoregression of their own whitens them."""
+        return self._along(self._free(errors))
+
+    def least(self, part: float, draws: Sequence[Errors]) -> float:
+        """Return what the whitened share is at least if the inputs make such a `part` of the squared error.
+
+        Of the direction of the inputs that whitening leaves least of, beside a few of the draws.
+        """
+        if not self._inputs.shape[1]:
+            return 0.0
+        free = [self._free(draw) for draw in draws[:FEW_DRAWS]]
+        white, _ = self._whitened(_whitening([slow for one in free for slow in self._slow(np.split(one, self._ends))]))
+        least = self._inputs @ np.linalg.svd(white, full_matrices=False)[2][-1]
+        mixed = (np.sqrt(1.0 - part) * one + np.sqrt(part) * np.linalg.norm(one) * least for one in free)
+        return min(map(self._along, mixed))
 
     def _free(self, errors: Errors) -> NDArray[np.float64]:
+        """Return errors without what the parameters could make good."""
         error = np.concatenate(errors)
         return np.asarray(error - self._own @ (self._own.T @ error))
 
-    def _white(self, errors: Errors) -> NDArray[np.float64]:
-        """Return errors, or columns of each record, whitened and free of what the parameters could make good."""
-        white = self._filtered(errors)
-        return np.asarray(white - self._own_white @ (self._own_white.T @ white))
+    def _along(self, error: NDArray[np.float64]) -> float:
+        """Return the whitened share of an error that the parameters could not make good."""
+        slow = self._slow(np.split(error, self._ends))
+        coefficients = _whitening(slow)
+        white, own = self._whitened(coefficients)
+        basis, left = _spanned(white), _filtered(slow, coefficients)
+        left = left - own @ (own.T @ left)
+        return float(np.sum((basis.T @ left) ** 2)) / max(float(left @ left), 1e-300)
 
-    def _filtered(self, errors: Errors) -> NDArray[np.float64]:
-        from scipy.signal import lfilter
-
-        slow = self._slow(errors)
-        return np.concatenate([lfilter(self._filter, [1.0], one, axis=0) if one.size else one for one in slow])
+    def _whitened(self, coefficients: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the inputs' columns, filtered and free of what the parameters could make good, and a basis of that."""
+        own = _spanned(_filtered(self._slow_own, coefficients))
+        white = _filtered(self._slow_inputs, coefficients)
+        return white - own @ (own.T @ white), own
 
     def _slow(self, errors: Errors) -> list[NDArray[np.float64]]:
         """Return the means of each record's error over intervals, the last of which may be shorter."""
@@ -327,6 +342,13 @@ def share_limit(draws: NDArray[np.float64], level: float) -> float:
         return mean
     count = max(mean * (1.0 - mean) / variance - 1.0, 1e-3)
     return float(beta.isf(level, mean * count, (1.0 - mean) * count))
+
+
+def _filtered(parts: Errors, coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return columns of each record, filtered, one below the other."""
+    from scipy.signal import lfilter
+
+    return np.concatenate([lfilter(coefficients, [1.0], part, axis=0) if part.size else part for part in parts])
 
 
 def _whitening(errors: Errors) -> NDArray[np.float64]:
