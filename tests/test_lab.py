@@ -288,7 +288,7 @@ def test_laboratory_shares_no_physics_with_what_it_tests():
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     loaded = {tuple(name.split(".")[:2]) for name in done.stdout.split()}
     own = {name[1] for name in loaded if name[0] == "servolens" and name[1:]}
-    plain = {"record", "record_signals", "record_text", "ticks", "controller", "control_arithmetic"}
+    plain = {"clock", "record", "record_signals", "record_text", "ticks", "controller", "control_arithmetic"}
     plain |= {"errors", "findings", "results", "units"}
     assert own <= {"lab", *plain}
     assert {name[0] for name in loaded}.isdisjoint({"casadi", "numba", "scipy", "control"})
