@@ -268,6 +268,48 @@ def test_a_wrong_value_in_the_last_row_is_refused(tmp_path):
     assert "'error' is not a number" in refusal(tmp_path, MM + rows(T, *SIGNALS) + "0.601,error,70,0\n")
 
 
+@pytest.mark.parametrize(
+    ("foot", "said"),
+    [
+        (FOOT, "6 lines below the table were left out; the first begins with 'Mean'."),
+        ("EOF\n", "a line below the table was left out; it begins with 'EOF'."),
+        ("", None),
+    ],
+)
+def test_what_was_left_out_below_is_said(tmp_path, foot, said):
+    found = notes(read_log(written(tmp_path, MM + rows(T, *SIGNALS) + foot)))
+    assert found.get("lines_below_left_out") == said
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "words"),
+    [
+        ("position [mm]", texts("{:.6f}", Y * 1e3), ("OL", "ERR")),
+        ("target [mm]", texts("{:.4f}", R * 1e3), ("hold",)),
+        ("phase", ["1"] * T.size, ("A",)),
+        ("id", COUNTS, ("F", "a")),
+        ("id", COUNTS, ("off", "True")),
+    ],
+)
+def test_a_row_that_begins_with_a_word_is_no_foot_of_a_column_of_readings(tmp_path, name, cells, words):
+    cells = [*cells[: -len(words)], *words]
+    columns = {"pos [mm]": Y * 1e3, "ref [mm]": R * 1e3}
+    columns = {head: x for head, x in columns.items() if head[:3] != ("ref" if name[0] == "t" else name[:3])}
+    content = f"{name},time [s],{','.join(columns)},voltage [V]\n" + rows(cells, T, *columns.values(), U)
+    if "[" in name:
+        assert f"line {T.size - len(words) + 2}, " in refusal(tmp_path, content)
+    else:
+        reading = read_log(written(tmp_path, content))
+        assert reading.record.time.size == T.size
+        assert "lines_below_left_out" not in notes(reading)
+
+
+def test_switches_in_the_first_column_are_rows(tmp_path):
+    cells = ["1"] * (T.size - 2) + ["True", "off"]
+    record = read_log(written(tmp_path, "enabled," + MM + rows(cells, T, *SIGNALS))).record
+    assert record.time.size == T.size
+
+
 # ---- gains without a unit
 
 
