@@ -14,6 +14,7 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, stamps
+from servolens.reading.words import Meaning, meaning, unit_behind
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.2, noise=1e-5, seed=5)
 T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
@@ -206,6 +207,68 @@ def test_a_damaged_date_is_refused(tmp_path, wrong):
     instants[5] = wrong
     said = f"line 7, time: '{wrong}' is no time stamp; fill or leave out such rows"
     assert refusal(tmp_path, STAMPED + rows(instants, *SIGNALS)) == said
+
+
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [
+        ("11/8/2026 9:05:26.120 AM", "2026-11-08T09:05:26.120"),
+        ("1/11/2026 9:05:26", "2026-01-11T09:05:26.000"),
+        ("3/28/2026 21:05:26", "2026-03-28T21:05:26.000"),
+        ("28/3/2026 9:05:26", "2026-03-28T09:05:26.000"),
+        ("2026/03/28 9:05:26", "2026-03-28T09:05:26.000"),
+        ("8.3.2026 9:05:26", "2026-03-08T09:05:26.000"),
+        ("8-Mar-2026 9:05:26", "2026-03-08T09:05:26.000"),
+    ],
+)
+def test_dates_need_no_leading_zeros(cell, said):
+    assert stamps.stamps([cell, cell]).astype("datetime64[ms]").astype(str).tolist() == [said] * 2
+
+
+def test_dates_without_leading_zeros_of_two_readings_are_a_question_where_they_change():
+    with pytest.raises(InputError, match="may begin with the day or the month"):
+        stamps.stamps(["3/4/2026 23:59:59", "3/5/2026 0:00:00"])
+
+
+# ---- words
+
+
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        *(("curr_pos", "position"), ("curr_time", "time"), ("curr_ref", "reference"), ("curr_angle", "position")),
+        *(("pos_curr", "position"), ("pos profile", "position"), ("Profile velocity", "velocity")),
+        *(("direction x", "position"), ("setpoint direction x", "reference"), ("ref_dir_x", "reference")),
+        *(("target_direction", "reference"), ("voltage_dir_corrected", "voltage"), ("u_dir", "voltage")),
+        *(("direction*pwm", "voltage"), ("Sollwert Richtung", "reference"), ("vel_dir", "velocity"), ("refdir", "")),
+    ],
+)
+def test_words_beside_another_signal_s_do_not_change_it(name, roles):
+    assert (meaning(name).roles, meaning(name).kind != "direction") == ((roles,) if roles else (), True)
+
+
+@pytest.mark.parametrize("name", ["dir", "motor_direction", "Drehrichtung", "motordir", "dir1"])
+def test_a_direction_is_known_by_its_name(name):
+    assert (meaning(name).roles, meaning(name).kind) == ((), "direction")
+
+
+@pytest.mark.parametrize(
+    "name", ["a" + " " * 100_000 + "b", "[" * 100_000, "a" * 100_000, "pos [" + " " * 100_000, "a/ " * 30_000]
+)
+def test_a_name_without_an_end_keeps_nobody_busy(name):
+    begin = process_time()
+    assert meaning(name) == Meaning()
+    assert unit_behind(name) == (name.strip(), None, "")
+    assert process_time() - begin < 1
+
+
+@pytest.mark.parametrize(
+    "name", ["pos [" + " " * 990 + "x", "a," + " " * 990 + "/", "a" + " " * 990 + "/,", "(" * 1000]
+)
+def test_blanks_and_brackets_in_a_name_keep_nobody_busy(name):
+    begin = process_time()
+    unit_behind(name)
+    assert process_time() - begin < 0.2  # it took seconds where each blank was the end of a name and of a unit
 
 
 # ---- blank cells
