@@ -436,6 +436,48 @@ def test_a_signed_command_keeps_its_sign(tmp_path):
     assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()
 
 
+SPEED = np.gradient(Y)
+MOTION = np.where(np.abs(SPEED) > 1e-3 * np.max(np.abs(SPEED)), np.sign(SPEED), 1)
+
+
+@pytest.mark.parametrize("direction", [MOTION, -MOTION, MOTION > 0, np.where(MOTION > 0, 2, 5)])
+@pytest.mark.parametrize("with_reference", [True, False], ids=["with reference", "without"])
+def test_a_direction_of_the_motion_is_not_the_command_s(tmp_path, direction, with_reference):
+    heads, columns = ("t_ms,pos_mm,ref_mm,pwm", (R * 1e3,)) if with_reference else ("t_ms,pos_mm,pwm", ())
+    content = f"{heads},dir\n" + rows(T * 1e3, Y * 1e3, *columns, np.abs(PWM), direction.astype(float))
+    reading = read_log(written(tmp_path, content))
+    assert reading.record.voltage.tolist() == np.abs(PWM).tolist()
+    assert notes(reading)["voltage_of_one_sign"] == (
+        "the voltage, 'pwm', has one sign throughout, and 'dir' beside it is the direction of the motion, which does"
+        " not tell the command's; if it is a magnitude, log it with its sign."
+    )
+    assert "voltage_signed" not in notes(reading)
+
+
+def test_beside_both_directions_the_command_s_is_taken(tmp_path):
+    content = "t_ms,pos_mm,pwm,dir,motor_dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), MOTION, PWM > 0, form="{:.6f}")
+    assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()
+
+
+def test_minus_one_may_be_forward(tmp_path):
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), -np.sign(PWM))
+    reading = read_log(written(tmp_path, content))
+    assert reading.record.voltage.tolist() == PWM.tolist()
+    assert "(-1 is forward, as command and speed agree: r = " in notes(reading)["voltage_signed"]
+
+
+@pytest.mark.parametrize("is_signed", [True, False])
+def test_of_an_axis_that_moves_already_no_work_tells_what_is_forward(tmp_path, is_signed):
+    first = int(np.argmax(np.abs(SPEED)))
+    time, position, command = T[first:], Y[first:], PWM[first:]
+    direction = np.sign(command) if is_signed else np.where(command > 0, 1.0, 0.0)
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(time * 1e3, position * 1e3, np.abs(command), direction)
+    if is_signed:
+        assert read_log(written(tmp_path, content)).record.voltage.tolist() == command.tolist()
+    else:
+        assert "what 'dir' says of its direction is not clear" in refusal(tmp_path, content)
+
+
 @pytest.mark.parametrize("says", [True, False], ids=["both ways", "one way"])
 def test_a_command_of_one_sign_is_remarked_on_where_the_axis_goes_both_ways(tmp_path, says):
     position = Y if says else np.maximum.accumulate(Y)
@@ -539,6 +581,19 @@ def test_a_reference_that_travels_otherwise_than_its_position_is_a_question(tmp_
     options = {"units": {"reference": "m"}} if asks else {}
     record = read_log(written(tmp_path, content), **options).record
     assert np.max(np.abs(record.reference - R)) < DIGITS * np.ptp(R)
+
+
+@pytest.mark.parametrize("value", [0.0, 30.0])
+def test_a_reference_that_does_not_move_is_in_its_position_s_unit(tmp_path, value):
+    content = "t_ms,angle [deg],target,u_V\n" + rows(T * 1e3, Y * 1e3, np.full(T.size, value), U)
+    record = read_log(written(tmp_path, content)).record
+    assert record.length_unit == "rad"
+    assert np.degrees(record.reference) == pytest.approx(np.full(T.size, value))
+
+
+def test_units_that_are_offered_are_of_the_position_s_kind(tmp_path):
+    content = "t_ms,angle [deg],target,u_V\n" + rows(T * 1e3, Y * 1e3, np.radians(R * 1e3), U)
+    assert refusal(tmp_path, content).endswith("say --unit reference=deg or --unit reference=rad")
 
 
 def test_a_long_run_of_blanks_keeps_nobody_busy(tmp_path):
