@@ -454,6 +454,21 @@ def test_a_direction_of_the_motion_is_not_the_command_s(tmp_path, direction, wit
     assert "voltage_signed" not in notes(reading)
 
 
+def test_a_direction_of_the_motion_may_come_late(tmp_path):
+    late = np.concatenate((MOTION[:3], MOTION[:-3]))
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), late)
+    assert "voltage_of_one_sign" in notes(read_log(written(tmp_path, content)))
+
+
+def test_a_command_that_brakes_for_a_short_time_only_is_given_its_direction(tmp_path):
+    slow = lab.step_record(lab.NLM2, 20, 10, reference=(0.1, 0.02, 0.07), duration=0.4, noise=1e-6, seed=5)
+    along = np.sign(np.gradient(slow.position)) == np.sign(slow.voltage)
+    assert np.mean(along) > 0.9
+    columns = (slow.time * 1e3, slow.position * 1e3, np.abs(slow.voltage), np.sign(slow.voltage))
+    record = read_log(written(tmp_path, "t_ms,pos_mm,u_V,dir\n" + rows(*columns))).record
+    assert record.voltage == pytest.approx(slow.voltage, abs=1e-6)
+
+
 def test_beside_both_directions_the_command_s_is_taken(tmp_path):
     content = "t_ms,pos_mm,pwm,dir,motor_dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), MOTION, PWM > 0, form="{:.6f}")
     assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()

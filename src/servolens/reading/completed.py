@@ -156,13 +156,23 @@ def _levels(direction: Column, position: Choice) -> Values | None:
 
 
 def _is_of_motion(direction: Column, position: Choice) -> bool:
-    """Tell whether a direction is that of the speed, or against it, at nearly all samples at which the axis moves."""
+    """Tell whether a direction is that of the speed, or against it, at nearly all samples at which the axis moves.
+
+    It may come late, as from a filter, but not early: a command turns round before the axis does, to brake it.
+    """
     signs, found = _levels(direction, position), _speed(position)
     if signs is None or found is None or found[0].size != signs.size:
         return False
     speed, moving = found
-    along = (signs * speed)[moving]
-    return along.size > 0 and bool(max(np.mean(along > 0), np.mean(along < 0)) >= 1 - VELOCITY_AGREES)
+    along = np.sign(signs * speed)[moving]
+    odd = np.flatnonzero(along != (1.0 if np.sum(along) > 0 else -1.0))
+    if not along.size or odd.size > VELOCITY_AGREES * along.size:
+        return False
+    turned = np.flatnonzero(np.diff(np.sign(speed[moving]))) + 1
+    bounds = np.concatenate(([0], turned, [along.size]))
+    following = np.searchsorted(bounds, odd, side="right")
+    early = bounds[following] - odd < odd - bounds[following - 1]
+    return int(np.count_nonzero(early)) <= turned.size  # one sample each, as differences of positions are
 
 
 def _speed(position: Choice) -> tuple[Values, NDArray[np.bool_]] | None:
