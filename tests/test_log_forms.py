@@ -546,9 +546,50 @@ def test_a_slower_signal_with_its_own_times_is_held(tmp_path):
     assert np.max(np.abs(record.reference - R[np.arange(T.size) // 10 * 10])) < DIGITS * np.ptp(R)
 
 
-def test_labels_that_change_are_no_table(tmp_path):
-    content = READ["Arduino, labels"][0].replace("pos_mm:", "pos:", 5)
-    assert refusal(tmp_path, content) == "the header row is not followed by numbers"
+LABELS = READ["Arduino, labels"][0]
+
+
+def test_a_line_with_other_labels_is_named(tmp_path):
+    content = LABELS.replace("pos_mm:", "pos:", 5)
+    said = refusal(tmp_path, content)
+    assert said.startswith("line 1 reads 't_ms:0,target_mm:100.0,pos:")
+    assert said.endswith("where the others hold values with the labels 't_ms, target_mm, pos_mm, volts'; leave it out")
+
+
+def test_a_message_among_lines_with_labels_is_named(tmp_path):
+    lines = LABELS.splitlines()
+    lines[70] = "Motor stalled!"
+    assert refusal(tmp_path, "\n".join(lines) + "\n").startswith(
+        "line 71 reads 'Motor stalled!', where the others hold "
+    )
+
+
+def test_a_last_line_with_labels_that_was_cut_is_left_out(tmp_path):
+    reading = read_log(written(tmp_path, LABELS.rstrip()[:-15]))
+    assert reading.record.time == pytest.approx(T[:-1], abs=1e-9)
+    last = LABELS.rstrip()[:-15].splitlines()[-1]
+    assert notes(reading)["lines_left_out"] == f"the last line, '{last}', was left out: it does not hold all values."
+
+
+def test_settings_above_lines_with_labels_are_taken(tmp_path):
+    labels = "".join(f"r_mm: {r * 1e3:.3f} y_mm: {y * 1e3:.6f}\n" for r, y in zip(R, Y, strict=True))
+    for head in ("kp: 60\nkd: 4 V s/m\n", "Controller starting\nkp: 60, kd: 4\n"):
+        reading = read_log(written(tmp_path, head + labels), settings={"sample_time": "1 ms"})
+        assert (reading.record.controller.kp, reading.record.controller.kd) == (60, 4)
+        assert reading.record.time.size == T.size
+
+
+def test_labels_behind_time_stamps_are_taken_off(tmp_path):
+    labels = texts("ref_mm:{:.3f}", R * 1e3), texts("pos_mm:{:.6f}", Y * 1e3), texts("volts:{:.6f}", U)
+    lines = rows(texts("{} -> ", stamped("%H:%M:%S.%ms")), *labels).replace(" -> ,", " -> ")
+    record = read_log(written(tmp_path, lines)).record
+    assert record.time == pytest.approx(T, abs=1e-9)
+    assert record.voltage == pytest.approx(U, abs=1e-6)
+
+
+def test_texts_with_colons_in_some_columns_are_no_labels(tmp_path):
+    content = "a,b," + MM + rows(texts("run: {:.0f}", T * 1e3), ["try: 3"] * T.size, T, *SIGNALS)
+    assert read_log(written(tmp_path, content)).record.time == pytest.approx(T, abs=1e-9)
 
 
 def test_time_stamps_are_no_labels(tmp_path):

@@ -77,7 +77,7 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     plain, comments = _without_comments(unified(content))
-    plain = as_table(plain)
+    plain, cut = as_table(plain)
     form = _form(plain, comments)
     columns, remarks = _columns(plain, form)
     table = Table(
@@ -85,7 +85,7 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         comments=comment_settings(line for line in comments if line.startswith("#")),
         properties=form.layout.properties,
         has_names=form.layout.has_names,
-        remarks=remarks,
+        remarks=(*cut, *remarks),
     )
     return _by_clock(table) if form.layout.has_clocks else (table,)
 
