@@ -14,6 +14,7 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, stamps
+from servolens.reading.words import Meaning, meaning, unit_behind
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.2, noise=1e-5, seed=5)
 T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
@@ -208,6 +209,68 @@ def test_a_damaged_date_is_refused(tmp_path, wrong):
     assert refusal(tmp_path, STAMPED + rows(instants, *SIGNALS)) == said
 
 
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [
+        ("11/8/2026 9:05:26.120 AM", "2026-11-08T09:05:26.120"),
+        ("1/11/2026 9:05:26", "2026-01-11T09:05:26.000"),
+        ("3/28/2026 21:05:26", "2026-03-28T21:05:26.000"),
+        ("28/3/2026 9:05:26", "2026-03-28T09:05:26.000"),
+        ("2026/03/28 9:05:26", "2026-03-28T09:05:26.000"),
+        ("8.3.2026 9:05:26", "2026-03-08T09:05:26.000"),
+        ("8-Mar-2026 9:05:26", "2026-03-08T09:05:26.000"),
+    ],
+)
+def test_dates_need_no_leading_zeros(cell, said):
+    assert stamps.stamps([cell, cell]).astype("datetime64[ms]").astype(str).tolist() == [said] * 2
+
+
+def test_dates_without_leading_zeros_of_two_readings_are_a_question_where_they_change():
+    with pytest.raises(InputError, match="may begin with the day or the month"):
+        stamps.stamps(["3/4/2026 23:59:59", "3/5/2026 0:00:00"])
+
+
+# ---- words
+
+
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        *(("curr_pos", "position"), ("curr_time", "time"), ("curr_ref", "reference"), ("curr_angle", "position")),
+        *(("pos_curr", "position"), ("pos profile", "position"), ("Profile velocity", "velocity")),
+        *(("direction x", "position"), ("setpoint direction x", "reference"), ("ref_dir_x", "reference")),
+        *(("target_direction", "reference"), ("voltage_dir_corrected", "voltage"), ("u_dir", "voltage")),
+        *(("direction*pwm", "voltage"), ("Sollwert Richtung", "reference"), ("vel_dir", "velocity"), ("refdir", "")),
+    ],
+)
+def test_words_beside_another_signal_s_do_not_change_it(name, roles):
+    assert (meaning(name).roles, meaning(name).kind != "direction") == ((roles,) if roles else (), True)
+
+
+@pytest.mark.parametrize("name", ["dir", "motor_direction", "Drehrichtung", "motordir", "dir1"])
+def test_a_direction_is_known_by_its_name(name):
+    assert (meaning(name).roles, meaning(name).kind) == ((), "direction")
+
+
+@pytest.mark.parametrize(
+    "name", ["a" + " " * 100_000 + "b", "[" * 100_000, "a" * 100_000, "pos [" + " " * 100_000, "a/ " * 30_000]
+)
+def test_a_name_without_an_end_keeps_nobody_busy(name):
+    begin = process_time()
+    assert meaning(name) == Meaning()
+    assert unit_behind(name) == (name.strip(), None, "")
+    assert process_time() - begin < 1
+
+
+@pytest.mark.parametrize(
+    "name", ["pos [" + " " * 990 + "x", "a," + " " * 990 + "/", "a" + " " * 990 + "/,", "(" * 1000]
+)
+def test_blanks_and_brackets_in_a_name_keep_nobody_busy(name):
+    begin = process_time()
+    unit_behind(name)
+    assert process_time() - begin < 0.2  # it took seconds where each blank was the end of a name and of a unit
+
+
 # ---- blank cells
 
 
@@ -266,6 +329,48 @@ def test_words_are_only_left_out_at_the_end(tmp_path):
 
 def test_a_wrong_value_in_the_last_row_is_refused(tmp_path):
     assert "'error' is not a number" in refusal(tmp_path, MM + rows(T, *SIGNALS) + "0.601,error,70,0\n")
+
+
+@pytest.mark.parametrize(
+    ("foot", "said"),
+    [
+        (FOOT, "6 lines below the table were left out; the first begins with 'Mean'."),
+        ("EOF\n", "a line below the table was left out; it begins with 'EOF'."),
+        ("", None),
+    ],
+)
+def test_what_was_left_out_below_is_said(tmp_path, foot, said):
+    found = notes(read_log(written(tmp_path, MM + rows(T, *SIGNALS) + foot)))
+    assert found.get("lines_below_left_out") == said
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "words"),
+    [
+        ("position [mm]", texts("{:.6f}", Y * 1e3), ("OL", "ERR")),
+        ("target [mm]", texts("{:.4f}", R * 1e3), ("hold",)),
+        ("phase", ["1"] * T.size, ("A",)),
+        ("id", COUNTS, ("F", "a")),
+        ("id", COUNTS, ("off", "True")),
+    ],
+)
+def test_a_row_that_begins_with_a_word_is_no_foot_of_a_column_of_readings(tmp_path, name, cells, words):
+    cells = [*cells[: -len(words)], *words]
+    columns = {"pos [mm]": Y * 1e3, "ref [mm]": R * 1e3}
+    columns = {head: x for head, x in columns.items() if head[:3] != ("ref" if name[0] == "t" else name[:3])}
+    content = f"{name},time [s],{','.join(columns)},voltage [V]\n" + rows(cells, T, *columns.values(), U)
+    if "[" in name:
+        assert f"line {T.size - len(words) + 2}, " in refusal(tmp_path, content)
+    else:
+        reading = read_log(written(tmp_path, content))
+        assert reading.record.time.size == T.size
+        assert "lines_below_left_out" not in notes(reading)
+
+
+def test_switches_in_the_first_column_are_rows(tmp_path):
+    cells = ["1"] * (T.size - 2) + ["True", "off"]
+    record = read_log(written(tmp_path, "enabled," + MM + rows(cells, T, *SIGNALS))).record
+    assert record.time.size == T.size
 
 
 # ---- gains without a unit
@@ -331,6 +436,63 @@ def test_a_signed_command_keeps_its_sign(tmp_path):
     assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()
 
 
+SPEED = np.gradient(Y)
+MOTION = np.where(np.abs(SPEED) > 1e-3 * np.max(np.abs(SPEED)), np.sign(SPEED), 1)
+
+
+@pytest.mark.parametrize("direction", [MOTION, -MOTION, MOTION > 0, np.where(MOTION > 0, 2, 5)])
+@pytest.mark.parametrize("with_reference", [True, False], ids=["with reference", "without"])
+def test_a_direction_of_the_motion_is_not_the_command_s(tmp_path, direction, with_reference):
+    heads, columns = ("t_ms,pos_mm,ref_mm,pwm", (R * 1e3,)) if with_reference else ("t_ms,pos_mm,pwm", ())
+    content = f"{heads},dir\n" + rows(T * 1e3, Y * 1e3, *columns, np.abs(PWM), direction.astype(float))
+    reading = read_log(written(tmp_path, content))
+    assert reading.record.voltage.tolist() == np.abs(PWM).tolist()
+    assert notes(reading)["voltage_of_one_sign"] == (
+        "the voltage, 'pwm', has one sign throughout, and 'dir' beside it is the direction of the motion, which does"
+        " not tell the command's; if it is a magnitude, log it with its sign."
+    )
+    assert "voltage_signed" not in notes(reading)
+
+
+def test_a_direction_of_the_motion_may_come_late(tmp_path):
+    late = np.concatenate((MOTION[:3], MOTION[:-3]))
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), late)
+    assert "voltage_of_one_sign" in notes(read_log(written(tmp_path, content)))
+
+
+def test_a_command_that_brakes_for_a_short_time_only_is_given_its_direction(tmp_path):
+    slow = lab.step_record(lab.NLM2, 20, 10, reference=(0.1, 0.02, 0.07), duration=0.4, noise=1e-6, seed=5)
+    along = np.sign(np.gradient(slow.position)) == np.sign(slow.voltage)
+    assert np.mean(along) > 0.9
+    columns = (slow.time * 1e3, slow.position * 1e3, np.abs(slow.voltage), np.sign(slow.voltage))
+    record = read_log(written(tmp_path, "t_ms,pos_mm,u_V,dir\n" + rows(*columns))).record
+    assert record.voltage == pytest.approx(slow.voltage, abs=1e-6)
+
+
+def test_beside_both_directions_the_command_s_is_taken(tmp_path):
+    content = "t_ms,pos_mm,pwm,dir,motor_dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), MOTION, PWM > 0, form="{:.6f}")
+    assert read_log(written(tmp_path, content)).record.voltage.tolist() == PWM.tolist()
+
+
+def test_minus_one_may_be_forward(tmp_path):
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(T * 1e3, Y * 1e3, np.abs(PWM), -np.sign(PWM))
+    reading = read_log(written(tmp_path, content))
+    assert reading.record.voltage.tolist() == PWM.tolist()
+    assert "(-1 is forward, as command and speed agree: r = " in notes(reading)["voltage_signed"]
+
+
+@pytest.mark.parametrize("is_signed", [True, False])
+def test_of_an_axis_that_moves_already_no_work_tells_what_is_forward(tmp_path, is_signed):
+    first = int(np.argmax(np.abs(SPEED)))
+    time, position, command = T[first:], Y[first:], PWM[first:]
+    direction = np.sign(command) if is_signed else np.where(command > 0, 1.0, 0.0)
+    content = "t_ms,pos_mm,pwm,dir\n" + rows(time * 1e3, position * 1e3, np.abs(command), direction)
+    if is_signed:
+        assert read_log(written(tmp_path, content)).record.voltage.tolist() == command.tolist()
+    else:
+        assert "what 'dir' says of its direction is not clear" in refusal(tmp_path, content)
+
+
 @pytest.mark.parametrize("says", [True, False], ids=["both ways", "one way"])
 def test_a_command_of_one_sign_is_remarked_on_where_the_axis_goes_both_ways(tmp_path, says):
     position = Y if says else np.maximum.accumulate(Y)
@@ -384,9 +546,50 @@ def test_a_slower_signal_with_its_own_times_is_held(tmp_path):
     assert np.max(np.abs(record.reference - R[np.arange(T.size) // 10 * 10])) < DIGITS * np.ptp(R)
 
 
-def test_labels_that_change_are_no_table(tmp_path):
-    content = READ["Arduino, labels"][0].replace("pos_mm:", "pos:", 5)
-    assert refusal(tmp_path, content) == "the header row is not followed by numbers"
+LABELS = READ["Arduino, labels"][0]
+
+
+def test_a_line_with_other_labels_is_named(tmp_path):
+    content = LABELS.replace("pos_mm:", "pos:", 5)
+    said = refusal(tmp_path, content)
+    assert said.startswith("line 1 reads 't_ms:0,target_mm:100.0,pos:")
+    assert said.endswith("where the others hold values with the labels 't_ms, target_mm, pos_mm, volts'; leave it out")
+
+
+def test_a_message_among_lines_with_labels_is_named(tmp_path):
+    lines = LABELS.splitlines()
+    lines[70] = "Motor stalled!"
+    assert refusal(tmp_path, "\n".join(lines) + "\n").startswith(
+        "line 71 reads 'Motor stalled!', where the others hold "
+    )
+
+
+def test_a_last_line_with_labels_that_was_cut_is_left_out(tmp_path):
+    reading = read_log(written(tmp_path, LABELS.rstrip()[:-15]))
+    assert reading.record.time == pytest.approx(T[:-1], abs=1e-9)
+    last = LABELS.rstrip()[:-15].splitlines()[-1]
+    assert notes(reading)["lines_left_out"] == f"the last line, '{last}', was left out: it does not hold all values."
+
+
+def test_settings_above_lines_with_labels_are_taken(tmp_path):
+    labels = "".join(f"r_mm: {r * 1e3:.3f} y_mm: {y * 1e3:.6f}\n" for r, y in zip(R, Y, strict=True))
+    for head in ("kp: 60\nkd: 4 V s/m\n", "Controller starting\nkp: 60, kd: 4\n"):
+        reading = read_log(written(tmp_path, head + labels), settings={"sample_time": "1 ms"})
+        assert (reading.record.controller.kp, reading.record.controller.kd) == (60, 4)
+        assert reading.record.time.size == T.size
+
+
+def test_labels_behind_time_stamps_are_taken_off(tmp_path):
+    labels = texts("ref_mm:{:.3f}", R * 1e3), texts("pos_mm:{:.6f}", Y * 1e3), texts("volts:{:.6f}", U)
+    lines = rows(texts("{} -> ", stamped("%H:%M:%S.%ms")), *labels).replace(" -> ,", " -> ")
+    record = read_log(written(tmp_path, lines)).record
+    assert record.time == pytest.approx(T, abs=1e-9)
+    assert record.voltage == pytest.approx(U, abs=1e-6)
+
+
+def test_texts_with_colons_in_some_columns_are_no_labels(tmp_path):
+    content = "a,b," + MM + rows(texts("run: {:.0f}", T * 1e3), ["try: 3"] * T.size, T, *SIGNALS)
+    assert read_log(written(tmp_path, content)).record.time == pytest.approx(T, abs=1e-9)
 
 
 def test_time_stamps_are_no_labels(tmp_path):
@@ -434,6 +637,19 @@ def test_a_reference_that_travels_otherwise_than_its_position_is_a_question(tmp_
     options = {"units": {"reference": "m"}} if asks else {}
     record = read_log(written(tmp_path, content), **options).record
     assert np.max(np.abs(record.reference - R)) < DIGITS * np.ptp(R)
+
+
+@pytest.mark.parametrize("value", [0.0, 30.0])
+def test_a_reference_that_does_not_move_is_in_its_position_s_unit(tmp_path, value):
+    content = "t_ms,angle [deg],target,u_V\n" + rows(T * 1e3, Y * 1e3, np.full(T.size, value), U)
+    record = read_log(written(tmp_path, content)).record
+    assert record.length_unit == "rad"
+    assert np.degrees(record.reference) == pytest.approx(np.full(T.size, value))
+
+
+def test_units_that_are_offered_are_of_the_position_s_kind(tmp_path):
+    content = "t_ms,angle [deg],target,u_V\n" + rows(T * 1e3, Y * 1e3, np.radians(R * 1e3), U)
+    assert refusal(tmp_path, content).endswith("say --unit reference=deg or --unit reference=rad")
 
 
 def test_a_long_run_of_blanks_keeps_nobody_busy(tmp_path):

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.files import quote
 from servolens.reading.roles import turns
+from servolens.reading.scales import VELOCITY_AGREES
 from servolens.reading.words import meaning
 
 if TYPE_CHECKING:
@@ -27,6 +29,8 @@ __all__ = ["held", "signed"]
 
 HELD = ("reference", "feedforward", "enabled")
 """Signals that keep their value until a new one is set."""
+MOVING = 0.1
+"""Share of the largest speed from which on an axis moves."""
 WORK = 0.1
 """Correlation of command and speed from which on the motor surely drives the axis; chosen: a few times that of
 unrelated signals in short records, and less than that of the axes of the laboratory (0.15 to 0.8)."""
@@ -69,9 +73,10 @@ def _has_blanks(column: Column) -> bool:
 def signed(chosen: Mapping[str, Choice], tables: Sequence[Table]) -> tuple[dict[str, Choice], list[Finding]]:
     """Return the columns with a command that was logged without its sign given that of the direction beside it.
 
-    Of 1 and -1 the sign is known. Which of two other values is forward, the work tells: what drives an axis from rest
-    does not take power out of it, so that command and speed correlate. Without a direction, nor a reference by which
-    the control law tells, a command of one sign is remarked on where the axis goes both ways.
+    Which of two values is forward, the work tells: what drives an axis from rest does not take power out of it, so that
+    command and speed correlate. Where it tells nothing, 1 is forward of 1 and -1. A direction that is just that of the
+    motion tells no command's sign. Without a direction, nor a reference by which the control law tells, a command of
+    one sign is remarked on where the axis goes both ways.
 
     Parameters
     ----------
@@ -92,6 +97,10 @@ def signed(chosen: Mapping[str, Choice], tables: Sequence[Table]) -> tuple[dict[
     if not beside:
         asks = "reference" not in chosen and turns(position.column.values)
         return dict(chosen), [_of_one_sign(choice)] if asks else []
+    left = [column for column in beside if not _is_of_motion(column, position)]
+    if not left:
+        return dict(chosen), [_of_one_sign(choice, beside[0])]
+    beside = left
     signs, why = _signs(beside[0], choice, position) if len(beside) == 1 else (None, "")
     if signs is None:
         raise InputError(
@@ -112,11 +121,18 @@ def _is_direction(column: Column, command: Column) -> bool:
     return is_one and values.size == command.values.size
 
 
-def _of_one_sign(choice: Choice) -> Finding:
-    message = (
-        f"the voltage, {quote(choice.label)}, has one sign throughout while the axis goes both ways; if it is a"
-        " magnitude, log it with its sign, or beside it a column direction of 1 and -1."
-    )
+def _of_one_sign(choice: Choice, direction: Column | None = None) -> Finding:
+    begin = f"the voltage, {quote(choice.label)}, has one sign throughout"
+    if direction is None:
+        message = (
+            f"{begin} while the axis goes both ways; if it is a magnitude, log it with its sign, or beside it a column"
+            " direction of 1 and -1."
+        )
+    else:
+        message = (
+            f"{begin}, and {quote(direction.name)} beside it is the direction of the motion, which does not tell the"
+            " command's; if it is a magnitude, log it with its sign."
+        )
     return Finding(code="voltage_of_one_sign", severity="warning", message=message)
 
 
@@ -125,20 +141,78 @@ def _is_magnitude(column: Column) -> bool:
     return bool(column.fault is None and values.size and np.min(values) >= 0 and np.any(values))
 
 
+def _levels(direction: Column, position: Choice) -> Values | None:
+    """Return a direction as 1, -1 and perhaps 0, the larger of two values as 1; None where it is no such thing."""
+    values = direction.values
+    if direction.fault is not None or not np.isfinite(values).all():
+        return None
+    levels = np.unique(values)
+    if set(levels.tolist()) <= {-1.0, 0.0, 1.0} and -1.0 in levels:
+        return values
+    y = position.column.values
+    if levels.size != 2 or y.size != values.size or not np.isfinite(y).all():
+        return None
+    return np.where(values == levels[1], 1.0, -1.0)
+
+
+def _is_of_motion(direction: Column, position: Choice) -> bool:
+    """Tell whether a direction is that of the speed, or against it, at nearly all samples at which the axis moves.
+
+    It may come late, as from a filter, but not early: a command turns round before the axis does, to brake it.
+    """
+    signs, found = _levels(direction, position), _speed(position)
+    if signs is None or found is None or found[0].size != signs.size:
+        return False
+    speed, moving = found
+    along = np.sign(signs * speed)[moving]
+    odd = np.flatnonzero(along != (1.0 if np.sum(along) > 0 else -1.0))
+    if not along.size or odd.size > VELOCITY_AGREES * along.size:
+        return False
+    turned = np.flatnonzero(np.diff(np.sign(speed[moving]))) + 1
+    bounds = np.concatenate(([0], turned, [along.size]))
+    following = np.searchsorted(bounds, odd, side="right")
+    early = bounds[following] - odd < odd - bounds[following - 1]
+    return int(np.count_nonzero(early)) <= turned.size  # one sample each, as differences of positions are
+
+
+def _speed(position: Choice) -> tuple[Values, NDArray[np.bool_]] | None:
+    """Return how far the axis goes within some samples around each, and where it moves; None where nothing tells.
+
+    So many samples are taken that the motion stands out of the position's noise.
+    """
+    y = position.column.values
+    if y.dtype.kind not in "iuf" or y.size <= 2 or not np.isfinite(y).all():
+        return None
+    y = y.astype(np.float64)
+    noise, step = SPAN * white_noise(y), 1
+    while True:
+        speed = np.zeros(y.size)
+        speed[step:-step] = y[2 * step :] - y[: -2 * step]
+        largest = float(np.max(np.abs(speed)))
+        if largest > noise or 4 * step >= y.size:
+            break
+        step *= 2
+    moving = np.abs(speed) > max(MOVING * largest, noise)
+    moving[:step] = moving[step]
+    speed[:step] = speed[step]
+    return speed, moving
+
+
 def _signs(direction: Column, command: Choice, position: Choice) -> tuple[Values | None, str]:
     """Return 1 and -1 by sample, and how they were found; None where the direction leaves them open."""
-    values, y = direction.values, position.column.values
-    levels = np.unique(values)
-    if direction.fault is not None or not np.isfinite(values).all():
+    signs, y = _levels(direction, position), position.column.values
+    if signs is None:
         return None, ""
-    if set(levels.tolist()) <= {-1.0, 0.0, 1.0} and -1.0 in levels:
-        return values, ""
-    if levels.size != 2 or y.size != values.size or not np.isfinite(y).all():
-        return None, ""
-    signs: Values = np.where(values == levels[1], 1.0, -1.0)
+    is_signed = signs is direction.values
+    found = _speed(position)
+    if found is None or y.size != signs.size or found[1][0]:  # an axis that moves already may be braked
+        return (signs if is_signed else None), ""
     driven, speed = (signs * command.column.values)[1:-1], y[2:] - y[:-2]
     size = float(np.linalg.norm(driven) * np.linalg.norm(speed))
     work = float(driven @ speed) / size if size > 0 else 0.0
-    forward = levels[1] if work > 0 else levels[0]
+    if is_signed and work > -WORK:
+        return signs, ""
+    levels = np.unique(direction.values)
+    forward = levels[-1] if work > 0 else levels[0]
     why = f" ({forward:g} is forward, as command and speed agree: r = {abs(work):.2f})"
     return (None if abs(work) < WORK else np.sign(work) * signs), why

@@ -100,7 +100,7 @@ def interpret(
         raise InputError("holds no columns of numbers")
     chosen, remarks = held(choose(tables, columns))
     chosen, of_sign = signed(chosen, tables)
-    remarks += of_sign
+    remarks += [*of_sign, *dict.fromkeys(remark for table in tables for remark in table.remarks)]
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
     stated = check_mapping(units, "units", "mm")

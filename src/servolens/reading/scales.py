@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["command_unit", "length_unit", "time_unit", "velocity_unit"]
+__all__ = ["VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "velocity_unit"]
 
 LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
@@ -41,7 +41,8 @@ MOST_TURNS = 4 * np.pi
 FULL_SCALES = (100, 127, 255, 511, 512, 1000, 1023, 2047, 2048, 4095, 8191, 10000, 32767, 65535)
 """Largest counts of PWM registers."""
 VELOCITY_AGREES = 0.05
-"""Relative difference up to which the velocity agrees with the position's derivative."""
+"""Relative difference up to which the velocity agrees with the position's derivative, and share of samples at which a
+direction may differ from its sign."""
 
 
 def time_unit(choice: Choice) -> tuple[str | None, str]:
@@ -122,8 +123,12 @@ def length_unit(choice: Choice, settled: str | None, beside: Choice | None = Non
 
 
 def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -> None:
-    """Ask about a column whose travel is nearer to that of its partner in SI than in the partner's unit."""
+    """Ask about a column whose travel is nearer to that of its partner in SI than in the partner's unit.
+
+    What does not move says nothing.
+    """
     unit = parse_unit(settled)
+    si = "rad" if unit is not None and "rad" in dict(unit.dimension) else si
     sizes = [0.0 if one is None else _travel(one.column.values) for one in (choice, beside)]
     if unit is None or not all(sizes) or unit.factor == 1.0:
         return
@@ -138,10 +143,10 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
 
 
 def _travel(values: Values) -> float:
-    """Return the range of a column, of a constant one its size, zero where some value is none."""
+    """Return the range of a column, zero where some value is none."""
     if values.dtype.kind not in "iuf" or not values.size or not np.isfinite(values).all():
         return 0.0
-    return float(np.ptp(values)) or abs(float(values[0]))
+    return float(np.ptp(values))
 
 
 def velocity_unit(

@@ -4,43 +4,116 @@ from __future__ import annotations
 
 import re
 
+from servolens.errors import InputError
+from servolens.findings import Finding
+from servolens.reading.files import quote
+
 __all__ = ["as_table"]
 
 _ARROW = re.compile(rb"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
 _WORD = rb"[A-Za-z_][\w.\[\]]{0,40}"
 _LABEL = re.compile(rb"(?<![\w.])(" + _WORD + rb"(?: " + _WORD + rb"){0,4})[ \t]{0,3}[:=][ \t]{0,3}(?=[-+]?\.?\d|nan)")
+_CELL = re.compile(rb"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan)\s*([^\s\d,;:=][^\s,;:=]*)?\s*[,;]?\s*")
 _SEPARATOR = re.compile(rb"[,;\t]")
 
 
-def as_table(content: bytes) -> bytes:
-    r"""Return the text of a serial monitor as a table with a row of names; any other text as it is.
+def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...]]:
+    r"""Return the text of a serial monitor as a table with a row of names, and what was left out; others as they are.
 
-    The line in the middle tells: whether a stamp and an arrow stand before the values, and whether a label before each.
-    Labels are only taken off where all lines have the same; the first may be another one, as where it was cut.
+    The line in the middle tells: whether a stamp and an arrow stand before the values, and whether each value has a
+    label. Labels are taken off where most lines are nothing but the same labels with values. The first line and the
+    last may be parts of such a line; what stands above is a preamble, of which settings are taken.
+
+    Raises
+    ------
+    InputError
+        If another line stands among those with labels.
 
     Examples
     --------
-    >>> as_table(b"r:1,y:0.5\nr:1,y:0.7\n")
+    >>> as_table(b"r:1,y:0.5\nr:1,y:0.7\n")[0]
     b'r,y\n1,0.5\n1,0.7\n'
-    >>> as_table(b"12:00:00.001 -> 1 0.5\n12:00:00.003 -> 1 0.7\n")
+    >>> as_table(b"12:00:00.001 -> 1 0.5\n12:00:00.003 -> 1 0.7\n")[0]
     b'12:00:00.001 1 0.5\n12:00:00.003 1 0.7\n'
     """
     line = _middle(content)
+    labels, _ = _labelled(_ARROW.sub(b"", line))
+    if len(labels) > 1:
+        lines = content.split(b"\n")
+        has_arrow = _ARROW.match(line) is not None
+        rows = [_row(line, labels, has_arrow=has_arrow) for line in lines]
+        if 2 * sum(row is not None for row in rows) > sum(bool(line.strip()) for line in lines):
+            return _written(lines, rows, [*([b"time"] if has_arrow else []), *labels])
     if arrow := _ARROW.match(line):
         found = _SEPARATOR.search(line, arrow.end())
-        separator = found[0] if found else b" "
-        content, line = (_ARROW.sub(rb"\1" + separator, part) for part in (content, line))
-        line = line.partition(separator)[2]
-    labels = _LABEL.findall(line)
-    if len(labels) < 2 or not _LABEL.match(line.lstrip()):
-        return content
-    first, _, rest = content.lstrip().partition(b"\n")
-    body = content if _LABEL.findall(first) == labels else rest
-    if _LABEL.findall(body) != labels * sum(bool(line.strip()) for line in body.split(b"\n")):
-        return content
-    found = _SEPARATOR.search(line)
-    names = [*([b"time"] if arrow else []), *labels]
-    return (found[0] if found else b" ").join(names) + b"\n" + _LABEL.sub(b"", body)
+        content = _ARROW.sub(rb"\1" + (found[0] if found else b" "), content)
+    return content, ()
+
+
+def _labelled(line: bytes) -> tuple[list[bytes], list[bytes]]:
+    """Return labels and values of a line that is made of nothing else, values with their units; else nothing."""
+    before, *parts = _LABEL.split(line)
+    cells = [_CELL.fullmatch(text) for text in parts[1::2]]
+    if before.strip() or not all(cells):
+        return [], []
+    return parts[::2], [b" ".join(filter(None, cell.groups())) for cell in cells if cell]
+
+
+def _row(line: bytes, labels: list[bytes], *, has_arrow: bool) -> list[bytes] | None:
+    """Return the cells of a line with these labels, None of any other."""
+    arrow = _ARROW.match(line) if has_arrow else None
+    found, cells = _labelled(line[arrow.end() :] if arrow else line)
+    if found != labels or (has_arrow and arrow is None):
+        return None
+    return [*([arrow[1]] if arrow else []), *cells]
+
+
+def _written(
+    lines: list[bytes], rows: list[list[bytes] | None], names: list[bytes]
+) -> tuple[bytes, tuple[Finding, ...]]:
+    """Return the table, with the settings above it, and what was left out."""
+    given = [i for i, line in enumerate(lines) if line.strip()]
+    first = next(i for i in given if rows[i] is not None)
+    head: list[bytes] = []
+    body = [b",".join(names)]
+    remarks: list[Finding] = []
+    for i in given:
+        row, line = rows[i], lines[i].strip()
+        settings = _settings(line)
+        if row is not None:
+            body.append(b",".join(row))
+        elif i == given[-1] or (i == given[0] and _is_end(line, names)):
+            remarks.append(_left_out("last" if i == given[-1] else "first", line))
+        elif i < first and not set(settings) & set(names) and (settings or not _LABEL.search(line)):
+            head += [b": ".join(pair) for pair in settings.items()]
+        else:
+            raise InputError(
+                f"line {i + 1} reads {quote(line.decode(errors='replace'))}, where the others hold values with the"
+                f" labels {quote(', '.join(name.decode(errors='replace') for name in names))}; leave it out"
+            )
+    return b"\n".join([*head, *body, b""]), tuple(remarks)
+
+
+def _settings(line: bytes) -> dict[bytes, bytes]:
+    """Return the labels with values of a line in a preamble; a value that stands alone may have any unit."""
+    labels, values = _labelled(line)
+    before, *parts = _LABEL.split(line)
+    if len(parts) == len(("label", "value")) and not before.strip():
+        labels, values = parts[:1], parts[1:]
+    return dict(zip(labels, values, strict=True))
+
+
+def _is_end(line: bytes, names: list[bytes]) -> bool:
+    """Tell whether a line is the end of one with labels, of which the first may have lost its beginning."""
+    _, *parts = _LABEL.split(line)
+    found = parts[::2]
+    begun = names[-len(found)] if 0 < len(found) <= len(names) else b""
+    return not found or (begun.endswith(found[0]) and found[1:] == names[len(names) - len(found) + 1 :])
+
+
+def _left_out(which: str, line: bytes) -> Finding:
+    message = f"the {which} line, {quote(line.decode(errors='replace'))}, was left out: it does not hold all values."
+    return Finding(code="lines_left_out", severity="note", message=message)
 
 
 def _middle(content: bytes) -> bytes:

@@ -79,9 +79,11 @@ def _iso(text: str, *, day_first: bool) -> str:
 
 
 def _date(text: str | None, *, day_first: bool) -> str:
-    if text is None or text[4] in "-/":
-        return text.replace("/", "-") if text else "1970-01-01"
+    if text is None:
+        return "1970-01-01"
     first, second, last = re.split(r"[-/. ]", text)
+    if len(first) > len("31"):
+        return f"{first}-{second}-{last}"
     if second.isalpha():
         second = str(_MONTHS.get(second.lower(), ""))
     elif "/" in text and not day_first:

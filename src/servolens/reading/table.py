@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from servolens.findings import Finding
     from servolens.reading.guess import Guess
 
 __all__ = ["MOST_COLUMNS", "Column", "Fault", "Table"]
@@ -83,6 +84,8 @@ class Table:
         Other texts beside the numbers, of which only known ones are taken.
     has_names : bool
         False where the file names no columns; they are called by their numbers.
+    remarks : tuple of Finding
+        What was left out.
     """
 
     columns: tuple[Column, ...]
@@ -90,3 +93,4 @@ class Table:
     comments: Mapping[str, str] = field(default_factory=dict)
     properties: Mapping[str, str] = field(default_factory=dict)
     has_names: bool = True
+    remarks: tuple[Finding, ...] = ()

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.reading.cells import (
     REWRITE,
     decimal_sign,
     fields_of,
     grouped_or_decimal,
+    is_switch,
     is_value,
     number,
 )
@@ -42,8 +44,11 @@ LARGE_FILE = 4 * 2**20
 """From this size on [bytes] importing pyarrow's reader pays, where it is installed."""
 FILETIME = 1e16
 """Times of a scope from which on they count 100 ns since 1601: such of this century begin with 1.2e17."""
+LAST_TEXTS = 5
+"""Lines at the end that may hold one text, as ``EOF``."""
 LAST_WORDS = 20
-"""Lines at the end that may be no numbers, as ``EOF``, or the ten or so of a table's statistics."""
+"""Lines at the end that may be a table's statistics, of which there are ten or so."""
+_WORD = re.compile(r"[^\W\d_]{2,}(?: [^\W\d_]+)*:?")
 _COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
 _SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
@@ -72,13 +77,15 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     plain, comments = _without_comments(unified(content))
-    plain = as_table(plain)
+    plain, cut = as_table(plain)
     form = _form(plain, comments)
+    columns, remarks = _columns(plain, form)
     table = Table(
-        columns=_columns(plain, form),
+        columns=columns,
         comments=comment_settings(line for line in comments if line.startswith("#")),
         properties=form.layout.properties,
         has_names=form.layout.has_names,
+        remarks=(*cut, *remarks),
     )
     return _by_clock(table) if form.layout.has_clocks else (table,)
 
@@ -210,11 +217,12 @@ def _names_in_comment(layout: Layout, line: str, separator: str) -> Layout:
     return replace(layout, names=tuple(cells), has_names=True)
 
 
-def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
+def _columns(content: bytes, form: _Form) -> tuple[tuple[Column, ...], tuple[Finding, ...]]:
+    """Return the columns, and what was left out below them."""
     at = 0
     for _ in range(form.first):
         at = content.index(b"\n", at) + 1
-    body = _without_last_words(_trimmed(content[at:]), form)
+    body, remarks = _without_last_words(_trimmed(content[at:]), form)
     if form.decimal in (",", ".") and (cell := grouped_or_decimal(body, form.separator, form.decimal)):
         raise InputError(
             f"{quote(cell)} may be a whole number with separated thousands, as may all numbers with a"
@@ -222,26 +230,55 @@ def _columns(content: bytes, form: _Form) -> tuple[Column, ...]:
         )
     matrix = _fast(body, form)
     if matrix is None or not np.isfinite(matrix).all():
-        return _slow(body, form)
+        return _slow(body, form), remarks
     layout = form.layout
-    return tuple(
+    columns = tuple(
         Column(name, matrix[:, j].copy(), layout.units[j]) for j, name in enumerate(layout.names) if j in layout.typed
     )
+    return columns, remarks
 
 
-def _without_last_words(body: bytes, form: _Form) -> bytes:
-    """Leave out what a program has written below the numbers: a word alone, or rows that begin with one (``Mean``)."""
+def _without_last_words(body: bytes, form: _Form) -> tuple[bytes, tuple[Finding, ...]]:
+    """Leave out what a program has written below the numbers, and say so: a text alone, or rows that begin with a word.
+
+    Rows that begin with one (``Mean,50.1,30.2``) are none of the table's only where its first column counts on in every
+    row, as a time does; a word in any other column may be a reading, as ``off`` and ``OL`` are.
+    """
+    kept = _cut(body, form, LAST_TEXTS, with_rows=False)
+    statistics = _cut(body, form, LAST_WORDS, with_rows=True)
+    if len(statistics) < len(kept) and _counts_on(statistics, form):
+        kept = statistics
+    below = [line.strip() for line in body[len(kept) :].decode(errors="replace").split("\n") if line.strip()]
+    if not below:
+        return kept, ()
+    begins = quote(fields_of(below[0], form.separator)[0].strip() or below[0])
+    what = f"{len(below)} lines below the table were" if len(below) > 1 else "a line below the table was"
+    message = f"{what} left out; {'the first' if len(below) > 1 else 'it'} begins with {begins}."
+    return kept, (Finding(code="lines_below_left_out", severity="note", message=message),)
+
+
+def _cut(body: bytes, form: _Form, most: int, *, with_rows: bool) -> bytes:
+    """Return the text without up to `most` lines of one text at its end, and without rows that begin with a word."""
     end = len(body)
-    for _ in range(LAST_WORDS):
+    for _ in range(most):
         at = body.rfind(b"\n", 0, end)
         cells = fields_of(body[at + 1 : end].decode(errors="replace").strip(), form.separator)
         given = [cell for cell in cells if cell.strip()]
-        begins = bool(cells[0].strip()) and 0 in form.layout.typed and cells[0].strip()[0].isalpha()
-        is_word = bool(given) and (len(given) == 1 or begins) and not is_value(given[0], form.decimal)
-        if at < 0 or (given and not is_word):
+        is_alone = len(given) == 1 and not is_value(given[0], form.decimal)
+        is_row = with_rows and _WORD.fullmatch(cells[0].strip()) is not None and not is_value(cells[0], form.decimal)
+        if at < 0 or (given and not is_alone and (not is_row or is_switch(cells[0]))):
             break
         end = at
     return _trimmed(body[:end])
+
+
+def _counts_on(body: bytes, form: _Form) -> bool:
+    """Tell whether the first column holds numbers or time stamps that increase in every row."""
+    lines = [line for line in body.decode(errors="replace").split("\n") if line.strip()]
+    cells = ColumnCells(form.decimal)
+    cells.add([fields_of(line, form.separator)[0] for line in lines], [""] * len(lines))
+    column = cells.column("", None)
+    return column.fault is None and column.switches is None and bool(np.all(np.diff(column.values) > 0))
 
 
 def _trimmed(body: bytes) -> bytes:

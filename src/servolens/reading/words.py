@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, final
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
 __all__ = ["BY_ARMATURE", "BY_KIND", "BY_NAME", "BY_PROTOCOL", "DUTY", "Meaning", "allows", "meaning", "unit_behind"]
 
@@ -30,7 +30,7 @@ _WORDS: Mapping[str, str] = {
     ),
     "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
-    "current": "strom amps ampere iq curr",
+    "current": "strom amps ampere iq",
     "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
     "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
@@ -39,7 +39,7 @@ _WORDS: Mapping[str, str] = {
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action rpos profile"
+        "leitwert set action rpos"
     ),
     "actual": (
         "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
@@ -142,8 +142,11 @@ _ROLES = {"reference": "position", "feedforward": "voltage"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
 _ACRONYM = re.compile(r"[A-Za-zäöüÄÖÜß]+|\d+")
-_BRACKETS = re.compile(r"(.*?)\s*([\[({<])\s*([^\[\]{}<>]*?)\s*[\])}>]\s*", re.DOTALL)
-_SLASH = re.compile(r"(.+?)(?:\s*/\s*|\s+in\s+|\s*,\s+)([^/,]+(?:/[A-Za-z]+)?)\s*", re.DOTALL)
+_BRACKETS = re.compile(r"(.*?)([\[({<])([^\[\]{}<>]*)[\])}>]", re.DOTALL)
+_SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
+LONGEST_NAME = 1000
+"""Letters up to which a heading is looked at, so that no text can keep the reader busy; paths of variables have some
+hundred."""
 _INDEX = re.compile(r".*\S[\[(]\d+[\])]\s*")
 
 
@@ -192,6 +195,8 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
     >>> meaning("Sollposition [mm]").roles, meaning("theta_deg").unit, meaning("pwm_volts").unit
     (('reference',), 'deg', 'V')
     """
+    if len(text) > LONGEST_NAME:
+        return Meaning()
     name, bracketed, where = unit_behind(text)
     unit = bracketed or unit
     tokens = _tokens(name)
@@ -227,11 +232,14 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
     (('Weg', 'mm', 'behind its name'), ('y[0]', None, ''))
     """
     text = text.strip().strip('"').strip()
+    if len(text) > LONGEST_NAME:
+        return text, None, ""
     match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
     if match and match[1]:
-        known = _known(match[3])
+        inner = match[3].strip()
+        known = _known(inner)
         if match[2] == "[" or known:
-            stated = None if match[3] in ("", "-") else match[3]
+            stated = None if inner in ("", "-") else inner
             return match[1].strip(), known or stated, "in brackets"
     match = _SLASH.fullmatch(text)
     if match and (unit := _known(match[2])):
@@ -289,9 +297,14 @@ def _compound(token: str) -> list[str] | None:
             continue
         for rest in (token[end:], token[end + 1 :] if token[end] == "s" else ""):
             tail = _compound(rest) if len(rest) > 1 else None
-            if tail:
+            if tail and _agree(_CLASS[word] for word in (head, *tail)):
                 return [head, *tail]
     return None
+
+
+def _agree(kinds: Iterable[str]) -> bool:
+    """Tell whether words can stand together: a direction is one of its own only beside words that say nothing else."""
+    return "direction" not in (found := set(kinds)) or found <= {"direction", "neutral", "actual", ""}
 
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
@@ -340,12 +353,17 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
 
 
 def _kinds(tokens: Sequence[str]) -> list[str]:
-    """Return the kind of each word; "des" is "desired" where it begins or ends a name, else a German article."""
+    """Return the kind of each word; "des" is "desired" where it begins or ends a name, else a German article.
+
+    A direction is that of another signal where one stands in the name: ``ref_dir_x`` is a reference.
+    """
     kinds = [_CLASS.get(token, "") for token in tokens]
     words = [i for i, token in enumerate(tokens) if not token.isdecimal()]
     for i in {words[0], words[-1]} if len(words) > 1 else ():
         if tokens[i] == "des":
             kinds[i] = "reference"
+    if not _agree(kinds) or "current" in tokens or any(token in _LETTERS for token in tokens):
+        kinds = ["" if kind == "direction" else kind for kind in kinds]
     return kinds
 
 
@@ -363,7 +381,7 @@ def _roles(
     asked = asked or bool({"either", "input"} & set(kinds))
     if "velocity" in kinds or (place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
-    if "direction" in kinds and not place:
+    if "direction" in kinds:
         return (), "direction", False
     command = next((kind for kind in _COMMANDS if kind in kinds), "")
     if place:
