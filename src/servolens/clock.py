@@ -10,12 +10,12 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ALIKE", "CHANGED", "Clock", "clock_of", "cycle_of", "cycles_passed"]
+__all__ = ["CHANGED", "JITTERS", "Clock", "clock_of", "cycle_of", "cycles_passed"]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
-ALIKE = 0.01
-"""Share of the cycle by which most intervals of a clock that does not jitter differ from those beside them, at most."""
+JITTERS = 0.01
+"""Share of the cycle by which more than half of the intervals differ from those beside them where a clock jitters."""
 MEDIAN, SMOOTH = 7, 31
 """Intervals of a running median: three lost samples in a row do not move the short one, and jitter hardly the long."""
 HAMPEL = 3.0
@@ -67,7 +67,7 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
     from scipy.ndimage import median_filter
 
     local = median_filter(intervals, size=MEDIAN, mode="nearest")
-    if float(np.median(np.abs(intervals - local))) > ALIKE * usual:
+    if float(np.median(np.abs(intervals - local))) > JITTERS * usual:
         return _jittering(time.tobytes())
     cycles = np.where(np.abs(local - usual) > CHANGED * usual, local, usual)
     return Clock(cycles, intervals > LONG * cycles, np.maximum(np.rint(intervals / usual), 1.0))
@@ -85,11 +85,11 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     """
     intervals = np.diff(time)
     usual = float(np.median(intervals))
-    if float(np.median(np.abs(intervals - usual))) <= ALIKE * usual:
+    if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual:
         return usual
     from scipy.ndimage import median_filter
 
-    if float(np.median(np.abs(intervals - median_filter(intervals, size=MEDIAN, mode="nearest")))) <= ALIKE * usual:
+    if float(np.median(np.abs(intervals - median_filter(intervals, size=MEDIAN, mode="nearest")))) <= JITTERS * usual:
         return usual
     return float((time[-1] - time[0]) / np.sum(cycles_passed(time)))
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.clock import ALIKE, cycle_of
+from servolens.clock import JITTERS, cycle_of
 from servolens.errors import InputError
 from servolens.record_signals import as_numbers
 
@@ -20,7 +20,7 @@ def sample_time_of(grid: NDArray[np.float64]) -> float:
     """Return the cycle [s]: median of the first intervals if these are alike, for this runs for every simulation."""
     steps = np.sort(grid[1:64] - grid[:63][: grid[1:64].size])
     usual = float(steps[steps.size // 2]) if steps.size else 1.0
-    if steps.size < 2 or steps[-1] - steps[0] <= ALIKE * usual:
+    if steps.size < 2 or steps[-1] - steps[0] <= JITTERS * usual:
         return usual
     return cycle_of(grid)
 
