@@ -603,6 +603,8 @@ def test_an_effect_that_the_records_cannot_show_is_not_whole():
         low=0.0, high=1.0, usual=(0.0, 1.0), speed=1.0, command=1.0, gain=1.0, damping=1.0, sample_time=1e-3,
         duration=10.0, noise=1e-5,
     )  # fmt: skip
+    assert effects.Backlash(gap=1e-6, load_share=0.3).is_whole(seen)
+    assert not effects.Backlash(gap=0.0, load_share=0.3).is_whole(seen)
     assert effects.GainDrift(rate=0.05).is_whole(seen)
     assert not effects.GainDrift(rate=0.2).is_whole(seen)
     assert not effects.GainDrift(rate=-0.2).is_whole(seen)

@@ -556,6 +556,8 @@ def test_cause_is_told_with_what_is_known_of_it_and_many_parameters_are_left_to_
     assert (
         phrase("end_stop", low=beyond, high=high) == "an end stop (high 100.0 ± 1.0 mm; low not seen by these records)"
     )
+    unsure = {"value": 0.1, "reason": UNDETERMINED}
+    assert phrase("end_stop", low=beyond, high=unsure).endswith("; low not seen by these records)")
     at_bound = {"value": -0.2, "reason": "it is at its bound"}
     assert "low −200 mm" in phrase("end_stop", low=at_bound, high=high)
     assert phrase("delay", time=low).startswith("a delay (")

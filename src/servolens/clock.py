@@ -64,10 +64,8 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
     usual = float(np.median(intervals))
     if np.all(np.abs(intervals - usual) <= CHANGED * usual):
         return Clock(np.full(intervals.size, usual), np.zeros(intervals.size, dtype=bool), np.ones(intervals.size))
-    from scipy.ndimage import median_filter
-
-    local = median_filter(intervals, size=MEDIAN, mode="nearest")
-    if float(np.median(np.abs(intervals - local))) > JITTERS * usual:
+    local, jitters = _beside(intervals, usual)
+    if jitters:
         return _jittering(time.tobytes())
     cycles = np.where(np.abs(local - usual) > CHANGED * usual, local, usual)
     return Clock(cycles, intervals > LONG * cycles, np.maximum(np.rint(intervals / usual), 1.0))
@@ -85,11 +83,7 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     """
     intervals = np.diff(time)
     usual = float(np.median(intervals))
-    if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual:
-        return usual
-    from scipy.ndimage import median_filter
-
-    if float(np.median(np.abs(intervals - median_filter(intervals, size=MEDIAN, mode="nearest")))) <= JITTERS * usual:
+    if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual or not _beside(intervals, usual)[1]:
         return usual
     return float((time[-1] - time[0]) / np.sum(cycles_passed(time)))
 
@@ -100,6 +94,14 @@ def cycles_passed(time: NDArray[np.float64]) -> NDArray[np.float64]:
     if not intervals.size or intervals.max() < LONG * float(np.median(intervals)):
         return np.ones(intervals.size)
     return clock_of(time).passed
+
+
+def _beside(intervals: NDArray[np.float64], usual: float) -> tuple[NDArray[np.float64], bool]:
+    """Return the median of the intervals beside each, and whether most differ so much from it that the log jitters."""
+    from scipy.ndimage import median_filter
+
+    local = median_filter(intervals, size=MEDIAN, mode="nearest")
+    return local, float(np.median(np.abs(intervals - local))) > JITTERS * usual
 
 
 @lru_cache(maxsize=4)  # the law of one log is tried with many settings
