@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from confusion_tables import line, report
+from harness import processor_time
 from hidden_cases import MAIN, SECTIONS, Case, Outcome, cases, hide, judged, run
 
 from servolens.fleet.child import end_with_parent
@@ -44,8 +45,9 @@ def main(arguments: Sequence[str]) -> None:
     """Do what is asked; without a command, run campaigns."""
     commands = {"run": study, "render": render, "show": show}
     command, *rest = arguments if arguments and arguments[0] in commands else ["run", *arguments]
-    # a process for each core is enough
-    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"})
+    if command == "run":  # a process for each core is enough
+        one = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "SERVOLENS_PROCESSORS")
+        os.environ.update(dict.fromkeys(one, "1"))
     commands[command](rest)
 
 
@@ -128,9 +130,9 @@ def _show(case: Case) -> None:
     print(f"  {campaign.surroundings}")
     for record in (*campaign.records, *campaign.heldout):
         print(f"  {record.name}: {len(record)} samples of {1e3 * record.sample_time:.3g} ms")
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall, cpu = time.perf_counter(), processor_time()
     found = diagnose(campaign.records, heldout=campaign.heldout)
-    print(line(judged(case, campaign, found, time.perf_counter() - wall, time.process_time() - cpu)))
+    print(line(judged(case, campaign, found, time.perf_counter() - wall, processor_time() - cpu)))
     for cause in found.causes:
         numbers = (f"{key} {q.value:.4g} ± {q.stderr}" for key, q in cause.quantities.items())
         print(f"  {cause.effect} " + ", ".join(numbers))

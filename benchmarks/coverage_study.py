@@ -141,7 +141,8 @@ def campaign(truth: lab.Truth, steps: Sequence[Step], world: str, seed: int) -> 
 def carried_out(study: str, whats: Sequence[str], work: Callable[[Job], Batch], repeats: int, said: str) -> None:
     """Do what the command line asks for, and print the table; ``render`` as its first word writes it to the page."""
     asked = _arguments(said, whats, repeats)
-    os.environ.update({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})  # a process for each core is enough
+    # a process for each core is enough
+    os.environ.update(dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "SERVOLENS_PROCESSORS"), "1"))
     kind = "final" if asked.final else "development"
     if asked.render:
         _render(study, [b for b in _read(asked.results).values() if (b.job.study, b.job.kind) == (study, kind)])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from harness import processor_time
 
 from servolens.design import settling_time
 from servolens.errors import ServolensError
@@ -124,14 +124,14 @@ class Outcome:
 def run(axis: Axis) -> Outcome:
     """Measure an axis, go the whole chain from its records, and run the gains on the truth."""
     campaign, hidden = hide(axis)
-    begun = time.process_time()
+    begun = processor_time()
     try:
         # forced, for what would be withheld is to be tried as well: its light stays red
         found = study_records(campaign.records, heldout=campaign.heldout, force=True)
     except ServolensError as failure:
         red = dict.fromkeys(("data", "model", "gain"), "red")
-        return Outcome(axis, hidden, "", red, f"{failure}", seconds=round(time.process_time() - begun, 1))
-    spent = round(time.process_time() - begun, 1)
+        return Outcome(axis, hidden, "", red, f"{failure}", seconds=round(processor_time() - begun, 1))
+    spent = round(processor_time() - begun, 1)
     design = found.design
     spec = None if design is None else design.spec
     return Outcome(

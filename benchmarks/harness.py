@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import statistics
 import time
 from dataclasses import asdict, dataclass
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-__all__ = ["Figure", "alternate", "median_time", "table", "write"]
+__all__ = ["Figure", "alternate", "median_time", "processor_time", "table", "write"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +34,11 @@ class Figure:
             return ""
         met = self.value >= self.target if self.better == "higher" else self.value <= self.target
         return "met" if met else "MISSED"
+
+
+def processor_time() -> float:
+    """Return the time [s] of all processors that this process and those it began, and that are over, have taken."""
+    return sum(os.times()[:4])
 
 
 def median_time(function: Callable[[], Any], seconds: float = 0.5, least: int = 5) -> float:

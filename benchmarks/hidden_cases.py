@@ -7,12 +7,12 @@ quantities.
 from __future__ import annotations
 
 import math
-import os
 import signal
 import time
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from harness import processor_time
 from judging import judged_parameters
 
 from servolens.effects import CATALOGUE
@@ -262,14 +262,14 @@ def run(case: Case, limit: float = math.inf) -> Outcome:
     """Diagnose a case, for `limit` seconds at most."""
     from servolens import diagnose
 
-    wall, cpu = time.perf_counter(), _cpu()
+    wall, cpu = time.perf_counter(), processor_time()
 
     def spent() -> dict[str, float]:
-        return {"seconds": round(time.perf_counter() - wall, 3), "cpu": round(_cpu() - cpu, 3)}
+        return {"seconds": round(time.perf_counter() - wall, 3), "cpu": round(processor_time() - cpu, 3)}
 
     try:
         campaign = hide(case)
-        wall, cpu = time.perf_counter(), _cpu()
+        wall, cpu = time.perf_counter(), processor_time()
         with _Alarm(limit):
             found = diagnose(campaign.records, heldout=campaign.heldout)
     except _OutOfTimeError:
@@ -315,8 +315,3 @@ class _Alarm:
     @staticmethod
     def _stop(*_: object) -> None:
         raise _OutOfTimeError
-
-
-def _cpu() -> float:
-    """Return the time of this process and of its children on all cores [s]."""
-    return sum(os.times()[:4])

@@ -1,11 +1,15 @@
-"""Jobs that are shared among threads."""
+"""Jobs that are shared among threads and processes."""
 
 import os
+import signal
+import sys
 import threading
+import time
+from pathlib import Path
 
 import pytest
 
-from servolens.processors import PROCESSORS, in_parallel
+from servolens.processors import PROCESSORS, Tally, in_parallel, in_processes
 
 
 @pytest.fixture(autouse=True)
@@ -46,3 +50,94 @@ def test_child_of_a_process_with_threads_has_threads_of_its_own():
         os._exit(0 if in_parallel(lambda n: n + 1, range(4)) == [1, 2, 3, 4] else 1)
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 0
+
+
+copied = pytest.mark.skipif(sys.platform != "linux", reason="processes are not copied here")
+
+
+@copied
+def test_jobs_are_shared_among_processes_and_keep_their_order():
+    def job(n):
+        time.sleep(0.02)
+        return n, os.getpid()
+
+    answers = in_processes(job, range(10), Tally())
+    assert [n for n, _ in answers] == [*range(10)]
+    assert len({pid for _, pid in answers}) == 2
+
+
+@copied
+def test_what_takes_longest_is_begun_first():
+    began = in_processes(lambda n: (time.sleep(0.02), time.monotonic())[1], range(4), Tally(), cost=lambda n: n)
+    assert max(began[2:]) < min(began[:2])
+
+
+@copied
+def test_what_jobs_add_in_any_process_is_counted_once():
+    tally, told = Tally(), []
+    in_processes(tally.add, range(20), tally, told=told.append)
+    assert tally.value == sum(range(20))
+    assert told == [*range(1, 21)]
+
+
+@copied
+@pytest.mark.parametrize("fate", ["is killed", "hangs", "cannot answer"])
+def test_job_of_a_process_without_answer_is_done_here(fate):
+    here, tally, before = os.getpid(), Tally(), children()
+
+    def job(n):
+        tally.add(1)
+        time.sleep(0.01)
+        if os.getpid() == here:
+            return n
+        if fate == "is killed":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if fate == "hangs":
+            time.sleep(60.0)
+        return lambda: n  # nothing that can be sent
+
+    began = time.monotonic()
+    assert in_processes(job, range(6), tally) == [*range(6)]
+    assert tally.value == 6
+    assert time.monotonic() - began < 30.0
+    assert children() == before
+
+
+def children():
+    return {pid for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
+
+
+@copied
+def test_error_of_the_first_job_that_failed_is_raised_whatever_process_it_ran_in():
+    def fails(n):
+        time.sleep(0.01)
+        raise ValueError(str(n))
+
+    with pytest.raises(ValueError, match="3"):
+        in_processes(fails, [3, 4, 5, 6], Tally(), cost=lambda n: n)
+
+
+@copied
+def test_jobs_of_a_job_stay_in_its_process():
+    def outer(_):
+        time.sleep(0.02)
+        own = os.getpid(), threading.get_ident()
+        inner = in_processes(lambda _: (os.getpid(), threading.get_ident()), range(4), Tally())
+        return all(ident == own for ident in inner)
+
+    assert all(in_processes(outer, range(4), Tally()))
+
+
+def test_a_thread_does_not_copy_the_process():
+    found, told, tally = [], [], Tally()
+
+    def job(n):
+        tally.add(n)
+        return os.getpid()
+
+    other = threading.Thread(target=lambda: found.extend(in_processes(job, range(8), tally, told=told.append)))
+    other.start()
+    other.join()
+    assert found == [os.getpid()] * 8
+    assert tally.value == sum(range(8))
+    assert sorted(told) == [*range(1, 9)]

@@ -26,7 +26,7 @@ from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
 from servolens.identification.structure import depends_on_inputs
 from servolens.model_evidence import MATERIAL
-from servolens.processors import in_parallel
+from servolens.processors import in_processes
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -120,7 +120,9 @@ class Case:
             with suppress(InputError, ZeroDivisionError):  # a gain that is next to nothing makes no such axis
                 begun.append(plant.scaled(self.base.plant.gain / plant.gain))
         share = work / max(len(begun), 1)
-        fits = in_parallel(partial(self.likelihood.judged, iterations=SOME, allowance=share), begun)
+        fits = in_processes(
+            partial(self.likelihood.judged, iterations=SOME, allowance=share), begun, self.likelihood.tally
+        )
         return [h for h in fits if h is not None]
 
     def ripple_beside(self, hypothesis: Hypothesis) -> Ripple:
@@ -265,7 +267,7 @@ class Case:
         test = ScoreTest(self.likelihood, self.base)
         begun = [self.trials.starts(test, name)[:1] for name in (CoulombFriction.name, ActuatorLag.name)]
         structures = [self.base.plant, *(start.plant for starts in begun for start in starts)]
-        plants = in_parallel(partial(self._by_itself, structures), self.records)
+        plants = in_processes(partial(self._by_itself, structures), self.records, self.likelihood.tally)
         return apart([p for p in plants if p], [r.name for r in self.records]) if all(plants) else None
 
     def _by_itself(self, structures: Sequence[Plant], record: Record) -> Plant | None:
@@ -355,7 +357,10 @@ class Case:
     def left_out(self, hypothesis: Hypothesis) -> list[Plant]:
         """Return, for each training record, the plant of `hypothesis` refitted without it."""
         jobs = list(zip(range(len(self.records)), self.cuts, strict=True))
-        return _once(self._left_out, hypothesis, lambda h: in_parallel(lambda job: self._without(h, *job), jobs))
+        tally = self.likelihood.tally
+        return _once(
+            self._left_out, hypothesis, lambda h: in_processes(lambda job: self._without(h, *job), jobs, tally)
+        )
 
     def _without(self, hypothesis: Hypothesis, i: int, cut: int) -> Plant:
         kept = [k for k in range(len(self.records)) if k != i]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, final
 
+from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.errors import pooled
-from servolens.diagnosis.explorer import INDISTINCT, SPENT
+from servolens.diagnosis.explorer import INDISTINCT
 from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError

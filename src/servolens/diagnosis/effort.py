@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, TypeVar, final
 
+from servolens.processors import in_processes
 from servolens.simulation.rates import substeps_for, work_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
+    from servolens.processors import Tally
 
-__all__ = ["EFFORT", "Effort", "shared", "work_for"]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+__all__ = ["EFFORT", "SPENT", "Budget", "Effort", "shared", "work_for"]
+
+SHARE, SPENT = 0.4, 0.25
+"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
+whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
+by one that is made after a search."""
 
 
 @final
@@ -51,6 +61,58 @@ EFFORT = {
 """A hundred million take ten to twenty seconds of one processor, all that goes with simulating them included. A
 search by prediction errors and one by simulations may take so much each, and the former as much again for what it tries
 with and without an observer."""
+
+
+@final
+class Budget:
+    """What a search may simulate.
+
+    Parameters
+    ----------
+    tally : Tally
+        Of the work that is done.
+    work : float
+        Of the whole effort.
+    share : float
+        Of that, what the search may take from now on; it may be changed.
+    """
+
+    def __init__(self, tally: Tally, work: float, share: float) -> None:
+        self._tally, self._before, self._work, self.share = tally, tally.value, work, share
+
+    @property
+    def left(self) -> float:
+        """Work that may still be done, of the granted share of the effort."""
+        return max(self.share * self._work - self._spent, 0.0)
+
+    @property
+    def _spent(self) -> int:
+        return self._tally.value - self._before
+
+    def has_more(self, work: float) -> bool:
+        """Tell whether of so much `work` enough is left to look for a further effect."""
+        return self._spent < (1.0 - SPENT) * work
+
+    def allowance(self, jobs: int, kept: float = 0.0) -> float:
+        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
+
+        As if a share `kept` of the effort were left in any case.
+        """
+        return SHARE * max(self.left, kept * self.share * self._work) / max(jobs, 1)
+
+    def shared_among(
+        self,
+        function: Callable[[Job, float], Result],
+        jobs: Sequence[Job],
+        need: Callable[[Job], float],
+        told: Callable[[int], None] = lambda _: None,
+    ) -> list[Result]:
+        """Return what `function` makes of each of the `jobs` and of what it may simulate for it, by what each needs."""
+        needs = [need(job) for job in jobs]
+        parts = shared(SHARE * self.left, needs)
+        return in_processes(
+            lambda i: function(jobs[i], parts[i]), range(len(jobs)), self._tally, lambda i: needs[i], told
+        )
 
 
 def shared(work: float, needs: Sequence[float]) -> list[float]:

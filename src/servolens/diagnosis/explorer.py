@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.effort import shared, work_for
+from servolens.diagnosis.effort import SPENT, Budget, work_for
 from servolens.diagnosis.ordering import (
     best_of_each,
     by_total,
@@ -35,7 +35,7 @@ from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
 from servolens.identification.score import ScoreTest
-from servolens.processors import in_parallel
+from servolens.processors import in_processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["INDISTINCT", "SPENT", "Explorer"]
+__all__ = ["INDISTINCT", "Explorer"]
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5
@@ -53,10 +53,6 @@ PROMISING = 0.5
 causes that leave nothing that depends on the inputs, all of it."""
 FAR_BEHIND = 0.05
 """Share of the highest score below which an effect is not fitted."""
-SHARE, SPENT = 0.4, 0.25
-"""Of the effort that is left, what one round of fits may take, so that some is left for those that follow; of the
-whole, with how little left no further effect is looked for: so much is kept for fits to their optimum, and may be taken
-by one that is made after a search."""
 FEW_PARAMETERS, LATE = 2, (0.25, 1.0)
 """Most parameters of an effect that is tried beside a delay; delays from which the fit starts, in radians at the loop's
 rate: up to what a well-damped loop has in hand."""
@@ -79,7 +75,7 @@ class Explorer:
     ) -> None:
         self.trials, self.effort, self.tell, self.is_enough = trials, effort, tell, is_enough
         self.likelihood = trials.likelihood
-        self.worked, self._share = self.likelihood.work, share
+        self.budget = Budget(self.likelihood.tally, effort.work, share)
         self.judged: list[Hypothesis] = [*known]
         self.singles: list[Hypothesis] = []
         self.with_last_resorts = False
@@ -88,30 +84,10 @@ class Explorer:
         self._freed_in_vain: set[tuple[frozenset[str], float, int, float]] = set()
         self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
-    @property
-    def left(self) -> float:
-        """Work that may still be done, of the granted share of the effort."""
-        return max(self._share * self.effort.work - self._spent, 0.0)
-
-    @property
-    def _spent(self) -> float:
-        return float(self.likelihood.work - self.worked)
-
     def grant(self, share: float) -> None:
         """Let the search take this share of the effort."""
-        self._share = share
+        self.budget.share = share
         self._freed_in_vain.clear()  # with more effort it may be worth while
-
-    def has_more(self, work: float) -> bool:
-        """Tell whether of so much `work` enough is left to look for a further effect."""
-        return self._spent < (1.0 - SPENT) * work
-
-    def allowance(self, jobs: int, kept: float = 0.0) -> float:
-        """Return what each of so many `jobs` may simulate: fixed before, it does not depend on their order.
-
-        As if a share `kept` of the effort were left in any case.
-        """
-        return SHARE * max(self.left, kept * self._share * self.effort.work) / max(jobs, 1)
 
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
@@ -168,10 +144,10 @@ class Explorer:
 
     def _followed(self, plants: Sequence[Plant], base: Hypothesis, iterations: int) -> list[Hypothesis]:
         """Return where a few iterations beside the noise of `base` lead, the best first."""
-        shares = shared(SHARE * self.left, [work_for(self.likelihood, plant, iterations) for plant in plants])
-        found = in_parallel(
-            lambda job: self.likelihood.tried(job[0], base.noise, iterations, like=base, allowance=job[1]),
-            [*zip(plants, shares, strict=True)],
+        found = self.budget.shared_among(
+            lambda plant, share: self.likelihood.tried(plant, base.noise, iterations, like=base, allowance=share),
+            plants,
+            lambda plant: work_for(self.likelihood, plant, iterations),
         )
         return sorted((h for h in found if h), key=by_total)
 
@@ -191,12 +167,13 @@ class Explorer:
                 with suppress(InputError):  # two that do not go together
                     plant = like.plant.with_effect(effect)
                     jobs += [(plant, like)] if len(plant.effects) > len(like.plant.effects) else []
-        share = self.allowance(len(jobs))
-        begun = in_parallel(
+        share = self.budget.allowance(len(jobs))
+        begun = in_processes(
             lambda job: self.likelihood.tried(
                 job[0], job[1].noise, FEW, like=job[1], unpowered=job[1].unpowered, allowance=share
             ),
             jobs,
+            self.likelihood.tally,
         )
         found = self.fitted([(h.plant, h) for h in best_of_each([h for h in begun if h])])
         found += self.fitted([(plant, h) for h in found for plant in with_lag_for_damping(h.plant)])
@@ -241,8 +218,7 @@ class Explorer:
         ]
         names = [n for n in asked if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
-        scored = [starts for starts in in_parallel(lambda name: trials.starts(test, name), names) if starts]
-        scored.sort(key=lambda starts: -starts[0].gain)
+        scored = trials.starts_of_each(test, names)
         if not hypothesis.causes and not self.with_last_resorts:
             self._scored = test, scored
         share = 1.0 if is_enough else PROMISING
@@ -251,28 +227,29 @@ class Explorer:
             scored = [s for s in scored if s[0].gain > FAR_BEHIND * scored[0][0].gain]
         chosen = scored[: self.effort.fitted]
         chosen += [starts for starts in scored[len(chosen) :] if issubclass(effect_class(starts[0].effect), Drive)]
-        share, count = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1), 0
+        share = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1)
 
-        def told(found: Hypothesis | None) -> Hypothesis | None:
-            nonlocal count
-            count += 1
+        def told(count: int) -> None:
             what = f"Trying {cause}: {count} of {len(chosen)} effects"
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
-            return found
 
-        tried = [starts_to_fit(starts) for starts in chosen]
-        shares = shared(
-            SHARE * self.left, [sum(work_for(self.likelihood, s.plant, FEW) for s in several) for several in tried]
+        begun = self.budget.shared_among(
+            lambda starts, share: self._begun(starts, hypothesis, share),
+            [starts_to_fit(starts) for starts in chosen],
+            lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
+            told,
         )
-        jobs = [*zip(tried, shares, strict=True)]
-        begun = in_parallel(lambda job: told(self._begun(job[0], hypothesis, job[1])), jobs)
         found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
         if is_observed:
             return found
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
-        shares = shared(SHARE * self.left, [work_for(self.likelihood, h.plant, _iterations(h.plant)) for h in close])
-        further = in_parallel(lambda job: told(self._simulated(*job)), [*zip(close, shares, strict=True)])
+        further = self.budget.shared_among(
+            self._simulated,
+            close,
+            lambda h: work_for(self.likelihood, h.plant, _iterations(h.plant)),
+            lambda done: told(len(chosen) + done),
+        )
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
@@ -372,7 +349,7 @@ class Explorer:
             self._freed_in_vain.add(key)
         while further and further[0].total < hypothesis.total - NO_BETTER:
             hypothesis = further[0]
-            further = self.fitted([(hypothesis.plant, hypothesis)]) if self.left > 0.0 else []
+            further = self.fitted([(hypothesis.plant, hypothesis)]) if self.budget.left > 0.0 else []
         return hypothesis
 
     def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
@@ -438,8 +415,13 @@ class Explorer:
 
     def fitted(self, jobs: Sequence[tuple[Plant, Hypothesis]]) -> list[Hypothesis]:
         """Return plants at their optimum, each begun with the noise of another hypothesis, the best first."""
-        share = self.allowance(len(jobs), SPENT)
-        fits = in_parallel(lambda job: self.likelihood.judged(*job, FULL, allowance=share), jobs)
+        share = self.budget.allowance(len(jobs), SPENT)
+        fits = in_processes(
+            lambda job: self.likelihood.judged(*job, FULL, allowance=share),
+            jobs,
+            self.likelihood.tally,
+            lambda job: work_for(self.likelihood, job[0], FULL),
+        )
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from servolens.diagnosis.explorer import SPENT, Explorer
+from servolens.diagnosis.effort import SPENT
+from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import beside_shaking, best_of_each, is_last_resort
 from servolens.diagnosis.walk import Search, Walk
 from servolens.errors import NumericalError
@@ -93,7 +94,7 @@ def search(
             begun = _telling(unshaken, effort) if unshaken else ()
             observed = observing.whole(begun, share=max(left, 0.0))
     finally:
-        trials.likelihood.count(observing.work + (alone.work if alone else 0))
+        trials.likelihood.tally.add(observing.work + (alone.work if alone else 0))
     if not (observing.has_asked(observed.chosen) and is_enough(observed.chosen)):
         observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
@@ -132,7 +133,7 @@ def _is_unshaken(trials: Trials, base: Hypothesis, found: Search, is_answer: Eno
     beside = [like for like in beside_shaking(steps, base.noise) if like.noise.rate > 0.0]
     fits = (shaken.judged(like.plant, like, allowance=work / len(beside)) for like in beside)
     is_likelier = any(h and h.noise.rate > 0.0 and h.total < chosen.total for h in fits)
-    trials.likelihood.count(shaken.work)
+    trials.likelihood.tally.add(shaken.work)
     return not is_likelier
 
 
@@ -152,11 +153,11 @@ def _observing(
         alone = trials.unshaken().likelihood
         again = alone.judged(found.plant, replace(found, noise=alone.white), allowance=work)
         if again is None or again.total >= found.total or not is_answer(again):
-            shaken.likelihood.count(alone.work)
+            shaken.likelihood.tally.add(alone.work)
             return None
         # the records may begin elsewhere than where an observer, which soon forgets that, has them begin
         other = alone.judged(again.plant, replace(again, noise=alone.white, starts=()), allowance=work)
-        shaken.likelihood.count(alone.work)
+        shaken.likelihood.tally.add(alone.work)
         return other if other and other.total < again.total else again
 
     parts = (0.25, 0.5), (0.75, 1.0)  # each way in turn a quarter
@@ -176,7 +177,7 @@ def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enou
         fits = (shaken.judged(found.plant, like, allowance=0.5 * work) for like in beside_shaking([found], base.noise))
         telling = (h for h in fits if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
         other = next(telling, None)
-        unshaken.likelihood.count(shaken.work)
+        unshaken.likelihood.tally.add(shaken.work)
         return other
 
     try:

@@ -21,6 +21,7 @@ from servolens.identification.score import FALSE_ALARM
 from servolens.identification.segments import applied_voltage, motion_segments, moving_parts, parts
 from servolens.identification.smoothing import smooth
 from servolens.identification.starting import Screen, seen_in
+from servolens.processors import in_processes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -167,6 +168,16 @@ class Trials:
     def price(self, cls: type[Effect]) -> float:
         """Return by how much −2 log-likelihood must fall for an effect to enter."""
         return _entry_price(needed(cls), self.candidates, self.likelihood.counted)
+
+    def starts_of_each(self, test: ScoreTest, names: Sequence[str]) -> list[list[Start]]:
+        """Return where fits of each of the effects begin beside the hypothesis of `test`, the likeliest effect first.
+
+        See :meth:`starts`. Effects of which there are none are left out.
+        """
+        found = in_processes(
+            partial(self.starts, test), names, self.likelihood.tally, lambda name: len(effect_class(name).states)
+        )
+        return sorted((starts for starts in found if starts), key=lambda starts: -starts[0].gain)
 
     def starts(self, test: ScoreTest, name: str) -> list[Start]:
         """Return where fits of the effect `name` beside the hypothesis of `test` begin, the likeliest first.

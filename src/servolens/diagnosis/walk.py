@@ -194,7 +194,7 @@ class Walk:
                 return self._found(further)
             path = min(path, further, reached, key=lambda steps: steps[-1].total)
             is_promising = path[-1].total < promising and not is_enough(path[-1])
-            if early and is_promising and explorer.has_more(longer * work):
+            if early and is_promising and explorer.budget.has_more(longer * work):
                 explorer.grant(longer)
                 path, early = self._walked(path, longer * work)
                 if self._has_ended:
@@ -227,7 +227,7 @@ class Walk:
         """
         beam, steps, explorer = self._beam(path), 0, self.explorer
         while len(path[-1].causes) < self.effort.causes:
-            if not (explorer.has_more(work) if steps else explorer.left > 0.0):
+            if not (explorer.budget.has_more(work) if steps else explorer.budget.left > 0.0):
                 return self._to_the_likeliest(path), True
             steps += 1
             looked, self._looked = None if path[-1].causes else self._looked, None
@@ -283,7 +283,7 @@ class Walk:
         asked = distinct([*likeliest, *pairs[:1]])
         observed = [h for h in asked if h.noise.rate > 0.0 and frozenset(h.causes) not in self._asked]
         self._asked |= {frozenset(h.causes) for h in observed}
-        alone = (self.unobserved(h, self.explorer.allowance(1 + len(observed))) for h in observed)
+        alone = (self.unobserved(h, self.explorer.budget.allowance(1 + len(observed))) for h in observed)
         found = next((h for h in alone if h), None)
         self._has_ended = found is not None
         return found
@@ -291,7 +291,7 @@ class Walk:
     def _is_overtaken(self, best: Hypothesis) -> bool:
         """Tell whether the search ends with `best`: beside other noise it is likelier than any last resort is here."""
         explorer = self.explorer
-        other = None if self.is_enough(best) else self.ends(best, explorer.allowance(1))
+        other = None if self.is_enough(best) else self.ends(best, explorer.budget.allowance(1))
         if other is None:
             return False
         resorts = explorer.fitted([(plant, best) for plant in explorer.last_resorts(best)])

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
-from servolens.diagnosis.effort import EFFORT
+from servolens.diagnosis.effort import EFFORT, SPENT
 from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
-from servolens.diagnosis.explorer import SPENT
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
 from servolens.diagnosis.loop_rate import decided_beside_loop_rate
@@ -205,7 +204,7 @@ def _contradicted_priors(case: Case, chosen: Hypothesis, work: float) -> tuple[F
         return ()
     free = case.likelihood.without_priors()
     found = free.judged(chosen.plant, chosen, allowance=work)
-    case.likelihood.count(free.work)
+    case.likelihood.tally.add(free.work)
     return () if found is None else contradicted(fitted(free, found, work).model, case.trials.priors)
 
 

@@ -56,7 +56,7 @@ def counting_late_inputs(
         for moved, assumed in _moved(problem, refined, noise, errors):
             values, vectors = np.linalg.eigh(np.outer(moved, moved) - np.outer(assumed, assumed))
             more += (vectors * np.maximum(values, 0.0)) @ vectors.T
-    likelihood.count(problem.simulated)
+    likelihood.tally.add(problem.simulated)
     covariance = refined.covariance.copy()
     columns = problem.free[::-1]  # of parameters of the records' own the first
     covariance[np.ix_(columns, columns)] += (np.outer(errors, errors) * more)[::-1, ::-1]

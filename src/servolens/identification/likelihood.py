@@ -5,7 +5,6 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from threading import Lock
 from typing import TYPE_CHECKING, final
 
 import numpy as np
@@ -19,6 +18,7 @@ from servolens.identification.noise_search import NoiseTrials
 from servolens.identification.observed import ObservedRun, Signals, SimulatedRun, least_missed
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import loop_rate, noise_level
+from servolens.processors import Tally
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class Likelihood:
         self.most_substeps = MOST_SUBSTEPS * max(longest, 1.0)
         self.may_be_unpowered = any(signals.may_be_unpowered for signals in self.signals)
         self.knows_beginning, self.simulates = True, False
-        self.work, self._counting = 0, Lock()
+        self.tally = Tally()
 
     def _signals(self, records: Sequence[Record]) -> tuple[Signals, ...]:
         return tuple(Signals.of(record, self.floor, self._like, self.rate, self.every) for record in records)
@@ -110,7 +110,7 @@ class Likelihood:
         """
         other = copy(self)
         other.white = replace(self.white, rounding=0.0, discount=self.remembered)
-        other.simulates, other.work = True, 0
+        other.simulates, other.tally = True, Tally()
         return other
 
     @property
@@ -122,26 +122,26 @@ class Likelihood:
     def unshaken(self) -> Likelihood:
         """Return the likelihood of an axis that nothing shakes: no observer follows what a model lacks."""
         other = copy(self)
-        other._rates, other.work = (), 0
+        other._rates, other.tally = (), Tally()
         return other
 
     def shaken(self) -> Likelihood:
         """Return the likelihood of an axis that was searched before as if nothing shook it: that is not tried again."""
         other = copy(self)
-        other._asks_white, other.work = False, 0
+        other._asks_white, other.tally = False, Tally()
         return other
 
     def without_priors(self) -> Likelihood:
         """Return the likelihood of the records alone, whatever else is known of the axis."""
         other = copy(self)
         other._options = replace(self._options, priors={}, bounds={})
-        other.work, other.is_admissible = 0, lambda _: True
+        other.tally, other.is_admissible = Tally(), lambda _: True
         return other
 
-    def count(self, simulated: int) -> None:
-        """Add to the work of all simulations (:func:`~servolens.simulation.rates.work_of`), from any thread."""
-        with self._counting:
-            self.work += simulated
+    @property
+    def work(self) -> int:
+        """Work of all simulations (:func:`~servolens.simulation.rates.work_of`)."""
+        return self.tally.value
 
     def runs(self, noise: NoiseModel, *, unpowered: bool = False) -> list[ObservedRun | SimulatedRun]:
         """Return the records as prediction-error problems, or as simulations."""
@@ -321,7 +321,7 @@ class Likelihood:
             point, _ = descend(problem, start, iterations, NEGLIGIBLE_ON_THE_WAY)
         if problem.weigh_priors(point):  # beside what was left at the start they weigh more
             point, _ = descend(problem, point, iterations, NEGLIGIBLE_ON_THE_WAY)
-        self.count(problem.simulated)
+        self.tally.add(problem.simulated)
         return problem, point
 
     def _first_noise(self, plant: Plant, *, unpowered: bool) -> NoiseModel:
@@ -388,7 +388,7 @@ class Likelihood:
     def on(self, records: Sequence[Record]) -> Likelihood:
         """Return the likelihood of other `records` of the same axis, with what is known of it."""
         other = copy(self)
-        other.records = tuple(records)
+        other.records, other.tally = tuple(records), Tally()
         other.signals = self._signals(records)
         other.may_be_unpowered = any(signals.may_be_unpowered for signals in other.signals)
         other.knows_beginning = self.may_be_unpowered

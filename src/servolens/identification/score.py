@@ -58,7 +58,7 @@ class ScoreTest:
     """
 
     def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
-        self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.count
+        self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.tally.add
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
         self._options = likelihood.options(hypothesis.plant)

@@ -82,7 +82,7 @@ def counting_all_spectra(
             simulated += problem.simulated
 
     found = list(_likely(beside))
-    likelihood.count(simulated)
+    likelihood.tally.add(simulated)
     if not found:
         return refined
     columns = Problem(refined.plant, likelihood.runs(noise, unpowered=unpowered), options, None).free
