@@ -131,7 +131,7 @@ def _diagnosed(
         path, fits = path[:1], fits[:1]
         gains = case.gains(path, [fits[0].plant])
     remainder = remainder_of(case, path[-1], gains)
-    priors = _contradicted_priors(case, path[-1], work)
+    priors = _contradicted_priors(case, path[-1], fits[-1].model, work)
     told = (*findings, *powerless, *decision.findings, *sizeless, *fits[-1].findings, *priors)
     causes = causes_of(case, found, path, fits[-1], gains, verdict)
     told = (*told, *said(case, decision, path[-1], gains, verdict, remainder), *lower_limit(case.records, causes))
@@ -198,14 +198,17 @@ def _as_far_as_shown(
     return path, [base], told
 
 
-def _contradicted_priors(case: Case, chosen: Hypothesis, work: float) -> tuple[Finding, ...]:
-    """Name the priors that the records contradict: a fit without them, beside the same causes, is far from these."""
+def _contradicted_priors(case: Case, chosen: Hypothesis, model: Model, work: float) -> tuple[Finding, ...]:
+    """Name the priors that the records contradict: a fit without them, beside the same causes, is far from these.
+
+    So is a fit with them that ends as far from a prior as it may.
+    """
     if not case.trials.priors:
         return ()
     free = case.likelihood.without_priors()
     found = free.judged(chosen.plant, chosen, allowance=work)
     case.likelihood.tally.add(free.work)
-    return () if found is None else contradicted(fitted(free, found, work).model, case.trials.priors)
+    return () if found is None else contradicted(fitted(free, found, work).model, case.trials.priors, model)
 
 
 def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: Iterable[str], effort: str) -> None:

@@ -122,18 +122,24 @@ def _agree(difference: NDArray[np.float64], covariance: NDArray[np.float64]) -> 
     return statistic <= float(chi2.isf(FALSE_ALARM, difference.size))
 
 
-def contradicted(free: Model, known: Mapping[str, Prior]) -> tuple[Finding, ...]:
-    """Name the priors that a fit without them is far from."""
+def contradicted(free: Model, known: Mapping[str, Prior], held: Model | None = None) -> tuple[Finding, ...]:
+    """Name the priors that a fit without them is far from, or one with them, `held` by them, as far as it may be."""
     found = []
     for name, prior in known.items():
         quantity = free.quantities.get(name)
-        if quantity is None or quantity.stderr is None:
+        ended = held.quantities.get(name) if held else None
+        is_far = ended is not None and abs(ended.value - prior.value) > CONTRADICTS * prior.deviation
+        if ended is not None and ended.reason == AT_BOUND and is_far:
+            seen = f"the fit ends as far from it as it may, at {ended.value:.4g}"
+        elif quantity is None or quantity.stderr is None:
             continue
-        value, spread = quantity.value, quantity.stderr
-        if abs(value - prior.value) > CONTRADICTS * np.hypot(spread, prior.deviation):
-            message = (
-                f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records: without it the "
-                f"fit gives {value:.4g} ± {spread:.2g}. Check its value, unit and width."
-            )
-            found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
+        elif abs(quantity.value - prior.value) > CONTRADICTS * np.hypot(quantity.stderr, prior.deviation):
+            seen = f"without it the fit gives {quantity.value:.4g} ± {quantity.stderr:.2g}"
+        else:
+            continue
+        message = (
+            f"the prior on {name}, {prior.value:g} ± {prior.deviation:g}, contradicts the records: {seen}. "
+            "Check its value, unit and width."
+        )
+        found.append(Finding(code="prior_contradicts_data", severity="warning", message=message))
     return tuple(found)
