@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from servolens.processors import PROCESSORS, Tally, in_parallel, in_processes
+from servolens.processors import PROCESSORS, Tally, in_parallel, in_processes, shared_array
 
 
 @pytest.fixture(autouse=True)
@@ -141,3 +141,16 @@ def test_a_thread_does_not_copy_the_process():
     assert found == [os.getpid()] * 8
     assert tally.value == sum(range(8))
     assert sorted(told) == [*range(1, 9)]
+
+
+def test_jobs_write_into_a_shared_array_wherever_they_run():
+    rows = shared_array((20, 3))
+
+    def fill(i):
+        time.sleep(0.002)
+        rows[i] = i, os.getpid(), 1.0
+
+    in_processes(fill, range(20))
+    assert rows[:, 0].tolist() == [*range(20)]
+    assert rows[:, 2].all()
+    assert shared_array((0, 5)).shape == (0, 5)

@@ -10,19 +10,24 @@ from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import wait as all_done
 from contextlib import contextmanager, suppress
 from functools import cache, wraps
+from math import prod
+from mmap import mmap
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from threading import Lock, current_thread, local, main_thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, final
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from multiprocessing.connection import Connection
 
+    from numpy.typing import NDArray
     from threadpoolctl import ThreadpoolController
 
-__all__ = ["PROCESSORS", "Tally", "in_parallel", "in_processes", "single_threaded_blas"]
+__all__ = ["PROCESSORS", "Tally", "in_parallel", "in_processes", "shared_array", "single_threaded_blas"]
 
 PROCESSORS = "SERVOLENS_PROCESSORS"
 """Environment variable: how many processors one process uses; all of the machine's where it is not set."""
@@ -90,10 +95,16 @@ class Tally:
             self.value += number
 
 
+def shared_array(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return an array into which jobs write wherever they run: what is written need not be sent."""
+    size = prod(shape)
+    return np.frombuffer(mmap(-1, max(8 * size, 1)), np.float64, size).reshape(shape)
+
+
 def in_processes(
     function: Callable[[Job], Result],
     jobs: Iterable[Job],
-    tally: Tally,
+    tally: Tally | None = None,
     cost: Callable[[Job], float] = lambda _: 0.0,
     told: Callable[[int], None] = lambda _: None,
 ) -> list[Result]:
@@ -110,7 +121,7 @@ def in_processes(
         Makes an answer, which can be pickled, of a job.
     jobs : iterable
         What is done.
-    tally : Tally
+    tally : Tally, optional
         To which jobs add.
     cost : callable, optional
         Of a job, how long it takes beside the others: what takes longest is begun first. As they stand by default.
@@ -128,7 +139,7 @@ def in_processes(
             return answer
 
         return in_parallel(one, jobs)
-    batch = _Batch(function, jobs, tally, told)
+    batch = _Batch(function, jobs, tally or Tally(), told)
     return batch.answers(min(_free(), len(jobs)) - 1, sorted(range(len(jobs)), key=lambda i: -cost(jobs[i])))
 
 

@@ -13,6 +13,7 @@ from servolens.diagnosis.ordering import kind
 from servolens.effects import Actuator, TimeShift, catalogue
 from servolens.errors import InputError, NumericalError
 from servolens.identification.regressors import regressor
+from servolens.processors import in_processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -53,8 +54,12 @@ def best_pairs(screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, mos
     shaped = [cls for cls in forces if cls not in plain]
     actuators: list[type[Effect]] = [cls for cls in catalogue().values() if issubclass(cls, Actuator | TimeShift)]
     best: list[Plant] = []
-    for firsts, seconds, count in (plain, forces, most), (actuators, plain, most // 2), (actuators, shaped, most // 2):
-        scored = sorted(_scored(screen, seen, plant, proposed, (firsts, seconds)), key=lambda each: each[0])
+    kinds = (plain, forces, most), (actuators, plain, most // 2), (actuators, shaped, most // 2)
+    jobs = [(i, first) for i, (firsts, _, _) in enumerate(kinds) for first in firsts]
+    found = in_processes(lambda job: [*_scored(screen, seen, plant, proposed, job[1], kinds[job[0]][:2])], jobs)
+    for i, (_, _, count) in enumerate(kinds):
+        scored = [each for job, several in zip(jobs, found, strict=True) if job[0] == i for each in several]
+        scored.sort(key=lambda each: each[0])
         best += _first_of_each_kind(screen, seen, [both for _, both in scored], count)
     return best
 
@@ -121,24 +126,28 @@ def _first_of_each_kind(screen: Screen, seen: Seen, pairs: Sequence[Plant], most
 
 
 def _scored(
-    screen: Screen, seen: Seen, plant: Plant, proposed: Proposed, kinds: tuple[list[type[Effect]], list[type[Effect]]]
+    screen: Screen,
+    seen: Seen,
+    plant: Plant,
+    proposed: Proposed,
+    first: type[Effect],
+    kinds: tuple[list[type[Effect]], list[type[Effect]]],
 ) -> Iterator[tuple[float, Plant]]:
-    """Yield the criterion and `plant` with each pair of an effect of the first kinds and a force of the second."""
+    """Yield the criterion and `plant` with each pair of `first`, of the first kinds, and a force of the second ones."""
     samples = screen.thinned.time.size
-    for first in kinds[0]:
-        is_force = bool(regressor(first).sizes)
-        starts = screen.proposals_of(plant, first)
-        starts = starts[:1] if is_force else [start for start in starts if start.is_whole(seen)]
-        for one, second in product(starts, kinds[1]):
-            if kind([first]) & kind([second]) or (second in kinds[0] and first.name > second.name):
-                continue
-            with suppress(InputError, NumericalError):  # two that do not go together
-                proposals = proposed(plant, second)
-                lefts = zip(screen.left((one,), proposals).tolist(), proposals.effects, strict=True)
-                whole = [(left, other) for left, other in lefts if other.is_whole(seen)]
-                for left, other in sorted(whole, key=lambda each: each[0])[:1]:
-                    paid = np.log(samples) * (_sizes(screen, first) + _sizes(screen, second))
-                    yield samples * np.log(max(left, 1e-300)) + paid, plant.with_effect(one).with_effect(other)
+    is_force = bool(regressor(first).sizes)
+    starts = screen.proposals_of(plant, first)
+    starts = starts[:1] if is_force else [start for start in starts if start.is_whole(seen)]
+    for one, second in product(starts, kinds[1]):
+        if kind([first]) & kind([second]) or (second in kinds[0] and first.name > second.name):
+            continue
+        with suppress(InputError, NumericalError):  # two that do not go together
+            proposals = proposed(plant, second)
+            lefts = zip(screen.left((one,), proposals).tolist(), proposals.effects, strict=True)
+            whole = [(left, other) for left, other in lefts if other.is_whole(seen)]
+            for left, other in sorted(whole, key=lambda each: each[0])[:1]:
+                paid = np.log(samples) * (_sizes(screen, first) + _sizes(screen, second))
+                yield samples * np.log(max(left, 1e-300)) + paid, plant.with_effect(one).with_effect(other)
 
 
 def _sizes(screen: Screen, cls: type[Effect]) -> int:

@@ -174,6 +174,11 @@ class Trials:
 
         See :meth:`starts`. Effects of which there are none are left out.
         """
+        plant = test.hypothesis.plant
+        for cls in map(effect_class, names):
+            if regressor(cls).sizes and not plant.effects:
+                with suppress(InputError, NumericalError):
+                    self._proposals_of(plant, cls)  # made here, all jobs have it
         found = in_processes(
             partial(self.starts, test), names, self.likelihood.tally, lambda name: len(effect_class(name).states)
         )

@@ -21,7 +21,7 @@ from servolens.identification.score import FALSE_ALARM
 from servolens.identification.shaken import shaking
 from servolens.model_evidence import MATERIAL
 from servolens.prediction import beginning
-from servolens.processors import in_parallel
+from servolens.processors import in_processes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -196,7 +196,7 @@ def drawn_loop_errors(
             return tuple(moved)
         return None
 
-    return [draw for draw in in_parallel(one, range(count)) if draw is not None]
+    return [draw for draw in in_processes(one, range(count)) if draw is not None]
 
 
 class _Shares:

@@ -10,6 +10,7 @@ import numpy as np
 
 from servolens.identification.integral import held_twice_integrated
 from servolens.identification.regressors import regressor
+from servolens.processors import in_processes, shared_array
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
-"""Samples that are kept, more or less."""
+"""Samples that are kept at most."""
 ALIKE = 1e-9
 """Share of its square that a force must have beside others to count; rounding leaves a millionth of that."""
 TOGETHER = 32
@@ -108,7 +109,7 @@ class Thinned:
     @classmethod
     def of(cls, segments: Sequence[Segment], velocity: Sequence[NDArray[np.float64]]) -> Thinned:
         """Thin `segments`, whose smoothed velocities are given."""
-        stride = max(sum(s.time.size for s in segments) // SAMPLES, 1)
+        stride = max(-(-sum(s.time.size for s in segments) // SAMPLES), 1)
         times = [s.time[::stride] for s in segments]
         centred = [t - t.mean() for t in times]
         return cls(
@@ -130,12 +131,18 @@ class Thinned:
 
     def proposals(self, effects: Sequence[Effect]) -> Proposals:
         """Return forces of one class ready to be ranked beside any others."""
-        some = (effects[i : i + TOGETHER] for i in range(0, len(effects), TOGETHER))
-        rows = [np.empty((0, self.time.size)), *(self._freed(self._integrals(each)[0]) for each in some)]
+        sizes = len(regressor(type(effects[0])).sizes) * len(waves(effects[0])) if effects else 0
+        rows = shared_array((sizes * len(effects), self.time.size))
+
+        def fill(first: int) -> None:
+            some = effects[first : first + TOGETHER]
+            rows[sizes * first : sizes * (first + len(some))] = self._freed(self._integrals(some)[0])
+
+        in_processes(fill, range(0, len(effects), TOGETHER))
         ends = [0, self.time.size]
         if effects and effects[0].phase_per_record:
             ends = [*np.flatnonzero(np.diff(self.record, prepend=-1)).tolist(), self.time.size]
-        return Proposals.of(effects, np.concatenate(rows), tuple(slice(*pair) for pair in pairwise(ends)))
+        return Proposals.of(effects, rows, tuple(slice(*pair) for pair in pairwise(ends)))
 
     def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
         """Return the square error that each of the proposals leaves beside `others`, in their order.

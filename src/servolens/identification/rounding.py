@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +16,7 @@ from servolens.effects import Sensor
 from servolens.errors import NumericalError
 from servolens.identification.runs import place_of
 from servolens.prediction import Beginning
-from servolens.processors import in_parallel
+from servolens.processors import in_parallel, in_processes
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -184,7 +183,6 @@ def own_spectra(
     positions, shown = _whole(runs, plants, starts), spectrum_of(runs[0].noise)
     step, samples = runs[0].noise.rounding, sum(position.size for position in positions)
 
-    @cache
     def looked(share: float) -> tuple[float, NDArray[np.float64]]:
         """Return how likely the records are beside white noise of so many steps, and the spectrum that it leaves."""
         own, stream = np.full(shown.size, (share * step) ** 2), np.random.default_rng(1)
@@ -196,14 +194,14 @@ def own_spectra(
             chance += _chance(seen, np.array([_quickness(w.position, error, step) for w, error in drawn]))
         return chance, power
 
-    seen, likeliest = [*SHARES], max(SHARES, key=lambda share: looked(share)[0])
+    found = dict(zip(SHARES, in_processes(looked, SHARES), strict=True))
     for finer in FINER:
-        seen += [likeliest / finer, likeliest * finer] if likeliest else []
-        likeliest = max(seen, key=lambda share: looked(share)[0])
-    seen.sort()
-    spectra = []
-    for share in (seen[i] for i in _likely(seen, [looked(share)[0] for share in seen])):
-        _, drawn = looked(share)
+        likeliest = max(found, key=lambda share: found[share][0])
+        between = [likeliest / finer, likeliest * finer] if likeliest else []
+        found |= dict(zip(between, in_processes(looked, between), strict=True))
+    seen, spectra = sorted(found), []
+    for share in (seen[i] for i in _likely(seen, [found[share][0] for share in seen])):
+        _, drawn = found[share]
         slow = np.maximum(shown - drawn, 0.0)
         lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
         spectra.append((share * step) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300))

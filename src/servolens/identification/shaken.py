@@ -10,7 +10,7 @@ import numpy as np
 from servolens.errors import ServolensError
 from servolens.identification.rounding import DRAWS, beginning_of, drawn_noise, spectrum_of
 from servolens.identification.segments import applied_voltage
-from servolens.processors import in_parallel
+from servolens.processors import in_processes
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def _of_run(
             return white[:, k]
         return missed if np.abs(missed).max() < RUNS_AWAY else white[:, k]
 
-    return np.column_stack(in_parallel(one, range(DRAWS)))
+    return np.column_stack(in_processes(one, range(DRAWS)))
 
 
 def _measured(plant: Plant, begun: Beginning, disturbed: Disturbed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
