@@ -350,8 +350,8 @@ class Problem:
                 if trials[k][0] == i:
                     with suppress(InputError):
                         plants[k] = self.plant_at(trial.values, i)
-            if plants:
-                jobs.append((i, [*plants], [*plants.values()]))
+            halves = [*plants][::2], [*plants][1::2]  # a few long jobs are shared badly
+            jobs += [(i, those, [plants[k] for k in those]) for those in halves if those]
 
         def several(job: tuple[int, list[int], list[Plant]]) -> None:
             i, those, plants = job
