@@ -182,7 +182,7 @@ def _chosen(models: Sequence[Model], design: Design, scenarios: Sequence[Scenari
             choice = _watched(_grids(intervals, scale), scale, scenarios, limit)
             if choice.failures <= (1.0 - NINE_OF_TEN) * len(scenarios):
                 break
-    return replace(choice, kd=_short(choice.kd, design))
+    return replace(choice, kd=_short(choice, design, scenarios))
 
 
 def _watched(
@@ -228,10 +228,15 @@ def _halfway(grids: Sequence[NDArray[np.float64]], safest: NDArray[np.bool_], in
     return float(grid[(low + place + 1) // 2]), float(grid[(place + high) // 2])
 
 
-def _short(kd: float, design: Design) -> float:
-    """Return the gain with three digits, as it is written, where it then still meets the spec."""
-    rounded = float(f"{kd:.3g}")
-    return rounded if any(low <= rounded <= high for low, high in design.intervals) else kd
+def _short(choice: Choice, design: Design, scenarios: Sequence[Scenario]) -> float:
+    """Return the gain with three digits, as it is written, or with four, where it then fails in no more scenarios."""
+    race = _Race(scenarios, None)
+    for digits in (3, 4):
+        rounded = float(f"{choice.kd:.{digits}g}")
+        inside = any(low <= rounded <= high for low, high in design.intervals)
+        if inside and race.row(rounded)[0] <= choice.failures:
+            return rounded
+    return choice.kd
 
 
 def _grids(intervals: Sequence[tuple[float, float]], scale: float) -> list[NDArray[np.float64]]:
