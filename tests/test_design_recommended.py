@@ -15,6 +15,7 @@ from servolens.effects import (
     ConstantForce,
     CoulombFriction,
     DeadZone,
+    Delay,
     LoadFriction,
     PeriodicDisturbance,
     ReturnSpring,
@@ -337,6 +338,22 @@ def test_rounding_does_not_take_the_gain_out_of_where_it_is_safe():
     assert most - least < 0.05
     assert design.recommended.probability > 0.98
     assert len(f"{design.recommended.kd:g}") == len("4.183")
+
+
+def test_of_gains_with_which_some_plants_run_away_one_of_the_safest_is_chosen():
+    """With each gain some plant was unstable, and the first gain at hand was taken: infinite overshoots are equal."""
+    late = Plant(gain=1.9, damping=6.0, effects=(Delay(time=0.0077),))
+    known = Model(plant=late, covariance=np.diag(np.square([1.0, 4.4, 0.0074])))
+    spec = PDSpec(kp=1000.0, settling_time=0.98, band=0.02, sample_time=2e-3)
+    design = recommend(known, tune(late, spec), scenarios=100)
+    chosen = design.recommended
+    assert not chosen.worst.stable
+    assert 1.5 * design.kd < chosen.kd < 0.5 * design.intervals[-1][1]
+    assert "(the worst runs away)" in chosen.risk
+    tried = drawn([known], [spec], 100, np.random.default_rng(5))
+    share = [np.mean([one.response(kd).meets for one in tried]) for kd in (design.kd, chosen.kd)]
+    assert share[1] > share[0] + 0.2
+    assert trust(known, design)[1].light == "red"
 
 
 def test_steps_that_miss_the_spec_are_named_and_no_force_where_none_is_tried():

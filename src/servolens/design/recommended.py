@@ -197,7 +197,8 @@ def _watched(
 def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit: float | None) -> Choice:
     """Return the gain of those that fail in the fewest scenarios that is farthest from the others.
 
-    Where none keeps the overshoot's limit, that with the least overshoot which stands its own tolerance.
+    Where none keeps the overshoot's limit, that with which the fewest plants run away, and of these that with the least
+    overshoot; it stands its own tolerance.
     """
     gains = np.concatenate(grids)
     order = np.argsort(-_margins(grids, np.ones(gains.size, dtype=bool), scale), kind="stable")
@@ -211,7 +212,10 @@ def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit
         return Choice(float(gains[best]), int(failures[best]), None, _halfway(grids, safest, best))
     places = np.arcsinh(np.outer((1.0, 1.0 + TOLERANCE), gains) / scale)
     steady = safest & (_margins(grids, safest, scale) >= places[1] - places[0])
-    best = int(np.argmin(np.where(steady if steady.any() else safest, overshoots.mean(axis=1), np.inf)))
+    among = np.flatnonzero(steady if steady.any() else safest)
+    runs_away = np.isinf(overshoots[among])
+    mean = np.where(runs_away, 0.0, overshoots[among]).mean(axis=1)
+    best = int(among[np.lexsort((mean, runs_away.sum(axis=1)))[0]])
     return Choice(float(gains[best]), int(failures[best]), limit, _halfway(grids, safest, best))
 
 
@@ -325,11 +329,12 @@ def _why(found: Recommended, unkept: float | None) -> str:
 
 def _risk(design: Design, least: Sequence[Response]) -> str:
     share = sum(response.meets for response in least) / len(least)
-    worst = max(least, key=_slowness)
-    return (
-        f"the least gain meets the spec in {100.0 * share:.3g} % of these plants"
-        f" (worst {_time(worst.settling_time)}, overshoot up to {100.0 * max(r.overshoot for r in least):.3g} %)"
+    largest = max(response.overshoot for response in least)
+    slowest = _time(max(least, key=_slowness).settling_time)
+    worst = (
+        f"worst {slowest}, overshoot up to {100.0 * largest:.3g} %" if np.isfinite(largest) else "the worst runs away"
     )
+    return f"the least gain meets the spec in {100.0 * share:.3g} % of these plants ({worst})"
 
 
 def _settles(time: float | None) -> str:
