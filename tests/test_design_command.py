@@ -157,3 +157,18 @@ def test_other_steps_have_to_be_met_too(tmp_path, monkeypatch):
     refused = run("design", "model.json", *SPEC, "--also-reference", "0")
     assert refused.exit_code == 2
     assert "reference must be finite and not 0" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["design", "--free"], "--free needs at least one gain"),
+        (["design", "--also-reference", "0"], "error: reference must be finite and not 0"),
+        (["map", "--out", "map.png", "--kp-range", "10", "5"], "error: kp of a map must run from"),
+    ],
+    ids=["no gain", "no step", "empty range"],
+)
+def test_wrong_option_is_told_as_what_it_is_and_not_as_a_fault_of_the_file(model, wrong, said):
+    done = run(wrong[0], model(), *SPEC, *wrong[1:])
+    assert done.exit_code == 2
+    assert said in done.output

@@ -64,6 +64,8 @@ def design(
     wanted = PDSpec(**spec.given)
     models = load_models(model_files)
     wanted = _stepping(wanted, spec, models)
+    for size in references:
+        replace(wanted, reference=size)  # refuses it here, not as a fault of the files
     plants = [model.plant for model in models]
     asked = None if wishes is None else GainWishes(**wishes)
     with progress_bar() as progress, about(*model_files):
@@ -129,9 +131,10 @@ def map_(
     wanted = _stepping(PDSpec(**spec.given), spec, models)
     plants = [model.plant for model in models]
     units = {"length_unit": plants[0].length_unit, "command_unit": plants[0].command_unit}
+    axes = map_axes(plants, wanted, kp=kp_range, count=count)
     with progress_bar() as progress, about(*model_files):
         progress("Simulating pairs of gains", 0, 0)
-        found = gain_map(plants, wanted, *map_axes(plants, wanted, kp=kp_range, count=count))
+        found = gain_map(plants, wanted, *axes)
         designed = recommend(models, tune(plants, wanted, progress=progress))
         _, light = trust(models, designed)
         chosen = None if light.light == "red" else designed.recommended

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 import click
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Mapping
 
 __all__ = ["Documented", "Paths", "named"]
 
@@ -22,17 +22,23 @@ class Documented(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Repeat an option of :class:`Paths` before each of its paths, then parse."""
-        greedy = {name for option in self.params if isinstance(option, Paths) for name in option.opts}
+        greedy = {name: option.taken for option in self.params if isinstance(option, Paths) for name in option.opts}
         return super().parse_args(ctx, _spread(args, greedy, ctx) if greedy else args)
 
 
 @final
 class Paths(click.Option):
-    """An option that takes every path up to the next option."""
+    """An option that takes every path up to the next option, or whatever its metavar names."""
+
+    @property
+    def taken(self) -> str:
+        """What it takes, in one word."""
+        return (self.metavar or "RECORD").rstrip(".").lower()
 
     def type_cast_value(self, ctx: click.Context, value: Any) -> tuple[str, ...]:
-        """Return the paths, none of them empty."""
-        return named(super().type_cast_value(ctx, value))
+        """Return the values; of paths, none of them empty."""
+        values: tuple[str, ...] = super().type_cast_value(ctx, value)
+        return named(values) if self.taken == "record" else values
 
 
 def named(paths: tuple[str, ...]) -> tuple[str, ...]:
@@ -42,10 +48,10 @@ def named(paths: tuple[str, ...]) -> tuple[str, ...]:
     return paths
 
 
-def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> list[str]:
+def _spread(args: list[str], greedy: Mapping[str, str], ctx: click.Context) -> list[str]:
     """Return the arguments with each option of `greedy` before every one of its paths."""
     result: list[str] = []
-    current, missing = None, False
+    current, missing = None, ""
     for i, arg in enumerate(args):
         name, mark, value = arg.partition("=")
         is_option = arg.startswith("-") and arg != "-"
@@ -54,14 +60,14 @@ def _spread(args: list[str], greedy: Collection[str], ctx: click.Context) -> lis
         if arg == "--":
             return [*result, *args[i:]]
         if name in greedy:
-            current, missing = name, not mark
+            current, missing = name, "" if mark else greedy[name]
             result += [name, value] if mark else []
         elif is_option:
             current = None
             result.append(arg)
         else:
             result += [arg] if current is None else [current, arg]
-            missing = False
+            missing = ""
     if missing:
-        raise click.UsageError(f"{current} needs at least one record", ctx)
+        raise click.UsageError(f"{current} needs at least one {missing}", ctx)
     return result
