@@ -82,11 +82,12 @@ class Loops:
     def signals(self, model: Plant, kd: float, level: int) -> tuple[Signal, ...] | None:
         """Return what the spec watches of one model; None where the loop is unstable."""
         spec = self.spec
-        whole = horizon(model, spec)
-        watched = whole if level == len(EARLY) else min(EARLY[level] * spec.settling_time, whole)
+        watched = horizon(model, spec)  # in the end no sample more: a loop that swings up would be judged otherwise
+        if level < len(EARLY):
+            watched = min(EARLY[level] * spec.settling_time + 2.0 * spec.sample_time, watched)
         self.count += 1
         try:
-            run = step_response(model, spec, kd, watched + 2.0 * spec.sample_time)
+            run = step_response(model, spec, kd, watched)
         except NumericalError:
             return None
         error = (spec.reference - run.position) / abs(spec.reference)
