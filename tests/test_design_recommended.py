@@ -330,6 +330,26 @@ def test_gain_with_the_least_overshoot_stands_its_own_tolerance():
     assert all(evaluate(rubbing, spec, share * chosen.kd).meets for share in (0.98, 1.02))
 
 
+def test_axis_that_breaks_the_spec_between_samples_makes_the_gain_amber():
+    """Held against the exact motion under a constant voltage, v(t) = βV/c + (v₀ − βV/c) exp(−ct), at 100 instants."""
+    gain, damping, step = 1.9, 1.0, 0.1
+    spec = PDSpec(kp=20.0, settling_time=1.0, band=0.05, overshoot=0.03, sample_time=0.1)
+    axis = Plant(gain=gain, damping=damping)
+    design = recommend(axis, tune(axis, spec), scenarios=40)
+    run = design.step()
+    force = gain * run.voltage[:, None] / damping
+    after = np.linspace(0.0, spec.sample_time, 100)
+    way = force * after + (run.velocity[:, None] - force) * (1.0 - np.exp(-damping * after)) / damping
+    peak = (run.position[:, None] + way).max() / step - 1.0
+    assert design.recommended.overshoot < 0.03 < peak
+    light = trust(axis, design)[1]
+    assert light.light == "amber"
+    assert "Between the samples of its loop, 100 ms apart, the axis does not keep the spec" in light.sentence
+    assert evaluate(axis, spec, design.recommended.kd, parts=8).overshoot == pytest.approx(peak, abs=2e-3)
+    quick = replace(spec, sample_time=1e-3)
+    assert trust(axis, recommend(axis, tune(axis, quick), scenarios=40))[1].light == "green"
+
+
 def test_rounding_does_not_take_the_gain_out_of_where_it_is_safe():
     """Within ±2 % the gains may be 4.18 and up, and 4.183 was written as 4.18: it failed in a tenth of all plants."""
     plant, spec = Plant(gain=1.9, damping=6.0), PDSpec(kp=37.4995, settling_time=0.5, band=0.01)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from servolens.design.extrapolation import BEYOND, extrapolation
 from servolens.design.found import Design, Light
 from servolens.design.recommended import NINE_OF_TEN
 from servolens.design.scenarios import is_pushed, missed_share
+from servolens.design.settle import BETWEEN, evaluate
 from servolens.errors import needed
 from servolens.inputs import as_models
 from servolens.model_evidence import MATERIAL
@@ -153,6 +156,9 @@ def _warning(models: Sequence[Model], design: Design) -> str:
     if told:
         return told
     chosen = design.recommended
+    apart = "" if chosen is None else _between_samples(models, design.spec, chosen.kd)
+    if apart:
+        return apart
     swing = design.hunting.get("least" if chosen is None else "recommended")
     if swing is not None:
         return (
@@ -164,6 +170,20 @@ def _warning(models: Sequence[Model], design: Design) -> str:
     if chosen is not None and chosen.interval[0] < NINE_OF_TEN:
         return f"It meets the spec in hardly nine of ten plants: {chosen.why}."
     return _left(models)
+
+
+def _between_samples(models: Sequence[Model], spec: PDSpec, kd: float) -> str:
+    """Say what an axis does between the samples of its loop, where it keeps the spec at these alone; else empty."""
+    found = [evaluate(model.plant, spec, kd, parts=BETWEEN) for model in models]
+    missed = [response for response in found if not response.meets]
+    if not missed:
+        return ""
+    worst = max(missed, key=lambda one: np.inf if one.settling_time is None else one.settling_time)
+    settles = "does not settle" if worst.settling_time is None else f"settles in {worst.settling_time:.3g} s"
+    return (
+        f"Between the samples of its loop, {1e3 * spec.sample_time:.3g} ms apart, the axis does not keep the spec: it"
+        f" {settles} and overshoots by {100 * worst.overshoot:.3g} %; sample faster, or confirm the gain on the axis."
+    )
 
 
 def _left(models: Sequence[Model]) -> str:
