@@ -226,7 +226,7 @@ def test_arm_whose_held_out_runs_are_missed_gets_no_gain():
     runs = [arm(name, kp, kd) for name, kp, kd in (("K1_7", 7, 0), ("K1_9", 9, 0), ("k1k3_7", 7, 0.271))]
     held = [arm("K1_8", 8, 0), arm("k1k3_9", 9, 0.377)]
     spec = completed_spec(runs, {"settling_time": 0.6, "band": 0.05})
-    found = study_records(runs, spec, heldout=held, effort="quick")
+    found = study_records(runs, spec, heldout=held)
     assert (found.lights["model"].light, found.lights["gain"].light) == ("red", "red")
     assert found.design is not None
     assert found.design.kd is None

@@ -112,8 +112,7 @@ def in_processes(
 
     For jobs with much Python in them, of which only one thread at a time can run. The other processes are copies of
     this one, so that they know all that it knows; of what a job does there only its answer comes back, and what it adds
-    to the `tally`. Where processes cannot be copied safely, which is said of Linux and a main thread only, there are
-    threads.
+    to the `tally`. Only Linux copies a process safely, and only from its main thread; elsewhere there are threads.
 
     Parameters
     ----------
