@@ -1,10 +1,13 @@
 """Jobs that are shared among threads and processes."""
 
 import os
+import resource
 import signal
+import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -81,7 +84,7 @@ def test_what_jobs_add_in_any_process_is_counted_once():
 
 
 @copied
-@pytest.mark.parametrize("fate", ["is killed", "hangs", "cannot answer"])
+@pytest.mark.parametrize("fate", ["is killed", "hangs", "cannot answer", "is killed amid its answer"])
 def test_job_of_a_process_without_answer_is_done_here(fate):
     here, tally, before = os.getpid(), Tally(), children()
 
@@ -89,11 +92,15 @@ def test_job_of_a_process_without_answer_is_done_here(fate):
         tally.add(1)
         time.sleep(0.01)
         if os.getpid() == here:
+            time.sleep(0.3 * (fate == "is killed amid its answer"))  # reads nothing meanwhile
             return n
         if fate == "is killed":
             os.kill(os.getpid(), signal.SIGKILL)
         if fate == "hangs":
             time.sleep(60.0)
+        if fate == "is killed amid its answer":
+            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGKILL)).start()
+            return bytes(10_000_000)
         return lambda: n  # nothing that can be sent
 
     began = time.monotonic()
@@ -154,3 +161,140 @@ def test_jobs_write_into_a_shared_array_wherever_they_run():
     assert rows[:, 0].tolist() == [*range(20)]
     assert rows[:, 2].all()
     assert shared_array((0, 5)).shape == (0, 5)
+
+
+@copied
+def test_process_that_works_longer_than_all_others_is_waited_for():
+    here = os.getpid()
+
+    def job(_):
+        until = time.monotonic() + 3.0
+        while os.getpid() != here and time.monotonic() < until:
+            pass
+        time.sleep(0.05)
+        return os.getpid()
+
+    assert set(in_processes(job, range(3))) > {here}
+
+
+@copied
+def test_fault_in_a_job_shows_where_it_is():
+    def faulty(n):
+        time.sleep(0.01)
+        return 1 // n
+
+    with pytest.raises(ZeroDivisionError) as caught:
+        in_processes(faulty, [1, 0, 0, 1])
+    assert caught.traceback[-1].name == "faulty"
+
+
+@copied
+def test_descriptors_are_given_back_and_none_left_means_no_further_process():
+    def descriptors():
+        return {int(path.name) for path in Path("/proc/self/fd").iterdir()}
+
+    before = descriptors()
+    for _ in range(3):
+        in_processes(lambda n: n, range(4))
+        with pytest.raises(ZeroDivisionError):
+            in_processes(lambda n: n, range(4), cost=lambda n: 1 // n)
+    assert descriptors() == before
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(before), hard))
+    try:
+        assert in_processes(lambda n: n + 1, range(4)) == [1, 2, 3, 4]
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+PROGRAM = """
+import os, signal, sys, time
+from servolens.processors import in_processes
+"""
+RUNS_FOR_EVER = """
+print("begun", flush=True)
+while True:
+    in_processes(lambda n: n, range(4))
+"""
+ANSWERS_AT_LENGTH = """
+here = os.getpid()
+def job(n):
+    if os.getpid() == here:
+        print("begun", flush=True)
+        time.sleep(60.0)
+    return bytes(10_000_000)
+in_processes(job, range(2))
+"""
+WAITS = """
+here = os.getpid()
+signal.signal(signal.SIGTERM, lambda *_: (print("cleaned up", flush=True), os._exit(0)))
+def job(n):
+    if os.getpid() == here:
+        print("begun", flush=True)
+    time.sleep(60.0)
+in_processes(job, range(2))
+"""
+
+
+@pytest.fixture
+def program():
+    """Start a program in a group of its own, and wait until it has begun."""
+    started = []
+
+    def start(text):
+        pipe = subprocess.PIPE
+        one = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM + text], stdout=pipe, stderr=pipe, text=True, start_new_session=True
+        )
+        started.append(one)
+        assert one.stdout.readline() == "begun\n"
+        return one
+
+    yield start
+    for one in started:
+        with suppress(ProcessLookupError):
+            os.killpg(one.pid, signal.SIGKILL)
+        one.communicate()
+
+
+def group_of(leader):
+    """Return the processes of a group that are not over."""
+    alive = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, group = stat.read_text().rpartition(")")[2].split()[:3]
+            alive += [stat.parent.name] if int(group) == leader and state != "Z" else []
+    return alive
+
+
+@copied
+def test_interruption_is_not_lost_while_a_process_is_copied(program, monkeypatch):
+    monkeypatch.setenv(PROCESSORS, "3")
+    for trial in range(12):
+        one = program(RUNS_FOR_EVER)
+        time.sleep(0.05 + 0.0137 * trial)
+        os.killpg(one.pid, signal.SIGINT)
+        _, said = one.communicate(timeout=20.0)
+        assert one.returncode == -signal.SIGINT
+        assert "ignored" not in said
+
+
+@copied
+def test_no_process_outlives_the_one_that_waits_for_it(program):
+    one = program(ANSWERS_AT_LENGTH)
+    time.sleep(0.3)
+    os.kill(one.pid, signal.SIGKILL)
+    one.wait()
+    until = time.monotonic() + 10.0
+    while group_of(one.pid) and time.monotonic() < until:
+        time.sleep(0.02)
+    assert not group_of(one.pid)
+
+
+@copied
+def test_what_a_program_does_about_a_signal_it_does_once(program):
+    one = program(WAITS)
+    time.sleep(0.3)
+    os.killpg(one.pid, signal.SIGTERM)
+    said, _ = one.communicate(timeout=20.0)
+    assert said.count("cleaned up") == 1

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import wait as all_done
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from functools import cache, wraps
 from math import prod
 from mmap import mmap
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
+from pathlib import Path
 from threading import Lock, current_thread, local, main_thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, final
@@ -27,14 +29,23 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from threadpoolctl import ThreadpoolController
 
-__all__ = ["PROCESSORS", "Tally", "in_parallel", "in_processes", "shared_array", "single_threaded_blas"]
+__all__ = [
+    "PROCESSORS",
+    "Tally",
+    "die_with_parent",
+    "in_parallel",
+    "in_processes",
+    "shared_array",
+    "single_threaded_blas",
+]
 
 PROCESSORS = "SERVOLENS_PROCESSORS"
 """Environment variable: how many processors one process uses; all of the machine's where it is not set."""
 
-PATIENCE = 10.0
-"""Times as long as this process worked that it waits for an answer of another one: should that hang, its jobs are done
-here."""
+PATIENCE = 5.0
+"""Time [s] without any work after which another process is taken to hang: its jobs are done here."""
+PR_SET_PDEATHSIG = 1
+"""Of Linux: sets the signal that a process gets when its parent ends."""
 _WORKING = local()
 """Of a thread: whether it does one of several jobs, and shall not share that in turn."""
 
@@ -96,9 +107,18 @@ class Tally:
 
 
 def shared_array(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return an array into which jobs write wherever they run: what is written need not be sent."""
+    """Return an array into which jobs write wherever they run: what is written need not be sent.
+
+    Raises
+    ------
+    MemoryError
+        If there is no room for it.
+    """
     size = prod(shape)
-    return np.frombuffer(mmap(-1, max(8 * size, 1)), np.float64, size).reshape(shape)
+    try:
+        return np.frombuffer(mmap(-1, max(8 * size, 1)), np.float64, size).reshape(shape)
+    except OSError as failure:
+        raise MemoryError(f"no room for an array of {8 * size} bytes") from failure
 
 
 def in_processes(
@@ -125,7 +145,7 @@ def in_processes(
     cost : callable, optional
         Of a job, how long it takes beside the others: what takes longest is begun first. As they stand by default.
     told : callable, optional
-        Told in this thread how many jobs are done, as often as that changes.
+        Told how many jobs are done, as often as that changes; from any thread.
     """
     jobs = list(jobs)
     if sys.platform != "linux" or current_thread() is not main_thread() or min(_free(), len(jobs)) <= 1:
@@ -138,8 +158,8 @@ def in_processes(
             return answer
 
         return in_parallel(one, jobs)
-    batch = _Batch(function, jobs, tally or Tally(), told)
-    return batch.answers(min(_free(), len(jobs)) - 1, sorted(range(len(jobs)), key=lambda i: -cost(jobs[i])))
+    order = sorted(range(len(jobs)), key=lambda i: -cost(jobs[i]))
+    return _Batch(function, jobs, tally or Tally(), told).answers(min(_free(), len(jobs)) - 1, order)
 
 
 @final
@@ -147,100 +167,141 @@ class _Batch:
     """Jobs that are shared among copies of this process: each takes the next one that is left.
 
     Numbers of jobs stand in a pipe, from which each reads one at a time; answers come back through a pipe of each copy.
+    A job that fails in a copy, or whose answer is lost with it, is done again here.
     """
-
-    NUMBER = 4
-    """Bytes of a job's number."""
 
     def __init__(
         self, function: Callable[[Any], Any], jobs: Sequence[Any], tally: Tally, told: Callable[[int], None]
     ) -> None:
         self._function, self._jobs, self._tally, self._told = function, jobs, tally, told
-        self._answers: dict[int, tuple[Any, BaseException | None]] = {}
-        self._began, self._parent = monotonic(), os.getpid()
-        self._left, self._numbers_in = os.pipe()
+        self._answers: dict[int, Any] = {}
 
     def answers(self, copies: int, order: Sequence[int]) -> list[Any]:
         """Return the answers of all jobs as they stand, begun in this order, or raise the first one's error."""
-        os.write(self._numbers_in, b"".join(i.to_bytes(self.NUMBER) for i in order))
-        os.close(self._numbers_in)
-        with self._copies(copies) as connections:
-            for i in self._numbers():
-                self._keep(i, *self._tried(i))
-                self._read(connections, 0.0)
-            self._read(connections, PATIENCE * (monotonic() - self._began))
+        with suppress(OSError), closing(_Numbers(order)) as left, self._copies(copies, left) as connections:
+            for i in left:
+                with suppress(Exception):
+                    self._keep(i, self._done(i))
+                self._read(connections)
+            self._wait(connections)
         for i in range(len(self._jobs)):
             if i not in self._answers:
-                self._keep(i, *self._tried(i))
-        found = [self._answers[i] for i in range(len(self._jobs))]
-        error = next((error for _, error in found if error), None)
-        if error:
-            raise error
-        return [answer for answer, _ in found]
+                self._keep(i, self._done(i))
+        return [self._answers[i] for i in range(len(self._jobs))]
 
-    def _numbers(self) -> Iterator[int]:
-        while number := os.read(self._left, self.NUMBER):
-            yield int.from_bytes(number)
+    def _done(self, i: int) -> Any:
+        with _busy():
+            return self._function(self._jobs[i])
 
-    def _tried(self, i: int) -> tuple[Any, BaseException | None]:
-        try:
-            with _busy():
-                return self._function(self._jobs[i]), None
-        except Exception as error:
-            return None, error
-
-    def _keep(self, i: int, answer: Any, error: BaseException | None) -> None:
-        self._answers[i] = answer, error
+    def _keep(self, i: int, answer: Any) -> None:
+        self._answers[i] = answer
         self._told(len(self._answers))
 
-    def _read(self, connections: list[Connection], seconds: float) -> None:
-        """Take up answers that have come, and those that come within so many seconds of each other."""
-        while connections and (ready := wait(connections, seconds)):
-            for connection in [one for one in connections if one in ready]:
-                try:
-                    i, answer, error, added = connection.recv()
-                except EOFError:
-                    connections.remove(connection)
-                else:
-                    self._tally.add(added)
-                    self._keep(i, answer, error)
+    def _read(self, connections: dict[Connection, int], seconds: float = 0.0) -> bool:
+        """Take up answers that have come, or come within so many seconds; tell whether there were any."""
+        ready = [one for one in wait([*connections], seconds) if one in connections]
+        for connection in ready:
+            try:
+                i, answer, added = connection.recv()
+            except (EOFError, OSError):  # it has ended, perhaps amid an answer
+                del connections[connection]
+            else:
+                self._tally.add(added)
+                self._keep(i, answer)
+        return bool(ready)
+
+    def _wait(self, connections: dict[Connection, int]) -> None:
+        """Take up answers as long as copies work."""
+        worked, since = 0.0, monotonic()
+        while connections and monotonic() - since < PATIENCE:
+            before, worked = worked, sum(map(_worked, connections.values()))
+            if self._read(connections, 1.0) or worked > before:
+                since = monotonic()
 
     @contextmanager
-    def _copies(self, count: int) -> Iterator[list[Connection]]:
-        """Yield a connection to each of so many copies of this process, fewer where there is no room for them."""
-        pids, connections = [], []
+    def _copies(self, count: int, left: _Numbers) -> Iterator[dict[Connection, int]]:
+        """Yield connections to so many copies of this process and their numbers; fewer where there is no room."""
+        found: dict[Connection, int] = {}
         try:
             for _ in range(count):
-                here, there = Pipe(duplex=False)
-                with suppress(OSError), warnings.catch_warnings():
+                with suppress(OSError), _uninterrupted(), warnings.catch_warnings():
+                    here, there = Pipe(duplex=False)
                     warnings.simplefilter("ignore", DeprecationWarning)  # a copy has none of this process's threads
                     pid = os.fork()
                     if pid == 0:
-                        self._serve(there)
-                    pids.append(pid)
-                    connections.append(here)
-                there.close()
-            yield [*connections]
+                        for other in (here, *found):
+                            other.close()
+                        self._serve(left, there)
+                    found[here] = pid
+                    there.close()
+            yield dict(found)
         finally:
-            os.close(self._left)
-            for pid in pids:
+            for connection, pid in found.items():
                 with suppress(ProcessLookupError, ChildProcessError):
                     os.kill(pid, signal.SIGKILL)
                     os.waitpid(pid, 0)
-            for connection in connections:
                 connection.close()
 
-    def _serve(self, answers: Connection) -> None:
-        """Do jobs in a copy, until none is left or nobody waits for their answers; does not return."""
+    def _serve(self, left: _Numbers, answers: Connection) -> None:
+        """Do jobs in a copy until none is left; does not return."""
         try:
-            for i in self._numbers():
+            die_with_parent()
+            for number in signal.valid_signals():  # what the program does about them, it does itself
+                if callable(signal.getsignal(number)):
+                    signal.signal(number, signal.SIG_IGN if number == signal.SIGINT else signal.SIG_DFL)
+            for i in left:
                 before = self._tally.value
-                answer, error = self._tried(i)
-                if os.getppid() != self._parent:
-                    break
-                answers.send((i, answer, error, self._tally.value - before))
+                with suppress(Exception):
+                    answers.send((i, self._done(i), self._tally.value - before))
         finally:
             os._exit(0)
+
+
+@final
+class _Numbers:
+    """Numbers in a pipe: each is given once, to whichever process asks first."""
+
+    SIZE = 4
+    """Bytes of a number."""
+
+    def __init__(self, numbers: Sequence[int]) -> None:
+        self._pipe, there = os.pipe()
+        os.write(there, b"".join(i.to_bytes(self.SIZE) for i in numbers))
+        os.close(there)
+
+    def __iter__(self) -> Iterator[int]:
+        while number := os.read(self._pipe, self.SIZE):
+            yield int.from_bytes(number)
+
+    def close(self) -> None:
+        """Give the pipe back."""
+        os.close(self._pipe)
+
+
+def die_with_parent() -> None:
+    """Let the system end this process when the thread that started it ends; on Linux only."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+def _worked(pid: int) -> float:
+    """Return the processor time of another process, in ticks; 0 where it is gone."""
+    with suppress(OSError, IndexError, ValueError):
+        return float(sum(map(int, Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13])))
+    return 0.0
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let Ctrl-C wait until the end: what is raised while a process is copied is lost."""
+    noted: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: noted.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+        if noted:
+            signal.raise_signal(signal.SIGINT)
 
 
 @contextmanager

@@ -7,16 +7,16 @@ import ctypes.util
 import gc
 import json
 import os
-import signal
 import sys
 import threading
 import time
 from contextlib import suppress
 from typing import IO, Any
 
+from servolens.processors import die_with_parent
+
 __all__ = ["end_with_parent", "main", "memory_of"]
 
-PR_SET_PDEATHSIG = 1
 LOOK_INTERVAL = 1.0
 """Seconds between looks whether the parent is still there."""
 PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
@@ -48,8 +48,7 @@ def end_with_parent(parent: int) -> None:
     """
     if os.name != "posix":
         return
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    die_with_parent()
     threading.Thread(target=_watch, args=(parent,), daemon=True).start()
 
 

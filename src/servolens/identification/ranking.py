@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
-"""Samples that are kept at most."""
+"""Samples that are kept at most, but for one of each stretch."""
 ALIKE = 1e-9
 """Share of its square that a force must have beside others to count; rounding leaves a millionth of that."""
 TOGETHER = 32
