@@ -275,3 +275,9 @@ def test_loop_with_late_stamps_is_simulated_as_it_ran(seed):
     assert record.sample_time == pytest.approx(CYCLE, rel=1e-3)
     ((error,),) = predict(Plant(gain=1.9, damping=6.0), record).errors
     assert error.rms_error < 2e-5  # the sensor's noise is half of that, and the loop answers to it
+
+
+def test_stated_period_that_the_log_contradicts_is_no_wrong_unit_of_time():
+    record = logged("white", kd=0.0, stated={"kd": 0.0, "control_period": 0.005})
+    assert not fatal(check(record))
+    assert told(record)["settings_contradict_log"].startswith("the log fits control_period = every sample, not 0.005 (")

@@ -11,7 +11,7 @@ from servolens.control_law import controller_voltage
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.law import rms
-from servolens.quality.settings import UNITS
+from servolens.quality.settings import SLOWEST_LOOP, UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,8 +27,6 @@ CLOSE = 0.1
 """Relative difference up to which an axis at rest has gone a ratio of its way, or is at rest."""
 STUCK = 0.5
 """Share of its way that an axis goes at least: dry friction and springs hold it off the rest."""
-SLOWEST_LOOP = 0.5
-"""Sample time from which on time stamps cannot be seconds [s]: logs at 2 kHz and slower, in ms, are all above it."""
 EXPLAINS = 0.5
 """Share of the acceleration that the voltage must explain, beyond what else may, to tell the sign."""
 TELLS = 1e-3

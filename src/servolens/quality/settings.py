@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.bool_]
 
-__all__ = ["BETTER", "HOLDS", "UNITS", "Alternative", "explanation", "find_alternative"]
+__all__ = ["BETTER", "HOLDS", "SLOWEST_LOOP", "UNITS", "Alternative", "explanation", "find_alternative"]
 
 Column = Literal["voltage", "position", "reference"]
 COLUMNS: tuple[Column, ...] = ("voltage", "position", "reference")
@@ -54,6 +54,8 @@ UNITS = {
 """Exact ratios of a column to what it should be that units explain."""
 POWERS = (1e3, 1e-3, 1e6, 1e-6)
 """Ratios of units of the voltage, as mV for V, and of time, as ms for s."""
+SLOWEST_LOOP = 0.5
+"""Sample time from which on time stamps cannot be seconds [s]: logs at 2 kHz and slower, in ms, are all above it."""
 RESCALED = ("voltage", "time")
 """Columns of which another sign or unit looks like other gains."""
 MOST = 20
@@ -189,7 +191,7 @@ def find_alternative(record: Record, used: Rows) -> Alternative | None:
     may_be_rounded = record.controller is not None and before * size <= AS_WELL * _felt(part)
     exact = max(rounding, EXACT) if may_be_rounded else math.inf
     others = fit.share_left(gains_fit := fit.fitted(GAINS))
-    cases = chain(_rescaled(), _shifts()) if others <= EXACT else _cases(part, rows)
+    cases = chain(_rescaled(part), _shifts()) if others <= EXACT else _cases(part, rows)
     both = (stated, fit.missed(gains_fit))
     tried = [one for case in cases if (one := _tried(part, case, rows)) and _explains(one, fit, both, free, rounding)]
     bound = min(AS_WELL * min([others, *(one.left for one in tried)]) + EXACT, exact)
@@ -281,7 +283,7 @@ def _simplest(tried: list[_Tried], bound: float, free: tuple[str, ...], *, begun
 
 def _cases(record: Record, rows: Rows) -> Iterator[_Case]:
     """Yield what may be wrong, the likeliest first."""
-    yield from _rescaled()
+    yield from _rescaled(record)
     voltage = voltage_of(record)
     if voltage.min() >= 0.0 or voltage.max() <= 0.0:
         yield _Case("unsigned", "voltage")
@@ -298,11 +300,12 @@ def _cases(record: Record, rows: Rows) -> Iterator[_Case]:
     yield _Case()
 
 
-def _rescaled() -> Iterator[_Case]:
-    """Yield voltage and time of another sign or unit: they look like other gains."""
+def _rescaled(record: Record) -> Iterator[_Case]:
+    """Yield voltage and time of another sign or unit: they look like other gains; no loop is that slow."""
     yield _Case("scale", "voltage", -1.0)
     for column, value in product(RESCALED, POWERS):
-        yield _Case("scale", column, value)
+        if column != "time" or record.sample_time / value < SLOWEST_LOOP:
+            yield _Case("scale", column, value)
 
 
 def _signed(record: Record) -> Record:
