@@ -106,6 +106,10 @@ def test_defaults_hold_columns_that_entries_extend(folder):
             "records[1] (no.csv): cannot be opened: no such file or directory",
         ),
         (
+            "[[records]]\nfile = 'other.toml'",
+            "records[0] (other.toml): is a campaign, not a record; write its entries here, one for each record",
+        ),
+        (
             "[[records]]\nfile = 'a.csv'\nkp = 'x'",
             "records[0] (a.csv): kp must be a number, perhaps with a unit; 'x' is not a number",
         ),
@@ -166,6 +170,20 @@ def test_data_root_opens_what_lies_below_it_and_nothing_else(folder, tmp_path_fa
     )
 
 
+@pytest.mark.parametrize("root", ["missing", "a.csv"])
+def test_data_root_that_is_no_folder_is_refused_as_such(folder, root):
+    path = campaign(folder, "[[records]]\nfile = 'a.csv'\n")
+    assert refusal(path, data_root=folder / root) == (
+        f"{folder / root}: is no folder; the data root (--data-root) must be one"
+    )
+
+
+def test_link_to_itself_is_refused_by_its_name(folder):
+    link = folder / "link.csv"
+    link.symlink_to(link)
+    assert refusal(link) == f"{link}: cannot be opened: too many levels of symbolic links"
+
+
 def test_entry_with_control_characters_is_escaped(folder):
     path = campaign(folder, '[[records]]\nfile = "a\\u001b[31m\\n.csv"\n')
     assert refusal(path).startswith(f"{path}: records[0] (a\\x1b[31m\\n.csv): ")
@@ -177,6 +195,11 @@ def test_same_file_twice_is_refused(folder):
         assert refusal([folder / "a.csv", other]) == (
             f"{other}: the same file is given twice, first as {folder / 'a.csv'}"
         )
+
+
+def test_same_file_twice_is_refused_also_by_the_same_short_name(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert refusal(["a.csv", "a.csv"]) == "a.csv: the same file is given twice, first as a.csv"
 
 
 def test_metres_and_radians_together_are_refused(folder):

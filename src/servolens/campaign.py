@@ -106,12 +106,10 @@ def read_logs(
     for path in named:
         if not isinstance(path, str | os.PathLike):
             raise InputError(f"paths of files, folders or campaigns are needed; got {described(path)}")
-    if not isinstance(data_root, str | os.PathLike | None):
-        raise InputError(f"data_root must be the path of a folder; got {described(data_root)}")
-    root = None if data_root is None else _real(Path(data_root))
+    root = _root(data_root)
     beside = (settings or {}).get("reference_file")
     own = None if beside is None else _real(Path(str(beside)))
-    sources = [source for path in named for source in _sources(Path(path), root) if _real(source.path) != own]
+    sources = [source for path in named for source in _sources(Path(path), root) if not _leads_to(source, own)]
     if not sources:
         raise InputError("no records are given; name files, folders or a campaign TOML")
     _check_distinct(sources)
@@ -133,7 +131,7 @@ def log_files(path: StrPath, *, data_root: StrPath | None = None) -> tuple[Path,
     InputError
         If the folder or the campaign cannot be read, or names a file outside of what is allowed.
     """
-    root = None if data_root is None else _real(Path(data_root))
+    root = _root(data_root)
     return tuple(source.path for source in _sources(Path(path), root))
 
 
@@ -210,6 +208,8 @@ def _campaign(path: Path, root: Path | None) -> Iterator[_Source]:
             where = f"({printable(file)[:80]})"
         label = f"{path}: records[{index}] {where}"
         with located(label):
+            if file.lower().endswith(".toml"):
+                raise InputError("is a campaign, not a record; write its entries here, one for each record")
             _check_keys("the entry", entry, ("file", *KEYS, *TABLES))
             yield _Source(
                 path=_inside(path.parent / file, path.parent, root),
@@ -276,6 +276,20 @@ def _inside(path: Path, folder: Path, root: Path | None) -> Path:
     return real
 
 
+def _root(data_root: StrPath | None) -> Path | None:
+    """Return where the data root really is."""
+    if not isinstance(data_root, str | os.PathLike | None):
+        raise InputError(f"data_root must be the path of a folder; got {described(data_root)}")
+    if data_root is not None and not is_folder(Path(data_root)):
+        raise InputError(f"{printable(str(data_root))}: is no folder; the data root (--data-root) must be one")
+    return None if data_root is None else _real(Path(data_root))
+
+
+def _leads_to(source: _Source, file: Path | None) -> bool:
+    with located(source.label):
+        return file is not None and _real(source.path) == file
+
+
 def _real(path: Path) -> Path:
     try:
         return path.resolve()
@@ -290,9 +304,11 @@ def _check_distinct(sources: Sequence[_Source]) -> None:
             status = source.path.stat()
         except (OSError, ValueError):
             continue  # reading it will say why
-        earlier = seen.setdefault((status.st_dev, status.st_ino), source.label)
-        if earlier is not source.label:
-            raise InputError(f"{printable(source.label)}: the same file is given twice, first as {printable(earlier)}")
+        file = (status.st_dev, status.st_ino)
+        if file in seen:
+            first = f"first as {printable(seen[file])}"
+            raise InputError(f"{printable(source.label)}: the same file is given twice, {first}")
+        seen[file] = source.label
 
 
 def _read(
