@@ -308,6 +308,10 @@ def test_loop_settings_without_gains_are_a_remark(write):
             GAIN + HEADER + "0,0,1\n1,1e300,1\n",
             "position reaches 1e+300 in SI units; up to 1e+15 is read, check its unit",
         ),
+        (
+            GAIN + HEADER + "0,0,1\n1,1e-200,1\n",
+            "position reaches no more than 1e-200 in SI units; 1e-150 and more, or 0, is read, check its unit",
+        ),
         (GAIN + HEADER + "0,0,1\n1,,1\n", "line 4, position: the value is missing" + FILL),
         (GAIN + HEADER + "0,0,1\n1,on,1\n", "line 4, position: 'on' is not a number" + FILL),
         (GAIN + HEADER + "0,0,1\n1,1_0,1\n", "line 4, position: '1_0' is not a number" + FILL),
@@ -346,16 +350,16 @@ def test_loop_settings_without_gains_are_a_remark(write):
         ),
         (
             GAIN + "time,position [m],reference [rad]\n" + TWO,
-            "reference is in 'rad', which contradicts the unit of position",
+            "reference is in 'rad', which contradicts the unit of position; correct that, or give reference in m",
         ),
         (
             "# kp = 60 V/rad\ntime,position [m],reference\n" + TWO,
-            "kp is in 'V/rad', which contradicts the unit of position",
+            "kp is in 'V/rad', which contradicts the unit of position; correct that, or give kp in V/m",
         ),
         ("# kp = 60 V s\n" + HEADER + ROWS, "kp is in 'V s', which is not a unit for it" + LAW),
         (
             "# kp = 6 A/m\n# voltage_limit = 9 V\n" + HEADER + ROWS,
-            "voltage_limit is in 'V', which contradicts the unit of kp",
+            "voltage_limit is in 'V', which contradicts the unit of kp; correct that, or give voltage_limit in A",
         ),
         (
             "time,position,voltage [W]\n" + TWO,

@@ -62,6 +62,8 @@ ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv"
 """Settings that only one of the two laws has."""
 LARGEST_VALUE = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
+SMALLEST_VALUE = 1e-150
+"""A column whose largest number is smaller is not measured in the unit stated; squares of its numbers vanish."""
 
 
 def assemble(
@@ -178,7 +180,8 @@ def _settle(stated: Stated, kinds: Mapping[str, str]) -> tuple[Literal["m", "rad
             raise InputError(f"{key} is in {quote(text)}, which is not a unit for it; {_admissible(key, kind, unit)}")
         agreed = [pair for pair in left if pair in fits]
         if not agreed:
-            raise InputError(f"{key} is in {quote(text)}, which contradicts the unit of {' and '.join(seen)}")
+            cure = f"correct that, or give {key} in {kind.format(length=left[0][0], command=left[0][1])}"
+            raise InputError(f"{key} is in {quote(text)}, which contradicts the unit of {' and '.join(seen)}; {cure}")
         if len(agreed) < len(left):
             seen.append(key)
         left = agreed
@@ -228,6 +231,9 @@ def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
         largest = abs(value) if isinstance(value, float) else float(abs(value).max(initial=0.0))
         if largest > LARGEST_VALUE:
             raise InputError(f"{key} reaches {largest:g} in SI units; up to {LARGEST_VALUE:g} is read, check its unit")
+        if 0.0 < largest < SMALLEST_VALUE:
+            least = f"{SMALLEST_VALUE:g} and more, or 0, is read"
+            raise InputError(f"{key} reaches no more than {largest:g} in SI units; {least}, check its unit")
 
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
