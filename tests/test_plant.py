@@ -107,6 +107,14 @@ def test_reason_stands_only_where_no_standard_error_does() -> None:
     assert [q.reason for q in model.quantities.values()] == [None, "at its bound", "given, not estimated", None]
 
 
+def test_file_keeps_why_a_parameter_has_no_standard_error(tmp_path) -> None:
+    covariance = np.diag([1e-6, np.nan, np.nan, 1e-2])
+    model = Model(plant=NLM1, covariance=covariance, reasons={"damping": "it ended at the end of its range"})
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(model.to_json()))
+    assert read_model(path).to_json() == model.to_json()
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

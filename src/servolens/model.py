@@ -218,8 +218,9 @@ class Model:
             _check_units(data, plant)
             covariance = _covariance(data, plant)
             names = tuple(str(name) for name in data.get("identified_from", ()))
+            reasons = {name: str(why) for name, q in _quantities(data).items() if (why := q.get("reason"))}
             evidence = Evidence.from_json(data)
-        return cls(plant=plant, covariance=covariance, identified_from=names, evidence=evidence)
+        return cls(plant=plant, covariance=covariance, identified_from=names, reasons=reasons, evidence=evidence)
 
 
 class _Quantities(dict[str, Quantity]):
@@ -314,12 +315,17 @@ def _value(quantity: Mapping[str, Any]) -> float:
     return float(value)
 
 
+def _quantities(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
+    """Return all quantities that a file states, by qualified name."""
+    found = {"gain": data["gain"], "damping": data["damping"]}
+    for item in data.get("effects", ()):
+        found |= {f"{item['effect']}.{name}": quantity for name, quantity in item["parameters"].items()}
+    return found
+
+
 def _check_units(data: Mapping[str, Any], plant: Plant) -> None:
     """Refuse units other than those that servolens writes: a value in other units would be taken for SI."""
-    quantities = {"gain": data["gain"], "damping": data["damping"]}
-    for item in data.get("effects", ()):
-        quantities |= {f"{item['effect']}.{name}": q for name, q in item["parameters"].items()}
-    for name, quantity in quantities.items():
+    for name, quantity in _quantities(data).items():
         stated, expected = quantity.get("unit"), plant.unit(name)
         if stated is not None and stated != expected:
             raise InputError(f"{name} is in {str(stated)[:40]!r}; models are kept in SI, here {expected!r}")
@@ -365,10 +371,7 @@ def _is_covariance(matrix: NDArray[np.float64]) -> bool:
 
 def _of_errors(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | None:
     """Return the covariance of parameters whose standard errors alone are stated; None where none is."""
-    stated = {"gain": data["gain"], "damping": data["damping"]}
-    for item in data.get("effects", ()):
-        stated |= {f"{item['effect']}.{name}": quantity for name, quantity in item["parameters"].items()}
-    errors = {name: quantity.get("stderr") for name, quantity in stated.items()}
+    errors = {name: quantity.get("stderr") for name, quantity in _quantities(data).items()}
     if all(error is None for error in errors.values()):
         return None
     return np.diag([np.nan if (e := errors.get(name)) is None else _error(e, name) ** 2 for name in plant.parameters])
