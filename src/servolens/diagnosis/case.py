@@ -118,7 +118,7 @@ class Case:
         begun = list(plants)
         for plant in plants:
             with suppress(InputError, ZeroDivisionError):  # a gain that is next to nothing makes no such axis
-                begun.append(plant.scaled(self.base.plant.gain / plant.gain))
+                begun.append(replace(plant.scaled(self.base.plant.gain / plant.gain), inertia=plant.inertia))
         share = work / max(len(begun), 1)
         fits = in_processes(
             partial(self.likelihood.judged, iterations=SOME, allowance=share), begun, self.likelihood.tally

@@ -282,7 +282,7 @@ def of_other_inertias(plant: Plant) -> Iterator[Plant]:
     """Yield `plant` with other inertias, all forces in proportion; none whose parameters leave their ranges."""
     for share in INERTIAS:
         with suppress(InputError):
-            yield plant.scaled(share)
+            yield replace(plant.scaled(share), inertia=plant.inertia)  # which is stated, and no guess
 
 
 def _best_closed(plants: Sequence[Plant], runs: Sequence[ClosedRun], options: FitOptions) -> Plant:

@@ -107,6 +107,7 @@ def segment_factors(
         segment_factor(
             segment.time, segment.position, segment.voltage, force, weights, share.edges, share.groups, factor
         )
+        factor[:, 2:-1] *= segment.lightness
         factors.append(factor)
     return factors
 

@@ -34,6 +34,7 @@ def varying_plant(varying: VaryingDamping) -> Plant:
         gain=varying.gain,
         damping=0.0,
         effects=(piecewise_damping(varying.edges.tolist(), varying.damping.tolist()),),
+        inertia=varying.inertia,
     )
 
 
@@ -85,8 +86,8 @@ def _effect_class() -> type[Effect]:
             damping += if_else(axis.time >= getattr(p, f"time{i}"), getattr(p, f"step{i}"), 0.0)
         return damping * axis.velocity
 
-    steps = [(f"step{i}", float, _field("1/s", "change of damping")) for i in range(CAPACITY)]
-    times = [(f"time{i}", float, _field("s", "when it changes")) for i in range(CAPACITY)]
+    steps = [(f"step{i}", float, _field("1/s", "change of damping", per_mass=1.0)) for i in range(CAPACITY)]
+    times = [(f"time{i}", float, _field("s", "when it changes", per_mass=0.0)) for i in range(CAPACITY)]
     namespace = {
         "name": "piecewise_damping",
         "sentence": "Damping changes in time, piecewise constant.",
@@ -99,5 +100,6 @@ def _effect_class() -> type[Effect]:
     return made
 
 
-def _field(unit: str, meaning: str) -> Any:
-    return field(metadata={"symbol": "", "unit": unit, "meaning": meaning, "low": -1e12, "high": 1e12})
+def _field(unit: str, meaning: str, per_mass: float) -> Any:
+    limits = {"low": -1e12, "high": 1e12}
+    return field(metadata={"symbol": "", "unit": unit, "meaning": meaning, "per_mass": per_mass, **limits})

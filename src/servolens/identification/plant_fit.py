@@ -272,6 +272,7 @@ def _guessed(
         effects=tuple(made),
         length_unit=record.length_unit,
         command_unit=record.command_unit,
+        inertia=bare.inertia,
     )
 
 

@@ -104,6 +104,7 @@ class Thinned:
     velocity: NDArray[np.float64]
     position_integral: NDArray[np.float64]
     voltage_integral: NDArray[np.float64]
+    lightness: NDArray[np.float64]
     stride: int
 
     @classmethod
@@ -122,6 +123,7 @@ class Thinned:
             velocity=np.concatenate([v[::stride] for v in velocity]),
             position_integral=np.concatenate([_position_integral(s)[::stride] for s in segments]),
             voltage_integral=_voltage_integral(segments, stride),
+            lightness=np.concatenate([np.full(s.time[::stride].size, s.lightness) for s in segments]),
             stride=stride,
         )
 
@@ -136,7 +138,7 @@ class Thinned:
 
         def fill(first: int) -> None:
             some = effects[first : first + TOGETHER]
-            rows[sizes * first : sizes * (first + len(some))] = self._freed(self._integrals(some)[0])
+            rows[sizes * first : sizes * (first + len(some))] = self._freed(self._integrals(some)[0]) * self.lightness
 
         in_processes(fill, range(0, len(effects), TOGETHER))
         ends = [0, self.time.size]
@@ -150,7 +152,7 @@ class Thinned:
         All sizes are solved for, of `others` too. What of a force is like the others but for rounding explains nothing.
         """
         known = np.concatenate((self.position_integral[None], self.voltage_integral[None], self._forces(others)))
-        basis = np.linalg.qr(self._freed(known).T)[0]
+        basis = np.linalg.qr((self._freed(known) * self.lightness).T)[0]
         target = self._freed(self.position[None])[0]
         target = target - basis @ (basis.T @ target)
         total = float(target @ target)

@@ -72,6 +72,8 @@ class Segment:
         Standard deviation of the position's noise.
     since_step : float
         Time from the step's onset to the first sample [s]; not 0 where samples were lost on the way.
+    inertia : float, optional
+        Moving inertia [kg m²] or mass [kg] that an estimate is for: the first one that a record states.
     """
 
     record: Record
@@ -82,6 +84,13 @@ class Segment:
     voltage: NDArray[np.float64]
     noise: float
     since_step: float = 0.0
+    inertia: float | None = None
+
+    @property
+    def lightness(self) -> float:
+        """By how much more than the estimate the axis accelerates in this record, where it states its inertia."""
+        own = self.record.inertia
+        return 1.0 if self.inertia is None or own is None else self.inertia / own
 
 
 def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
@@ -99,6 +108,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     """
     found: list[Segment] = []
     records = tuple(records)
+    inertia = next((record.inertia for record in records if record.inertia is not None), None)
     for record in records:
         voltage = _means(record)
         noise = noise_level(record)
@@ -120,6 +130,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
                         voltage=voltage[a:b],
                         noise=noise,
                         since_step=float(record.time[a]) - origin,
+                        inertia=inertia,
                     )
                 )
     if not found:

@@ -136,7 +136,7 @@ def _columns(segment: Segment, share: Pieces, size: int) -> NDArray[np.float64]:
         steps = 0.5 * np.diff(time) * (travelled[1:] + travelled[:-1])
         x[1:, group] -= np.cumsum(steps)
     line, _ = np.linalg.qr(np.column_stack([np.ones(time.size), time]))
-    return np.asarray(x - line @ (line.T @ x))
+    return np.asarray(segment.lightness * (x - line @ (line.T @ x)))
 
 
 def _of_innovations(

@@ -54,6 +54,8 @@ class VaryingDamping:
         Constraints that hold with equality.
     spread : Later
         Makes the covariance.
+    inertia : float, optional
+        Moving inertia [kg m²] or mass [kg] that these are for, where a record states one.
     """
 
     gain: float
@@ -62,6 +64,7 @@ class VaryingDamping:
     speed: NDArray[np.float64]
     active: tuple[str, ...]
     spread: Later[NDArray[np.float64]]
+    inertia: float | None = None
 
     @property
     def covariance(self) -> NDArray[np.float64]:
@@ -159,6 +162,7 @@ def fit_varying(
         speed=_mean_speed(segments, shares, count, window),
         active=tuple(name for name in fit.active if name != SETTLED_GAIN),
         spread=Later(covariance),
+        inertia=segments[0].inertia,
     )
 
 
