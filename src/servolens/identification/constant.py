@@ -66,8 +66,13 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
 
     def plant(values: NDArray[np.float64]) -> Plant:
         damping, gain = (float(v) for v in values)
-        units = {"length_unit": first.length_unit, "command_unit": first.command_unit}
-        return Plant(gain=gain, damping=damping, inertia=segments[0].inertia, **units)
+        return Plant(
+            gain=gain,
+            damping=damping,
+            length_unit=first.length_unit,
+            command_unit=first.command_unit,
+            inertia=segments[0].inertia,
+        )
 
     stopped = {k for c in constraints if c.name in solution.active for k in c.coefficients}
     free, held = np.array([k not in stopped for k in range(2)]), tuple(NAMES[k] for k in sorted(stopped))
