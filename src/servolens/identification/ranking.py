@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Proposals", "Thinned", "by_peaks", "force_rows", "record_numbers"]
 
 SAMPLES = 2500
-"""Samples that are kept at most, but for one of each stretch."""
+"""Samples that are kept, more or less."""
 ALIKE = 1e-9
 """Share of its square that a force must have beside others to count; rounding leaves a millionth of that."""
 TOGETHER = 32
@@ -110,7 +110,7 @@ class Thinned:
     @classmethod
     def of(cls, segments: Sequence[Segment], velocity: Sequence[NDArray[np.float64]]) -> Thinned:
         """Thin `segments`, whose smoothed velocities are given."""
-        stride = max(-(-sum(s.time.size for s in segments) // SAMPLES), 1)
+        stride = max(sum(s.time.size for s in segments) // SAMPLES, 1)
         times = [s.time[::stride] for s in segments]
         centred = [t - t.mean() for t in times]
         return cls(
