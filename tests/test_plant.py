@@ -107,6 +107,12 @@ def test_reason_stands_only_where_no_standard_error_does() -> None:
     assert [q.reason for q in model.quantities.values()] == [None, "at its bound", "given, not estimated", None]
 
 
+def test_file_may_begin_with_a_byte_order_mark(tmp_path) -> None:
+    path = tmp_path / "model.json"
+    path.write_text('{"gain": {"value": 2.0}, "damping": {"value": 10.0}}', encoding="utf-8-sig")
+    assert read_model(path).plant == Plant(gain=2.0, damping=10.0)
+
+
 def test_file_keeps_why_a_parameter_has_no_standard_error(tmp_path) -> None:
     covariance = np.diag([1e-6, np.nan, np.nan, 1e-2])
     model = Model(plant=NLM1, covariance=covariance, reasons={"damping": "it ended at the end of its range"})
@@ -122,7 +128,7 @@ def test_file_keeps_why_a_parameter_has_no_standard_error(tmp_path) -> None:
         ("[]", "is not a model"),
         ('{"schema": "servolens.design/1"}', "is not a model"),
         ('{"schema": "servolens.model/1"}', "'gain' is missing"),
-        ('{"schema": "servolens.model/1", "gain": 3, "damping": 4}', "wrong type"),
+        ('{"schema": "servolens.model/1", "gain": 3, "damping": 4}', "an object such as {\"value\": 1.9}, got '3'"),
         (
             '{"schema": "servolens.model/1", "gain": {"value": 1, "unit": "km/s^2/V"}, "damping": {"value": 1}}',
             "gain is in 'km/s",

@@ -281,3 +281,10 @@ def test_stated_period_that_the_log_contradicts_is_no_wrong_unit_of_time():
     record = logged("white", kd=0.0, stated={"kd": 0.0, "control_period": 0.005})
     assert not fatal(check(record))
     assert told(record)["settings_contradict_log"].startswith("the log fits control_period = every sample, not 0.005 (")
+
+
+def test_gains_of_a_cascade_are_told_as_they_are_stated():
+    drive = Controller.cascade(kp=20.0, kv=5.0, kiv=60.0)
+    record = lab.step_record(RUBBING, seed=2, duration=0.6, setup=lab.Setup(controller=drive))
+    found = told(record.with_({"controller": Controller.cascade(kp=26.0, kv=5.0, kiv=60.0)}))
+    assert "kp = 20 1/s, kv = 5 V s/m, not kp = 26 1/s, kv = 5 V s/m; " in found["gains_contradict_log"]

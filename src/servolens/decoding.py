@@ -64,7 +64,7 @@ def read_json(path: Path, needed: str = "") -> Any:
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"is a folder or a device{needed}")
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin with its mark
     except OSError as error:
         raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
     except InputError:

@@ -309,6 +309,8 @@ def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _value(quantity: Mapping[str, Any]) -> float:
+    if not isinstance(quantity, dict):
+        raise InputError(f'a quantity must be an object such as {{"value": 1.9}}, got {str(quantity)[:40]!r}')
     value = quantity["value"]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"a value must be a number, got {str(value)[:40]!r}")

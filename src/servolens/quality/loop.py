@@ -317,7 +317,10 @@ def _degrees(ratio: float) -> str:
 
 
 def _named(record: Record, kp: float, kd: float) -> str:
-    volt, length = record.command_unit, record.length_unit
+    """Return the gains as the law at hand states them: of a cascade those of its position and of its speed."""
+    volt, length, law = record.command_unit, record.length_unit, controller_of(record)
+    if kd and (law.integral_rate or law.velocity_feedforward):
+        return f"kp = {kp / kd:.4g} 1/s, kv = {kd:.4g} {volt} s/{length}"
     return f"kp = {kp:.4g} {volt}/{length}, kd = {0.0 if abs(kd) < 1e-9 * abs(kp) else kd:.4g} {volt} s/{length}"
 
 
