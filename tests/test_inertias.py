@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from servolens import Controller, PDSpec, Record, diagnose, fit, identify, predict, tune
+from servolens import Controller, Identification, PDSpec, Record, diagnose, fit, identify, predict, tune
+from servolens.identification.damping_law import law_from_pieces
 from servolens.plant import Plant
 
 GAIN, DAMPING, LEVEL = 2.0, 10.0, 0.6
@@ -86,9 +87,18 @@ def test_fit_of_effects_holds_for_the_inertia_stated_first(rubbing, driven):
 
 
 def test_fit_of_gain_and_damping_keeps_the_inertia_that_is_stated(records):
-    found = fit([], records)
-    assert found.plant.inertia == 1.0
-    assert near(found.quantities["gain"], GAIN)
+    for given in ([], Plant(gain=1.0, damping=5.0)):
+        found = fit(given, records)
+        assert found.plant.inertia == 1.0
+        assert near(found.quantities["gain"], GAIN)
+
+
+def test_file_of_all_laws_keeps_the_inertia(records):
+    found = identify(records)
+    again = Identification.from_json(found.to_json())
+    assert found.to_json()["models"]["varying"]["inertia"] == 1.0
+    assert (again.varying.inertia, again.velocity.plant.inertia) == (1.0, 1.0)
+    assert law_from_pieces(found.varying).inertia == 1.0
 
 
 def test_diagnosis_of_records_with_different_loads_names_what_they_share(records, rubbing):

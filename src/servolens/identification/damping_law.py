@@ -61,7 +61,8 @@ def law_from_pieces(varying: VaryingDamping) -> Plant:
     fastest = max(float(varying.speed.max()), 1e-12)
     alpha2 = _search(lambda a: solve(a)[0], SLOWEST_DECAY / fastest, FASTEST_DECAY / fastest)
     _, alpha1, gamma = solve(alpha2)
-    return Plant(gain=varying.gain, damping=gamma, effects=(VelocityDecayDamping(alpha1=alpha1, alpha2=alpha2),))
+    law = VelocityDecayDamping(alpha1=alpha1, alpha2=alpha2)
+    return Plant(gain=varying.gain, damping=gamma, effects=(law,), inertia=varying.inertia)
 
 
 def fit_law(segments: Sequence[Segment], window: int, options: FitOptions) -> Plant:

@@ -226,6 +226,8 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     bare, _ = screen.solve(())
     if start is None:
         start = _guessed(effects, bare, runs[0], screen, asked)
+    elif start.inertia is None:  # it is for the records' own, as an estimate is
+        start = replace(start, inertia=bare.inertia)
     _check(start, asked, runs[0])
     held = [f"{effect.name}.{name}" for effect in start.effects for name in effect.found_last]
     start, asked = start.with_named(asked.values), asked.holding(*held)

@@ -91,6 +91,8 @@ class Thinned:
         As in the records.
     position_integral, voltage_integral : ndarray, shape (n,)
         Position integrated once over time, voltage twice, in each stretch.
+    lightness : ndarray, shape (n,)
+        By how much more than the estimate the axis accelerates in the record.
     stride : int
         Every how many samples one is kept.
     """

@@ -405,6 +405,7 @@ def _varying_json(varying: VaryingDamping, gain_unit: str) -> dict[str, Any]:
         "pieces": [q.to_json() for q in pieces],
         "speed": varying.speed.tolist(),
         "active": list(varying.active),
+        **({} if varying.inertia is None else {"inertia": varying.inertia}),
     }
 
 
@@ -412,6 +413,6 @@ def _varying_from(data: Mapping[str, Any]) -> VaryingDamping:
     gain = Quantity.from_json(data.get("gain") or {})
     pieces = [Quantity.from_json(one) for one in data.get("pieces") or ()]
     errors = [np.nan if one.stderr is None else one.stderr for one in (*pieces, gain)]
-    names = ("gain", "edges", "damping", "speed", "active")
+    names = ("gain", "edges", "damping", "speed", "active", "inertia")
     fields = fields_of(VaryingDamping, {**data, "gain": gain.value}, names)
     return VaryingDamping(**fields, spread=known(np.diag(np.square(errors))))
