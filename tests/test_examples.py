@@ -15,7 +15,7 @@ SAYS = {
     "quickstart": "nonlinear model: kd = 3.8",
     "python_control": "phase margin",
     "cu_rotary_arm": "average, not used (held out)",
-    "diagnose_measured": "% of the travel, immaterial",
+    "diagnose_measured": "found on kP 1, 3 and 5: unexplained",
     "emps": "fitted                  test (held out)       1.7",
     "kawata_arm": "this arm is a linear plant",
     "kawata_cart": "the cause is another one",
@@ -40,14 +40,28 @@ def test_every_example_is_run() -> None:
     "name", [pytest.param(name, marks=pytest.mark.slow if name in MEASURED else ()) for name in SAYS]
 )
 def test_example_says_what_it_found(name: str) -> None:
+    assert SAYS[name] in said_by(name, *ARGUMENTS.get(name, []))
+
+
+@pytest.mark.slow
+def test_records_held_out_choose_what_predicts_them_among_all_that_was_tried() -> None:
+    """The gearbox sticks and its command is late: more flexible causes came closer to the training records alone."""
+    said = said_by("diagnose_measured", "cu")
+    assert said.count("dead_zone: width") == said.count("delay: time") == said.count("partly_explained") == 3
+    assert "end_stop" not in said
+    assert "friction_map" not in said
+
+
+def said_by(name: str, *arguments: str) -> str:
+    """Return what an example prints."""
     if name in MEASURED and not (DATA / MEASURED[name]).is_dir():
         pytest.skip(f"measured data are missing: {DATA / MEASURED[name]}")
     done = subprocess.run(
-        [sys.executable, str(FOLDER / f"{name}.py"), *ARGUMENTS.get(name, [])],
+        [sys.executable, str(FOLDER / f"{name}.py"), *arguments],
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=900,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert SAYS[name] in done.stdout
+    return done.stdout

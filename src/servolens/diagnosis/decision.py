@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.explorer import INDISTINCT
+from servolens.diagnosis.ordering import by_total
 from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError
@@ -183,7 +184,7 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     try:
         simulating = case.simulating()
         base = simulating.base
-        if _is_immaterial(simulating, base) and not _takes_most(case, chosen):
+        if _is_immaterial(simulating, base) and not _takes_most(case, chosen, simulating):
             before = case.base.total - base.total  # singles gain as much as they did by prediction errors
             singles = tuple(replace(h, total=h.total - before) for h in found.singles)
             alone = Search((base,), (base,), singles, ended_early=found.ended_early)
@@ -242,12 +243,12 @@ def _is_immaterial(case: Case, hypothesis: Hypothesis) -> bool:
     return not left.material and left.of_motor <= MATERIAL
 
 
-def _takes_most(case: Case, hypothesis: Hypothesis) -> bool:
-    """Tell whether the causes of a hypothesis take most of what gain and damping alone leave of records not fitted."""
-    if not hypothesis.causes:
+def _takes_most(case: Case, chosen: Hypothesis, simulating: Case) -> bool:
+    """Tell whether causes take most of what gain and damping alone, fitted to simulations, leave of other records."""
+    if not chosen.causes:
         return False
-    gains = case.gains([case.base, hypothesis])
-    return gains.tested(1) ** 2 <= (1.0 - MOST) * gains.tested(0) ** 2
+    alone = simulating.gains([simulating.base]).tested(0)
+    return case.gains([chosen]).tested(0) ** 2 <= (1.0 - MOST) * alone**2
 
 
 def _cross_validated(case: Case, found: Search) -> Search:
@@ -255,19 +256,16 @@ def _cross_validated(case: Case, found: Search) -> Search:
 
     Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What a fit to the other
     records predicts of each does not (Yao et al. 2018, doi:10.1214/17-BA1091): of all records, training ones too, for a
-    few held out may favour a model by chance. Of those that these cannot tell apart, the one with the fewest causes;
-    none that misses the records held out more than gain and damping alone.
+    few held out may favour a model by chance. Weighed are those beside which all records are likeliest, the ones held
+    out as they are predicted. Of those that these cannot tell apart, the one with the fewest causes; none that misses
+    the records held out more than gain and damping alone.
     """
-    others = [h for h in found.judged if h.causes][:CONTENDERS]
-    contenders = list({h.causes: h for h in (*found.path, *others)}.values())
-    held = [replace(h, total=case.misfit(h)) for h in contenders]
-    most = next(h.total for h in held if not h.causes)
-    confirmed = [(h, kept) for h, kept in zip(contenders, held, strict=True) if not h.causes or kept.total < most]
-    if case.heldout:
-        both = [replace(kept, total=kept.total + case.left_out_misfit(h)) for h, kept in confirmed]
-    else:
-        both = [kept for _, kept in confirmed]
-    weighed = sorted(both, key=lambda h: h.total)
+    tried = {h.causes: h for h in (*found.path, *(h for h in found.judged if h.causes))}
+    held = {causes: case.misfit(h) if case.heldout else 0.0 for causes, h in tried.items()}
+    admitted = [h for causes, h in tried.items() if causes and held[causes] <= held[()]]
+    likeliest = sorted(admitted, key=lambda h: h.total + held[h.causes])[:CONTENDERS]
+    predicted = ((h, held[h.causes] + case.left_out_misfit(h)) for h in (tried[()], *likeliest))
+    weighed = sorted((replace(h, total=total) for h, total in predicted), key=by_total)
     base = next(h for h in weighed if not h.causes)
     best = min((h for h in weighed if h.total <= weighed[0].total + INDISTINCT), key=lambda h: len(h.causes))
     between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]
