@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servolens import Plant, lab, predict
+from servolens import Plant, lab, predict, read_record
 from servolens.checking import check
 from servolens.quality import fatal
 from servolens.record import Controller, Record
+from servolens.study.spec import _loop_of
 
 RUBBING = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.5}})
 WORLDS = ("white", "coloured", "coarse", "hum")
@@ -288,3 +289,36 @@ def test_gains_of_a_cascade_are_told_as_they_are_stated():
     record = lab.step_record(RUBBING, seed=2, duration=0.6, setup=lab.Setup(controller=drive))
     found = told(record.with_({"controller": Controller.cascade(kp=26.0, kv=5.0, kiv=60.0)}))
     assert "kp = 20 1/s, kv = 5 V s/m, not kp = 26 1/s, kv = 5 V s/m; " in found["gains_contradict_log"]
+
+
+RAMP = np.interp(np.arange(600) * 1e-3, [0.05, 0.3], [0.0, 0.1])
+OF_CASCADES = {
+    "integral unstated": ({"kiv": 60.0}, {}, "kiv = 60 V/m, not 0 ("),
+    "integral larger": ({"kiv": 60.0}, {"kiv": 90.0}, "kiv = 60 V/m, not 90 ("),
+    "velocity unstated": ({"feedforward_speed": 0.7}, {}, "feedforward_speed = 0.7, not 0 ("),
+    "velocity beside an integral": (
+        {"kiv": 60.0, "feedforward_speed": 1.0},
+        {"kiv": 60.0},
+        "feedforward_speed = 1, not 0 (",
+    ),
+}
+
+
+@pytest.mark.parametrize(("true", "stated", "said"), OF_CASCADES.values(), ids=OF_CASCADES)
+def test_settings_of_a_cascade_are_told_by_their_names(true, stated, said):
+    loop, claimed = (Controller.cascade(kp=20.0, kv=5.0, **own) for own in (true, stated))
+    record = lab.step_record(RUBBING, seed=2, setup=lab.Setup(controller=loop, trajectory=RAMP))
+    found = told(record.with_({"controller": claimed}))
+    assert list(found) == ["settings_contradict_log"]
+    assert found["settings_contradict_log"].startswith(f"the log fits {said}")
+
+
+def test_a_cascade_without_an_integral_is_told_and_designed_as_one(tmp_path):
+    drive = Controller.cascade(kp=20.0, kv=5.0)
+    record = lab.step_record(RUBBING, seed=2, duration=0.6, setup=lab.Setup(controller=drive))
+    record.to_csv(tmp_path / "drive.csv")
+    assert "# kv = 5.0 V s/m\n" in (tmp_path / "drive.csv").read_text()
+    assert read_record(tmp_path / "drive.csv").controller == drive
+    assert _loop_of(record) | {"kp": 20.0, "controller": "cascade", "kiv": 0.0} == _loop_of(record)
+    found = told(record.with_({"controller": Controller.cascade(kp=20.0, kv=6.0)}))
+    assert "fits kp = 20 1/s, kv = 5 V s/m, not kp = 20 1/s, kv = 6 V s/m; " in found["gains_contradict_log"]

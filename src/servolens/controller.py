@@ -17,6 +17,7 @@ __all__ = ["AntiWindup", "Controller", "as_limit"]
 
 AntiWindup = Literal["none", "clamping", "back_calculation"]
 TEXT_CHOICES = {
+    "law": ("pd", "cascade"),
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
     "anti_windup": ("none", "clamping", "back_calculation"),
@@ -69,6 +70,8 @@ class Controller:
         ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
     control_period : float or None
         Period of the loop [s] where it is slower or faster than the log; None means every sample.
+    law : {"pd", "cascade"}
+        By which names its gains are stated and told: those of PD and PID, or of a drive's cascade.
 
     Raises
     ------
@@ -97,6 +100,7 @@ class Controller:
     derivative_on: Literal["measurement", "error"] = "measurement"
     derivative: Literal["position", "velocity"] = "position"
     control_period: float | None = None
+    law: Literal["pd", "cascade"] = "pd"
 
     def __post_init__(self) -> None:
         for name in NUMBERS:
@@ -185,7 +189,13 @@ class Controller:
             derivative_window=derivative_window,
             derivative=derivative,
             control_period=control_period,
+            law="cascade",
         )
+
+    @property
+    def is_cascade(self) -> bool:
+        """Whether its gains are those of a cascade: stated as one, or of a form that no PID has."""
+        return self.law == "cascade" or self.integral_rate != 0 or self.velocity_feedforward != 0
 
     @property
     def integrates(self) -> bool:

@@ -31,6 +31,7 @@ __all__ = [
     "LawFit",
     "controller_of",
     "felt_rounding",
+    "parameters_of",
     "remembered",
     "rms",
     "tick_phase",
@@ -40,6 +41,8 @@ __all__ = [
 GAINS = ("kp", "kd")
 PARAMETERS = (*GAINS, "setpoint_weight", "ki", "integral_before", "velocity_feedforward", "integral_rate")
 """What weighs the columns, as the controller's fields are called; the commonest first."""
+OF_PID, OF_CASCADE = {"setpoint_weight", "ki"}, {"integral_rate"}
+"""Those of them that the other law does not have."""
 ROUNDS, CONVERGED = 8, 1e-9
 """Gauss-Newton steps at most, and relative change that ends them; without set-point weight and rate one is enough."""
 
@@ -168,6 +171,12 @@ def voltage_of(record: Record) -> Array:
 def controller_of(record: Record) -> Controller:
     """Return the stated controller, or one of which only the settings count."""
     return record.controller or Controller(kp=1.0)
+
+
+def parameters_of(controller: Controller) -> tuple[str, ...]:
+    """Return the parameters that a law of this kind has."""
+    others = OF_PID if controller.is_cascade else OF_CASCADE
+    return tuple(name for name in PARAMETERS if name not in others)
 
 
 def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -40,11 +40,12 @@ NO_LAW = 0.1
 UNITS_OF = {
     "ki": " {command}/({length} s)",
     "velocity_feedforward": " {command} s/{length}",
-    "integral_rate": " 1/s",
     "integral_before": " {command}",
     "control_period": " s",
 }
 """Of the controller's settings."""
+STATED_AS = {"integral_rate": ("kiv", " {command}/{length}"), "velocity_feedforward": ("feedforward_speed", "")}
+"""Settings of a cascade that are stated times or over its kv, and their units."""
 
 
 @final
@@ -223,22 +224,36 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
             f" ({left}); log what is added as feedforward."
         )
         return Finding(code="added_to_law", severity="warning", message=message)
-    fits = [f"{name} = {_shown(record, loop, name)}" for name in settings]
+    fits = [f"{_name(record, name)} = {_shown(record, loop, name)}" for name in settings]
     was = [_shown(record, record.controller, name, unit=False) for name in settings]
     message = f"the log fits {', '.join(fits)}, not {', '.join(was)} ({left}); correct what is stated."
     return Finding(code="settings_contradict_log", severity="warning", message=message)
 
 
+def _name(record: Record, name: str) -> str:
+    """Return what a setting is called where the record's law is stated."""
+    return STATED_AS[name][0] if controller_of(record).is_cascade and name in STATED_AS else name
+
+
+def _as_stated(controller: Controller, name: str) -> Any:
+    """Return the value of a setting as the law states it: a cascade's integral gain, its share of the velocity."""
+    value, kv = getattr(controller, name), controller.kd
+    if not controller.is_cascade or name not in STATED_AS:
+        return value
+    return value * kv if name == "integral_rate" else value / kv
+
+
 def _shown(record: Record, controller: Controller | None, name: str, *, unit: bool = True) -> str:
     """Return the value of a setting as it would be stated."""
-    found, stated = (getattr(loop or Controller(kp=1.0), name) for loop in (controller, record.controller))
+    found, stated = (_as_stated(loop or Controller(kp=1.0), name) for loop in (controller, record.controller))
     if found is None:
         return "every sample"
     if not isinstance(found, float):
         return str(found)
     size = max(abs(found), abs(stated or 0.0))
     shown = f"{size * round(found / size, 3) + 0.0:.3g}" if size else "0"
-    own = UNITS_OF.get(name, "") if unit else ""
+    own = UNITS_OF.get(name, "") if _name(record, name) == name else STATED_AS[name][1]
+    own = own if unit else ""
     return shown + own.format(command=record.command_unit, length=record.length_unit)
 
 
@@ -319,7 +334,7 @@ def _degrees(ratio: float) -> str:
 def _named(record: Record, kp: float, kd: float) -> str:
     """Return the gains as the law at hand states them: of a cascade those of its position and of its speed."""
     volt, length, law = record.command_unit, record.length_unit, controller_of(record)
-    if kd and (law.integral_rate or law.velocity_feedforward):
+    if kd and law.is_cascade:
         return f"kp = {kp / kd:.4g} 1/s, kv = {kd:.4g} {volt} s/{length}"
     return f"kp = {kp:.4g} {volt}/{length}, kd = {0.0 if abs(kd) < 1e-9 * abs(kp) else kd:.4g} {volt} s/{length}"
 

@@ -19,10 +19,10 @@ from servolens.encoder import quantisation_step
 from servolens.errors import InputError
 from servolens.quality.law import (
     GAINS,
-    PARAMETERS,
     LawFit,
     controller_of,
     felt_rounding,
+    parameters_of,
     remembered,
     rms,
     tick_phase,
@@ -236,8 +236,8 @@ def _felt(record: Record) -> float:
 
 
 def explanation(record: Record) -> tuple[str, ...]:
-    """Return the parameters that a fit may free: the rate of a cascade only where one is stated."""
-    return PARAMETERS if controller_of(record).integral_rate else PARAMETERS[:-1]
+    """Return the parameters that a fit may free: those by which the stated law is told."""
+    return parameters_of(controller_of(record))
 
 
 def _tried(record: Record, case: _Case, rows: Rows) -> _Tried | None:
@@ -265,8 +265,7 @@ def _simplest(tried: list[_Tried], bound: float, free: tuple[str, ...], *, begun
     found: list[tuple[int, Alternative]] = []
     for case, fit, _ in tried:
         unseen = ("integral_before",) if begun and fit.controller.integrates else ()
-        names = [name for name in PARAMETERS if name not in (*free, *unseen)]
-        names = names if fit.controller.integral_rate else names[:-1]
+        names = [name for name in parameters_of(fit.controller) if name not in (*free, *unseen)]
         if case.kind == "scale" and case.column in RESCALED:  # with other gains it would be another law
             names = [name for name in names if name not in GAINS]
         most = min((cost for cost, _ in found), default=len(names) + case.cost + 1) - case.cost
@@ -360,7 +359,7 @@ def _settings(record: Record) -> Iterator[tuple[tuple[str, Any], ...]]:
         "anti_windup": ["none", "clamping"] if record.voltage_limit is not None else [],
         "derivative": ["position", *(["velocity"] if record.velocity is not None else [])],
         "derivative_window": [1, 2, 3, 4],
-        "derivative_on": ["measurement", "error"],
+        "derivative_on": [] if stated.is_cascade else ["measurement", "error"],
     }
     kept: tuple[tuple[str, Any], ...] = ()
     options = [

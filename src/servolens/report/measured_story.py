@@ -146,10 +146,12 @@ def _gains(record: Record) -> str:
     loop = record.controller
     if loop is None:
         return "–"
-    if loop.integral_rate > 0:
-        told = {"Kp": loop.kp / loop.kd, "Kv": loop.kd, "Kiv": loop.integral_rate * loop.kd}
+    if loop.is_cascade and loop.kd:
+        integral = {"Kiv": loop.integral_rate * loop.kd}
+        told = {"Kp": loop.kp / loop.kd, "Kv": loop.kd}
     else:
-        told = {"Kp": loop.kp, "Kd": loop.kd, **({"Ki": loop.ki} if loop.ki else {})}
+        integral, told = {"Ki": loop.ki}, {"Kp": loop.kp, "Kd": loop.kd}
+    told |= {name: value for name, value in integral.items() if value}
     return ", ".join(f"{name} {number(value)}" for name, value in told.items())
 
 

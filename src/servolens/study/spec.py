@@ -138,7 +138,7 @@ def _loop_of(record: Record) -> dict[str, Any]:
         "sample_time": float(f"{loop.control_period or record.sample_time:.6g}"),
         "derivative_filter": loop.derivative_filter,
     }
-    if loop.integral_rate > 0 and loop.kd > 0:
+    if loop.is_cascade and loop.kd > 0:
         speed = {"kp": float(f"{loop.kp / loop.kd:.9g}"), "kiv": float(f"{loop.integral_rate * loop.kd:.9g}")}
         return {**fields, **speed, "controller": "cascade", "anti_windup": loop.anti_windup}
     if loop.ki > 0:
