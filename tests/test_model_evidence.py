@@ -81,8 +81,60 @@ DAMAGED = {
     },
     "record without a step": {"missed": [{"record": "run 3", "how": "end", "rms": 1e-4, "step": 0.0}]},
     "remainder without its force": {"remainder": {"rms": 1e-4}},
+    "verdict that is none": {"verdict": "fine"},
+    "verdict that is none, without evidence": {"verdict": "fine", "range": None},
+    "remainder that is a number": {"remainder": 3},
+    "remainder that is a number, without evidence": {"remainder": 3, "range": None},
+    "remainder of a wrong type": {"remainder": {**LEFT.to_json(), "material": "no"}},
+    "negative noise": {"noise": -1e-5},
     "covariance of other parameters": {"covariance": {"names": ["a", "b", "c"], "matrix": np.eye(3).tolist()}},
 }
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"verdict": "fine"}, "verdict must be one of healthy, explained, partly_explained, unexplained; got 'fine'"),
+        ({"remainder": 3}, "remainder must be an object, got '3'"),
+        ({"effects": [{"effect": "delay", "parameters": 3}]}, "parameters must be an object, got '3'"),
+        ({"effects": [7]}, r"effects\[0\] must be an object, got '7'"),
+        ({"effects": [{"effect": "delay"}]}, r"effects\[0\]: 'parameters' is missing"),
+        ({"identified_from": "run 1"}, "identified_from must be a list, got 'run 1'"),
+        ({"covariance": {"names": 3, "matrix": [[1.0]]}}, "names of covariance must be a list, got '3'"),
+        ({"covariance": {"names": ["gain"], "matrix": [["x"]]}}, "covariance must hold numbers, got"),
+    ],
+)
+def test_the_field_that_is_wrong_is_named(tmp_path, fields, said):
+    path = changed(written(Model(plant=PLANT, covariance=MATRIX, evidence=KNOWN), tmp_path), **fields)
+    with pytest.raises(InputError, match=rf"model\.json: {said}"):
+        read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ('"gain":', '"gain": {"value": 45}, "gain":', "names 'gain' twice in one object; keep one"),
+        ('"speed": ', '"speed": 1.0, "speed": ', "names 'speed' twice in one object; keep one"),
+        ('"noise": 1e-05', '"noise": NaN', "noise must be finite, got nan; write null for what is not known"),
+        ('"noise": 1e-05', '"noise": 1e999', "noise must be finite, got inf; write null"),
+    ],
+)
+def test_json_that_says_two_things_or_nothing_is_refused(tmp_path, before, after, said):
+    path = written(Model(plant=PLANT, evidence=replace(KNOWN, noise=1e-5)), tmp_path)
+    text = path.read_text(encoding="utf-8")
+    assert before in text
+    path.write_text(text.replace(before, after, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=rf"model\.json: {said}"):
+        read_model(path)
+
+
+def test_what_is_null_says_why():
+    known = replace(KNOWN, verdict=None, remainder=None, noise=None)
+    told = Model(plant=PLANT, covariance=MATRIX, evidence=known, reasons={"coulomb_friction.level": "usual"}).to_json()
+    assert told["reason"].startswith("verdict: no diagnosis was made; remainder: no diagnosis was made; ")
+    assert told["reason"].endswith("; noise: it was not estimated")
+    assert told["covariance"]["reason"] == "coulomb_friction.level: usual"
+    assert Model(plant=PLANT).to_json()["reason"] == "covariance: the errors of the parameters are not known"
 
 
 @pytest.mark.parametrize("fields", DAMAGED.values(), ids=DAMAGED)

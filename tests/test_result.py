@@ -270,7 +270,7 @@ def test_correlations_belong_to_their_parameters_in_every_file_of_a_fit(change):
     [
         (["gain", "damping"], r"correlation has shape \(6, 6\); it must have a place for each of gain, damping$"),
         (list("abcdef"), "correlation must name gain, damping, backlash.gap, backlash.load_share; got"),
-        (7, "parameters must be list, got '7'"),
+        (7, "parameters must be a list, got '7'"),
     ],
 )
 def test_correlations_of_other_parameters_are_refused_with_a_sentence(names, sentence):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
@@ -19,9 +20,13 @@ from numpy.typing import NDArray
 from servolens.errors import InputError
 from servolens.findings import Finding
 
-__all__ = ["decoded", "encoded", "fields_of", "findings_in", "json_of", "read_fields", "read_json", "whole"]
+__all__ = [
+    "decoded", "encoded", "fields_of", "findings_in", "json_of", "listed", "part", "read_fields", "read_json", "whole",
+]  # fmt: skip
 
 T = TypeVar("T")
+NOUNS = {list: "a list", dict: "an object", str: "a text", bool: "true or false", int: "a whole number"}
+"""What types are called in refusals."""
 
 
 def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, Any]:
@@ -59,18 +64,27 @@ def read_json(path: Path, needed: str = "") -> Any:
     Raises
     ------
     InputError
-        If it is no file, cannot be read, or is not JSON.
+        If it is no file, cannot be read, is not JSON, or names a field twice.
     """
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"is a folder or a device{needed}")
-        return json.loads(path.read_text(encoding="utf-8-sig"))  # Windows' editors begin with its mark
+        text = path.read_text(encoding="utf-8-sig")  # Windows' editors begin with its mark
+        return json.loads(text, object_pairs_hook=_named_once)
     except OSError as error:
         raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
     except InputError:
         raise
     except (ValueError, RecursionError):
         raise InputError(f"is not JSON{needed}") from None
+
+
+def _named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    names = [name for name, _ in pairs]
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None:
+        raise InputError(f"names {twice[:40]!r} twice in one object; keep one")
+    return dict(pairs)
 
 
 @contextmanager
@@ -175,7 +189,39 @@ def fields_of(cls: type, data: Any, names: Sequence[str], known: Mapping[str, An
 
 def findings_in(data: Mapping[str, Any]) -> tuple[Finding, ...]:
     """Return the findings of a result's file; none where it has none."""
-    return tuple(read_fields(Finding, one) for one in _of_type(list, data.get("findings") or [], "findings"))
+    return listed(data, "findings", lambda one: read_fields(Finding, one)) if data.get("findings") else ()
+
+
+def listed(data: Mapping[str, Any], name: str, read: Callable[[Mapping[str, Any]], T]) -> tuple[T, ...]:
+    """Return what `read` makes of each object of the list that is the field `name`.
+
+    Raises
+    ------
+    InputError
+        If the field is missing or no list of such objects; the object in question is named.
+
+    Examples
+    --------
+    >>> listed({"causes": [{"effect": "delay"}]}, "causes", lambda cause: cause["effect"])
+    ('delay',)
+    """
+    return tuple(_read_object(one, f"{name}[{i}]", read) for i, one in enumerate(_of_type(list, data[name], name)))
+
+
+def part(data: Mapping[str, Any], name: str, read: Callable[[Mapping[str, Any]], T]) -> T:
+    """Return what `read` makes of the object that is the field `name`.
+
+    Raises
+    ------
+    InputError
+        If the field is missing or no such object.
+    """
+    return _read_object(data[name], name, read)
+
+
+def _read_object(value: Any, name: str, read: Callable[[Mapping[str, Any]], T]) -> T:
+    with whole(name):
+        return read(_of_type(dict, value, name))
 
 
 def decoded(kind: Any, value: Any, name: str, known: Mapping[str, Any] | None = None) -> Any:  # noqa: C901 - a case each
@@ -195,13 +241,14 @@ def decoded(kind: Any, value: Any, name: str, known: Mapping[str, Any] | None = 
     if origin is tuple:
         return _tuple(parts, value, name, known)
     if origin in (dict, Mapping):
-        return {str(key): decoded(parts[1], one, name, known) for key, one in _of_type(dict, value, name).items()}
+        items = _of_type(dict, value, name).items()
+        return {str(key): decoded(parts[1], one, f"{name}.{str(key)[:40]}", known) for key, one in items}
     if origin is np.ndarray:
         return _array(value, name)
     if hasattr(kind, "from_json"):
-        return kind.from_json(value)
+        return _read_object(value, name, kind.from_json)
     if is_dataclass(kind):
-        return read_fields(kind, value, known)  # type: ignore[arg-type] # a class, not a value
+        return _read_object(value, name, lambda one: read_fields(kind, one, known))  # type: ignore[arg-type] # a class
     raise TypeError(f"{name}: no rule for {kind}")
 
 
@@ -210,7 +257,9 @@ def _tuple(parts: tuple[Any, ...], value: Any, name: str, known: Mapping[str, An
     kinds = parts[:1] * len(items) if parts[1:] == (Ellipsis,) else parts
     if len(kinds) != len(items):
         raise InputError(f"{name} must hold {len(kinds)} values, got {len(items)}")
-    return tuple(decoded(kind, item, name, known) for kind, item in zip(kinds, items, strict=True))
+    return tuple(
+        decoded(kind, item, f"{name}[{i}]", known) for i, (kind, item) in enumerate(zip(kinds, items, strict=True))
+    )
 
 
 def _array(value: Any, name: str) -> NDArray[np.float64]:
@@ -226,10 +275,12 @@ def _number(value: Any, name: str) -> float:
         return float("inf")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{name} must be a number, got {str(value)[:40]!r}")
+    if not math.isfinite(value):
+        raise InputError(f"{name} must be finite, got {value}; write null for what is not known")
     return float(value)
 
 
 def _of_type(kind: Any, value: Any, name: str) -> Any:
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-        raise InputError(f"{name} must be {kind.__name__}, got {str(value)[:40]!r}")
+        raise InputError(f"{name} must be {NOUNS[kind]}, got {str(value)[:40]!r}")
     return value

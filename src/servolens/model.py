@@ -8,18 +8,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from servolens.decoding import read_fields, read_json, whole
+from servolens.decoding import decoded, listed, part, read_fields, read_json, whole
 from servolens.errors import InputError, by_name, names_like, needed
 from servolens.model_evidence import Evidence
 from servolens.plant import Plant
 from servolens.record_signals import as_numbers
+from servolens.results import with_reasons
 from servolens.units import COMMAND_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
-
-    from numpy.typing import NDArray
 
     from servolens.effects import Effect
 
@@ -178,17 +178,18 @@ class Model:
             }
             for effect in self.plant.effects
         ]
-        return {
+        fields = {
             "gain": quantities["gain"].to_json(),
             "damping": quantities["damping"].to_json(),
             "effects": effects,
             "length_unit": self.plant.length_unit,
             "command_unit": self.plant.command_unit,
             **{name: value for name in OPTIONAL if (value := getattr(self.plant, name)) is not None},
-            "covariance": _named_matrix(self.plant, self.covariance),
+            "covariance": None if self.covariance is None else _named_matrix(self.covariance, quantities, self.plant),
             "identified_from": list(self.identified_from),
             **({} if self.evidence is None else self.evidence.to_json()),
         }
+        return with_reasons(fields, {"covariance": "the errors of the parameters are not known"})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], effects: Sequence[type[Effect]] = ()) -> Model:
@@ -201,12 +202,8 @@ class Model:
         """
         with whole(f"not a model of schema {SCHEMA}"):
             known = {cls.name: cls for cls in effects}
-            found = tuple(
-                Plant.effect_from(
-                    str(item["effect"]), {str(k): _value(q) for k, q in item["parameters"].items()}, known
-                )
-                for item in data.get("effects", ())
-            )
+            given = {"effects": [], **data}
+            found = listed(given, "effects", lambda item: Plant.effect_from(*_effect(item), known))
             plant = Plant(
                 gain=_value(data["gain"]),
                 damping=_value(data["damping"]),
@@ -217,7 +214,7 @@ class Model:
             )
             _check_units(data, plant)
             covariance = _covariance(data, plant)
-            names = tuple(str(name) for name in data.get("identified_from", ()))
+            names = decoded(tuple[str, ...], data.get("identified_from", []), "identified_from")
             reasons = {name: str(why) for name, q in _quantities(data).items() if (why := q.get("reason"))}
             evidence = Evidence.from_json(data)
         return cls(plant=plant, covariance=covariance, identified_from=names, reasons=reasons, evidence=evidence)
@@ -308,6 +305,12 @@ def _held(data: Mapping[str, Any]) -> Mapping[str, Any]:
     return found
 
 
+def _effect(item: Mapping[str, Any]) -> tuple[str, dict[str, float]]:
+    """Return name and parameters of an effect of a file."""
+    values = part(item, "parameters", lambda one: {name: _value(quantity) for name, quantity in one.items()})
+    return decoded(str, item["effect"], "effect"), values
+
+
 def _value(quantity: Mapping[str, Any]) -> float:
     if not isinstance(quantity, dict):
         raise InputError(f'a quantity must be an object such as {{"value": 1.9}}, got {str(quantity)[:40]!r}')
@@ -349,11 +352,15 @@ def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | 
     alone, held = _of_errors(data, plant), data.get("covariance")
     if held is None:
         return alone
-    numbers, names = (held["matrix"], list(held["names"])) if isinstance(held, dict) else (held, None)
-    found = placed(plant, numbers, names, "covariance")
+    names, numbers = part(data, "covariance", _named) if isinstance(held, dict) else (None, held)
+    found = placed(plant, decoded(NDArray[np.float64], numbers, "covariance"), names, "covariance")
     if not _is_covariance(found):
         raise InputError("covariance must be symmetric and positive semidefinite; state standard errors alone instead")
     return found
+
+
+def _named(held: Mapping[str, Any]) -> tuple[tuple[str, ...], Any]:
+    return decoded(tuple[str, ...], held["names"], "names of covariance"), held["matrix"]
 
 
 def _is_covariance(matrix: NDArray[np.float64]) -> bool:
@@ -385,10 +392,9 @@ def _error(stated: Any, name: str) -> float:
     return float(stated)
 
 
-def _named_matrix(plant: Plant, matrix: NDArray[np.float64] | None) -> dict[str, Any] | None:
-    """Return the covariance with its names, without those of usual values."""
-    if matrix is None:
-        return None
-    kept = [i for i, name in enumerate(plant.parameters) if name not in plant.usual]
+def _named_matrix(matrix: NDArray[np.float64], quantities: Mapping[str, Quantity], plant: Plant) -> dict[str, Any]:
+    """Return the covariance with its names, without those of usual values, and why rows of it are null."""
+    kept = [i for i, name in enumerate(plant.parameters) if name in quantities]
     rows = [[float(v) if np.isfinite(v) else None for v in row] for row in matrix[np.ix_(kept, kept)]]
-    return {"names": [list(plant.parameters)[i] for i in kept], "matrix": rows}
+    why = [f"{name}: {quantity.reason}" for name, quantity in quantities.items() if quantity.stderr is None]
+    return {"names": list(quantities), "matrix": rows, **({"reason": "; ".join(why)} if why else {})}

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, final, get_args
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, final
 
-import numpy as np
-
+from servolens.decoding import fields_of, read_fields
 from servolens.errors import InputError
-from servolens.results import to_finite
+from servolens.results import to_finite, with_reasons
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["MATERIAL", "UNRELIABLE", "DataRange", "Evidence", "How", "Missed", "ModelError", "Remainder"]
+__all__ = ["MATERIAL", "UNRELIABLE", "DataRange", "Evidence", "How", "Missed", "ModelError", "Remainder", "Verdict"]
 
+T = TypeVar("T")
+Verdict = Literal["healthy", "explained", "partly_explained", "unexplained"]
 How = Literal["held_out", "left_out", "end"]
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
@@ -22,6 +23,16 @@ UNRELIABLE = (
     "This model does not explain the data to noise level: the error bars hold only if it is right. Do not rely on them."
 )
 """What stands beside the error bars of a model that leaves more than noise."""
+
+
+REASONS = {
+    "verdict": "no diagnosis was made",
+    "remainder": "no diagnosis was made",
+    "heldout_of_step": "the model was not simulated on data that it was not fitted to",
+    "model_error": "no loop of the records can be simulated",
+    "noise": "it was not estimated",
+}
+"""Why a field of the evidence is null."""
 
 
 @final
@@ -69,21 +80,7 @@ class Remainder:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Remainder:
         """Build the remainder from what :meth:`to_json` returned; a number that is null was not finite."""
-
-        def size(name: str) -> float:
-            return _size(data[name], f"remainder.{name}")
-
-        return cls(
-            rms=size("rms"),
-            times_noise=None if data.get("times_noise") is None else size("times_noise"),
-            of_travel=size("of_travel"),
-            acceleration_rms=size("acceleration_rms"),
-            correlation_time=size("correlation_time"),
-            of_motor=size("of_motor"),
-            depends_on_inputs=bool(data["depends_on_inputs"]),
-            material=bool(data["material"]),
-            heldout=bool(data.get("heldout", False)),
-        )
+        return _sizes(read_fields(cls, {"times_noise": None, **data}))
 
 
 @final
@@ -116,8 +113,7 @@ class DataRange:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DataRange:
         """Build the range from what :meth:`to_json` returned."""
-        given = {f.name: data[f.name] for f in fields(cls) if f.default is MISSING or data.get(f.name) is not None}
-        return cls(**{name: _size(value, f"range.{name}") for name, value in given.items()})
+        return _sizes(read_fields(cls, data))
 
 
 @final
@@ -147,10 +143,10 @@ class ModelError:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> ModelError:
         """Build it from what :meth:`to_json` returned."""
-        columns = {f.name: tuple(_size(v, f"model_error.{f.name}") for v in data[f.name]) for f in fields(cls)}
-        if len({len(column) for column in columns.values()}) != 1 or not columns["frequency"]:
+        found = _sizes(read_fields(cls, data))
+        if not len(found.frequency) == len(found.size) == len(found.loop) > 0:
             raise InputError("model_error must hold frequency, size and loop, as many of each")
-        return cls(**columns)
+        return found
 
 
 @final
@@ -188,10 +184,10 @@ class Missed:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Missed:
         """Build it from what :meth:`to_json` returned."""
-        how, step = data["how"], _size(data["step"], "missed.step")
-        if how not in get_args(How) or step == 0:
-            raise InputError("missed must say how each record was left out of the fit, and its step")
-        return cls(record=str(data["record"]), how=how, rms=_size(data["rms"], "missed.rms"), step=step)
+        found = _sizes(read_fields(cls, data))
+        if found.step == 0:
+            raise InputError("step must not be 0")
+        return found
 
 
 @final
@@ -203,7 +199,7 @@ class Evidence:
     ----------
     range : DataRange
         What the records showed, those held out included.
-    verdict : str or None
+    verdict : {"healthy", "explained", "partly_explained", "unexplained"} or None
         Of the diagnosis; None where there was none.
     remainder : Remainder or None
         What the model misses; None where nobody looked.
@@ -220,7 +216,7 @@ class Evidence:
     """
 
     range: DataRange
-    verdict: str | None = None
+    verdict: Verdict | None = None
     remainder: Remainder | None = None
     heldout_of_step: float | None = None
     fatal: tuple[str, ...] = ()
@@ -230,7 +226,7 @@ class Evidence:
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields that stand beside those of the plant in ``servolens.model/1``; finite numbers only."""
-        result: dict[str, Any] = to_finite(
+        fields: dict[str, Any] = to_finite(
             {
                 "verdict": self.verdict,
                 "remainder": None if self.remainder is None else self.remainder.to_json(),
@@ -242,7 +238,7 @@ class Evidence:
                 "missed": [missed.to_json() for missed in self.missed],
             }
         )
-        return result
+        return with_reasons(fields, REASONS)
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Evidence | None:
@@ -251,27 +247,18 @@ class Evidence:
         Raises
         ------
         InputError
-            If a field is missing or no number.
+            If a field has the wrong type, or is missing within one.
         """
-        if data.get("range") is None:
-            return None
-        verdict, remainder = data.get("verdict"), data.get("remainder")
-        heldout, noise = data.get("heldout_of_step"), data.get("noise")
-        return cls(
-            range=DataRange.from_json(data["range"]),
-            verdict=None if verdict is None else str(verdict),
-            remainder=None if remainder is None else Remainder.from_json(remainder),
-            heldout_of_step=None if heldout is None else _size(heldout, "heldout_of_step"),
-            fatal=tuple(str(sentence) for sentence in data.get("fatal") or ()),
-            model_error=None if data.get("model_error") is None else ModelError.from_json(data["model_error"]),
-            noise=None if noise is None else _size(noise, "noise"),
-            missed=tuple(Missed.from_json(one) for one in data.get("missed") or ()),
-        )
+        given = {field.name: data[field.name] for field in fields(cls) if data.get(field.name) is not None}
+        found = fields_of(cls, given, list(given))
+        return _sizes(cls(**found)) if "range" in found else None
 
 
-def _size(value: Any, name: str) -> float:
-    if value is None:
-        return float("inf")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value) or value < 0:
-        raise InputError(f"{name} must be a number that is not negative, got {str(value)[:40]!r}")
-    return float(value)
+def _sizes(found: T) -> T:
+    """Return a dataclass of which no number, nor one in its tuples, is negative."""
+    for field in fields(found):  # type: ignore[arg-type] # a dataclass
+        value = getattr(found, field.name)
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, float) and not one >= 0.0:
+                raise InputError(f"{field.name} must not be negative, got {one:g}")
+    return found

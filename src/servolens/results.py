@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
     from servolens.findings import Finding
 
-__all__ = ["STANDARD_OUTPUT", "check_writable", "envelope", "to_finite", "to_text", "write_atomically", "write_json"]
+__all__ = [
+    "STANDARD_OUTPUT", "check_writable", "envelope", "to_finite", "to_text", "with_reasons", "write_atomically",
+    "write_json",
+]  # fmt: skip
 
 STANDARD_OUTPUT = "-"
 
@@ -98,6 +101,27 @@ def to_finite(value: Any) -> Any:
     if hasattr(value, "tolist"):  # NumPy's arrays and scalars
         return to_finite(value.tolist())
     raise TypeError(f"{type(value).__name__} has no place in a result")
+
+
+def with_reasons(fields: dict[str, Any], reasons: Mapping[str, str]) -> dict[str, Any]:
+    """Return `fields` with a ``reason`` that says of each that is null why it is.
+
+    Parameters
+    ----------
+    fields : dict
+        Of an object of a result.
+    reasons : mapping of str to str
+        By the name of a field; those that are not null, or are not there, need none.
+
+    Examples
+    --------
+    >>> with_reasons({"noise": None}, {"noise": "not estimated"})
+    {'noise': None, 'reason': 'noise: not estimated'}
+    """
+    told = [f"{name}: {why}" for name, why in reasons.items() if fields.get(name, why) is None]
+    if not told:
+        return fields
+    return {**fields, "reason": "; ".join([*([fields["reason"]] if fields.get("reason") else []), *told])}
 
 
 def check_writable(path: Path) -> None:

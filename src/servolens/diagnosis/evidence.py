@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.decoding import read_fields
+from servolens.decoding import decoded, read_fields
 from servolens.identification.segments import applied_voltage
 from servolens.identification.smoothing import smooth
 
@@ -66,7 +66,7 @@ class Share:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Share:
         """Build the share from what :meth:`to_json` returned."""
-        low, high = data["range"]
+        low, high = decoded(tuple[float, float], data["range"], "range")
         return read_fields(cls, {**data, "low": low, "high": high})
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.decoding import fields_of, part, read_fields
 from servolens.errors import InputError
 from servolens.identification.segments import applied_voltage
 from servolens.record import Controller
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from servolens.record import Record
 
 __all__ = ["Logged"]
+
+POSITIVE = ("duration", "sample_time", "voltage_limit")
 
 
 @final
@@ -102,37 +105,16 @@ class Logged:
         InputError
             If a field is missing or no number.
         """
-        try:
-            loop = data["controller"]
-            given = None if loop is None else Controller(kp=data["kp"], kd=data["kd"], **loop)
-            limit = data["voltage_limit"]
-            return cls(
-                name=str(data["name"]),
-                controller=given,
-                start=_number(data["start"]),
-                reference=_number(data["reference"]),
-                duration=_number(data["duration"], positive=True),
-                sample_time=_number(data["sample_time"], positive=True),
-                position_range=_range(data["position_range"]),
-                voltage_range=_range(data["voltage_range"]),
-                voltage_limit=None if limit is None else _number(limit, positive=True),
-            )
-        except KeyError as error:
-            raise InputError(f"an experiment lacks {str(error.args[0])[:40]!r}") from None
-        except (TypeError, ValueError, AttributeError, OverflowError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError("a field of an experiment has the wrong type") from None
-
-
-def _range(values: Any) -> tuple[float, float]:
-    low, high = values
-    return _number(low), _number(high)
-
-
-def _number(value: Any, *, positive: bool = False) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(f"a number of an experiment must be finite, got {str(value)[:40]!r}")
-    if positive and value <= 0:
-        raise InputError(f"a time or limit of an experiment must be positive, got {value:g}")
-    return float(value)
+        loop = data["controller"]
+        if loop is not None:
+            own = part(data, "controller", lambda one: {"kp": data["kp"], "kd": data["kd"], **one})
+            loop = read_fields(Controller, own)
+        plain = [name for name in cls.__slots__ if name != "controller"]
+        found = cls(**fields_of(cls, data, plain), controller=loop)
+        for name in plain[1:]:
+            value = getattr(found, name)
+            if value is not None and not np.isfinite(value).all():
+                raise InputError(f"{name} of an experiment must be finite")
+            if name in POSITIVE and value is not None and value <= 0:
+                raise InputError(f"{name} of an experiment must be positive, got {value:g}")
+        return found

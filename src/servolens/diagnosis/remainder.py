@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.findings import Finding
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.noise import NoiseModel
-    from servolens.model_evidence import How
+    from servolens.model_evidence import How, Verdict
     from servolens.plant import Plant
     from servolens.record import Record
 
@@ -90,7 +90,7 @@ def _shaking(noise: NoiseModel, sample_time: float) -> tuple[float, float]:
 
 
 def evidence_of(
-    case: Case, chosen: Hypothesis, gains: Gains, verdict: str, remainder: Remainder, findings: Sequence[Finding]
+    case: Case, chosen: Hypothesis, gains: Gains, verdict: Verdict, remainder: Remainder, findings: Sequence[Finding]
 ) -> Evidence:
     """Return what the records say for and against `chosen`, the last of `gains`."""
     missed = _missed(case, held_errors(case, chosen, gains))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.decoding import decoded, fields_of, findings_in, read_fields
+from servolens.decoding import decoded, fields_of, findings_in, listed, part, read_fields
 from servolens.diagnosis.evidence import Instrument, Share
 from servolens.diagnosis.json_values import finite
 from servolens.diagnosis.logged import Logged
 from servolens.effects import effect_class
 from servolens.model import Model, Quantity
+from servolens.model_evidence import Verdict
 from servolens.result import Result
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Candidate", "Cause", "Diagnosis", "Errors", "RecordGain", "Verdict"]
 
-Verdict = Literal["healthy", "explained", "partly_explained", "unexplained"]
 SIMPLE = (
     "verdict", "baseline", "extended", "noise_floor", "remainder", "instruments", "next_experiment",
 )  # fmt: skip
@@ -163,11 +163,10 @@ class Cause:
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Cause:
         """Build the cause from what :meth:`to_json` returned."""
-        gain = dict(data.get("gain") or {})
-        known = {**data, "quantities": data.get("parameters"), "train": gain.get("train"), "heldout": None}
-        found = fields_of(cls, known, [name for name in cls.__slots__ if name != "heldout"])
-        held = gain.get("heldout")
-        return cls(**found, heldout=None if held is None else decoded(tuple[float, float], held, "heldout"))
+        gain = part(data, "gain", dict)
+        quantities = decoded(dict[str, Quantity], data["parameters"], "parameters")
+        errors = fields_of(cls, gain, ["train", "heldout"])
+        return cls(**fields_of(cls, data, ["effect", "confidence", "rivals"]), quantities=quantities, **errors)
 
 
 @final
@@ -290,26 +289,27 @@ class Diagnosis(Result):
 
         known = {"Experiment": Experiment, "Remainder": Remainder}
         return cls(
-            causes=tuple(Cause.from_json(one) for one in data["causes"]),
-            where=tuple(Share.from_json(one) for one in data["where"]),
-            gains=tuple(read_fields(RecordGain, one) for one in data["records"]),
-            candidates=tuple(Candidate.from_json(one) for one in data["candidates"]),
-            linear=Model.from_json(data["linear_model"]),
-            model=Model.from_json(data["model"]),
-            rival_plants={
-                str(name): tuple(Model.from_json(one).plant for one in found)
-                for name, found in data["rival_models"].items()
-            },
+            causes=listed(data, "causes", Cause.from_json),
+            where=listed(data, "where", Share.from_json),
+            gains=listed(data, "records", lambda one: read_fields(RecordGain, one)),
+            candidates=listed(data, "candidates", Candidate.from_json),
+            linear=part(data, "linear_model", Model.from_json),
+            model=part(data, "model", Model.from_json),
+            rival_plants=part(data, "rival_models", _plants),
             findings=findings_in(data),
             missed=(),
             records=(),
             heldout=(),
             remembered=(
-                tuple(Logged.from_json(one) for one in data["experiments"]),
-                tuple(Logged.from_json(one) for one in data.get("heldout_experiments", ())),
+                listed(data, "experiments", Logged.from_json),
+                listed({"heldout_experiments": [], **data}, "heldout_experiments", Logged.from_json),
             ),
             **fields_of(cls, data, SIMPLE, known),
         )
+
+
+def _plants(rivals: Mapping[str, Any]) -> dict[str, tuple[Plant, ...]]:
+    return {name: listed(rivals, name, lambda one: Model.from_json(one).plant) for name in rivals}
 
 
 def _model_json(plant: Plant) -> dict[str, Any]:

@@ -7,7 +7,7 @@ in the record itself, so that clean logs raise none.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Unpack, final
+from typing import TYPE_CHECKING, Any, Unpack, final
 
 from servolens.inputs import as_record
 from servolens.quality.beginning import beginning_findings
@@ -17,6 +17,7 @@ from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
 from servolens.quality.senses import sense_findings
 from servolens.quality.spikes import spike_findings, without_spikes
+from servolens.results import with_reasons
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -34,6 +35,12 @@ OF_THE_LOOP = (
     "position_shifted", "reference_shifted", "voltage_shifted", *FATAL,
 )  # fmt: skip
 """Findings that what a log states of its loop is wrong: neither a simulation of that loop nor a gain for it is sure."""
+REASONS = {
+    "quantisation_step": "the position shows no steps beyond its noise",
+    "voltage_range": "no voltage is logged",
+    **dict.fromkeys(("fitted_kp", "fitted_kd", "law_misfit"), "no control law can be compared with a logged voltage"),
+}
+"""Why a field is null."""
 
 
 @final
@@ -87,13 +94,14 @@ class RecordQuality:
     law_misfit: float | None
     findings: tuple[Finding, ...]
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, Any]:
         """Return the record's entry of the check schema; the findings stand beside the records there."""
-        return {
+        fields = {
             field: list(value) if isinstance(value := getattr(self, field), tuple) else value
             for field in self.__slots__
             if field != "findings"
         }
+        return with_reasons(fields, REASONS)
 
 
 def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality:
