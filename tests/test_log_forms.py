@@ -571,6 +571,34 @@ def test_a_last_line_with_labels_that_was_cut_is_left_out(tmp_path):
     assert notes(reading)["lines_left_out"] == f"the last line, '{last}', was left out: it does not hold all values."
 
 
+@pytest.mark.parametrize("head", ["", "kp: 60\n", "kp: 60\nkd: 4\nController starting\n\n"])
+def test_a_wrong_value_behind_a_label_is_named_by_its_line(tmp_path, head):
+    lines = [f"t_ms: {t * 1e3:.0f}, y: {y * 1e3:.4f} mm, u: {u:.3f}" for t, y, u in zip(T, Y, U, strict=True)]
+    lines[40] = "t_ms: 40, y: 3 kg, u: 3"
+    place = head.count("\n") + 41
+    assert refusal(tmp_path, head + "\n".join(lines) + "\n").startswith(f"line {place}, position: '3 kg' is no number")
+
+
+@pytest.mark.parametrize("separator", [" ", "; ", "\t", ", "])
+def test_decimal_commas_behind_labels_are_read_and_said(tmp_path, separator):
+    cells = [
+        texts(form, values)
+        for form, values in (("t_ms: {:.0f}", T * 1e3), ("soll_mm: {:.3f}", R * 1e3), ("ist_mm: {:.6f}", Y * 1e3))
+    ]
+    lines = ["kp: 60,5", *(separator.join(row).replace(".", ",") for row in zip(*cells, strict=True))]
+    reading = read_log(written(tmp_path, "\n".join(lines) + "\n"))
+    assert reading.record.time == pytest.approx(T, abs=1e-9)
+    assert reading.record.position == pytest.approx(Y, abs=1e-9)
+    assert reading.record.controller.kp == 60.5
+    assert notes(reading)["decimal_commas"].startswith("numbers such as 60,5 were read with a decimal comma.")
+
+
+def test_commas_beside_points_behind_labels_are_no_decimals(tmp_path):
+    lines = [f"t_ms: {t * 1e3:.0f} u: {u:.3f} ist_mm: {y * 1e3:.6f}" for t, u, y in zip(T, U, Y, strict=True)]
+    lines[30] = lines[30].replace(".", ",")
+    assert refusal(tmp_path, "\n".join(lines) + "\n").startswith("line 31 reads 't_ms: 30 u: ")
+
+
 def test_settings_above_lines_with_labels_are_taken(tmp_path):
     labels = "".join(f"r_mm: {r * 1e3:.3f} y_mm: {y * 1e3:.6f}\n" for r, y in zip(R, Y, strict=True))
     for head in ("kp: 60\nkd: 4 V s/m\n", "Controller starting\nkp: 60, kd: 4\n"):

@@ -14,15 +14,20 @@ _ARROW = re.compile(rb"(?m)^(\d\d:\d\d:\d\d\.\d+) -> ")
 _WORD = rb"[A-Za-z_][\w.\[\]]{0,40}"
 _LABEL = re.compile(rb"(?<![\w.])(" + _WORD + rb"(?: " + _WORD + rb"){0,4})[ \t]{0,3}[:=][ \t]{0,3}(?=[-+]?\.?\d|nan)")
 _CELL = re.compile(rb"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan)\s*([^\s\d,;:=][^\s,;:=]*)?\s*[,;]?\s*")
+_COMMA = re.compile(rb"(?<![\w.,])([-+]?\d+),(\d+)(?![.,]?\d)")
+"""A number with a decimal comma: labels begin with letters, so what stands before a digit separates no values."""
+_POINT = re.compile(rb"(?<![\w.,])[-+]?\d*\.\d")
 _SEPARATOR = re.compile(rb"[,;\t]")
 
 
-def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...]]:
-    r"""Return the text of a serial monitor as a table with a row of names, and what was left out; others as they are.
+def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...], int]:
+    r"""Return the text of a serial monitor as a table with a row of names, and remarks; others as they are.
 
-    The line in the middle tells: whether a stamp and an arrow stand before the values, and whether each value has a
-    label. Labels are taken off where most lines are nothing but the same labels with values. The first line and the
-    last may be parts of such a line; what stands above is a preamble, of which settings are taken.
+    The third value is by how many lines the rows of numbers stand further down than they did. The line in the middle
+    tells: whether a stamp and an arrow stand before the values, and whether each value has a label. Labels are taken
+    off where most lines are nothing but the same labels with values. The first line and the last may be parts of such
+    a line; what stands above is a preamble, of which settings are taken. Decimal commas become points where no value
+    has a point.
 
     Raises
     ------
@@ -37,17 +42,28 @@ def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...]]:
     b'12:00:00.001 1 0.5\n12:00:00.003 1 0.7\n'
     """
     line = _middle(content)
-    labels, _ = _labelled(_ARROW.sub(b"", line))
+    labels, _ = _labelled(_COMMA.sub(rb"\1.\2", _ARROW.sub(b"", line)))
     if len(labels) > 1:
-        lines = content.split(b"\n")
+        lines, remarks = _pointed(content)
         has_arrow = _ARROW.match(line) is not None
         rows = [_row(line, labels, has_arrow=has_arrow) for line in lines]
         if 2 * sum(row is not None for row in rows) > sum(bool(line.strip()) for line in lines):
-            return _written(lines, rows, [*([b"time"] if has_arrow else []), *labels])
+            return _written(lines, rows, [*([b"time"] if has_arrow else []), *labels], remarks)
     if arrow := _ARROW.match(line):
         found = _SEPARATOR.search(line, arrow.end())
         content = _ARROW.sub(rb"\1" + (found[0] if found else b" "), content)
-    return content, ()
+    return content, (), 0
+
+
+def _pointed(content: bytes) -> tuple[list[bytes], list[Finding]]:
+    """Return the lines with points for decimal commas, and that these were read; as they are where points stand."""
+    values = _ARROW.sub(b"", content)
+    found = _COMMA.search(values)
+    if found is None or _POINT.search(values):
+        return content.split(b"\n"), []
+    message = f"numbers such as {found[0].decode()} were read with a decimal comma."
+    remark = Finding(code="decimal_commas", severity="note", message=message)
+    return _COMMA.sub(rb"\1.\2", content).split(b"\n"), [remark]
 
 
 def _labelled(line: bytes) -> tuple[list[bytes], list[bytes]]:
@@ -69,19 +85,18 @@ def _row(line: bytes, labels: list[bytes], *, has_arrow: bool) -> list[bytes] | 
 
 
 def _written(
-    lines: list[bytes], rows: list[list[bytes] | None], names: list[bytes]
-) -> tuple[bytes, tuple[Finding, ...]]:
-    """Return the table, with the settings above it, and what was left out."""
+    lines: list[bytes], rows: list[list[bytes] | None], names: list[bytes], remarks: list[Finding]
+) -> tuple[bytes, tuple[Finding, ...], int]:
+    """Return the table, with the settings above it, remarks with what was left out, and how far the rows moved."""
     given = [i for i, line in enumerate(lines) if line.strip()]
     first = next(i for i in given if rows[i] is not None)
     head: list[bytes] = []
-    body = [b",".join(names)]
-    remarks: list[Finding] = []
+    body = [b""] * (len(lines) - first)
     for i in given:
         row, line = rows[i], lines[i].strip()
         settings = _settings(line)
         if row is not None:
-            body.append(b",".join(row))
+            body[i - first] = b",".join(row)
         elif i == given[-1] or (i == given[0] and _is_end(line, names)):
             remarks.append(_left_out("last" if i == given[-1] else "first", line))
         elif i < first and not set(settings) & set(names) and (settings or not _LABEL.search(line)):
@@ -91,7 +106,7 @@ def _written(
                 f"line {i + 1} reads {quote(line.decode(errors='replace'))}, where the others hold values with the"
                 f" labels {quote(', '.join(name.decode(errors='replace') for name in names))}; leave it out"
             )
-    return b"\n".join([*head, *body, b""]), tuple(remarks)
+    return b"\n".join([*head, b",".join(names), *body]), tuple(remarks), len(head) + 1 - first
 
 
 def _settings(line: bytes) -> dict[bytes, bytes]:

@@ -57,12 +57,16 @@ _END_OF_HEADER = "***End_of_Header***"
 @final
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How the lines of numbers are to be read: separator, decimal sign, layout, index of the first line."""
+    """How the lines of numbers are to be read: separator, decimal sign, layout, index of the first line.
+
+    `moved` is by how many lines they stand further down than in the file.
+    """
 
     separator: str
     decimal: str
     layout: Layout
     first: int
+    moved: int = 0
 
 
 def read_text(content: bytes) -> tuple[Table, ...]:
@@ -77,8 +81,8 @@ def read_text(content: bytes) -> tuple[Table, ...]:
         With one sentence that names the line.
     """
     plain, comments = _without_comments(unified(content))
-    plain, cut = as_table(plain)
-    form = _form(plain, comments)
+    plain, cut, moved = as_table(plain)
+    form = replace(_form(plain, comments), moved=moved)
     columns, remarks = _columns(plain, form)
     table = Table(
         columns=columns,
@@ -374,7 +378,7 @@ def _slow(body: bytes, form: _Form) -> tuple[Column, ...]:
 def _rows(body: bytes, form: _Form) -> Iterator[tuple[list[int], list[list[str]]]]:
     """Yield chunks of rows with the numbers of their lines."""
     width = len(form.layout.names)
-    at, line = 0, form.first
+    at, line = 0, form.first - form.moved
     while at < len(body):
         end = at
         for _ in range(LINES_AT_ONCE):
