@@ -861,5 +861,5 @@ def test_integral_and_cascade_are_read_with_their_units(write):
     found = read_record(write(drive + HEADER + ROWS))
     assert (found.command_unit, found.voltage_limit) == ("A", 3.0)
     assert found.controller == Controller(
-        kp=100.0, kd=5.0, integral_rate=10.0, velocity_feedforward=4.5, anti_windup="clamping"
+        kp=100.0, kd=5.0, integral_rate=10.0, velocity_feedforward=4.5, anti_windup="clamping", law="cascade"
     )

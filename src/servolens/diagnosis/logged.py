@@ -105,16 +105,26 @@ class Logged:
         InputError
             If a field is missing or no number.
         """
+        try:
+            return cls._from_json(data)
+        except InputError as error:
+            raise InputError(f"an experiment: {error}") from None
+
+    @classmethod
+    def _from_json(cls, data: Mapping[str, Any]) -> Logged:
         loop = data["controller"]
         if loop is not None:
             own = part(data, "controller", lambda one: {"kp": data["kp"], "kd": data["kd"], **one})
+            strange = next((name for name in own if name not in Controller.__slots__), None)
+            if strange is not None:
+                raise InputError(f"a controller has no setting {strange[:40]!r}")
             loop = read_fields(Controller, own)
         plain = [name for name in cls.__slots__ if name != "controller"]
         found = cls(**fields_of(cls, data, plain), controller=loop)
         for name in plain[1:]:
             value = getattr(found, name)
             if value is not None and not np.isfinite(value).all():
-                raise InputError(f"{name} of an experiment must be finite")
+                raise InputError(f"{name} must be finite")
             if name in POSITIVE and value is not None and value <= 0:
-                raise InputError(f"{name} of an experiment must be positive, got {value:g}")
+                raise InputError(f"{name} must be positive, got {value:g}")
         return found
