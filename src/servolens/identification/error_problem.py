@@ -161,6 +161,12 @@ class Problem:
         point.cost = self.cost(point)
         return point
 
+    def begun_again(self, point: Point) -> Point:
+        """Return the parameters of `point` where each run begins as they miss it least, see :meth:`start`."""
+        again = Point(point.values, [self._least_missed(point, i, run.start) for i, run in enumerate(self.runs)])
+        again.cost = self.cost(again)
+        return again
+
     def _least_missed(self, point: Point, i: int, known: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the initial state of run `i` by which it is missed least: a guess, at rest there, or a known one.
 
