@@ -114,7 +114,7 @@ class Walk:
     _part: tuple[float, float] = field(init=False, default=(0.0, 1.0))
 
     def __post_init__(self) -> None:
-        self.explorer = Explorer(self.trials, self.effort, self._told, self.known, self.is_enough, self.share)
+        self.explorer = Explorer(self.trials, self.effort, self._told, self.known, self.is_enough, SIMPLE * self.share)
 
     @property
     def work(self) -> int:
@@ -168,7 +168,7 @@ class Walk:
         self._part = self.parts[1]
         if share is not None:
             self.share = share + self.work / max(self.effort.work, 1.0)
-            self.explorer.grant(self.share)
+            self.explorer.grant(SIMPLE * self.share)
         return self._whole(begun, goes_on=goes_on, longer=longer, promising=promising)
 
     def _whole(
@@ -189,6 +189,7 @@ class Walk:
             early = False
         else:
             explorer.with_last_resorts = True
+            explorer.grant(self.share)
             further, early = self._walked([self.base], self.share * work)
             if self._has_ended:
                 return self._found(further)
