@@ -260,5 +260,5 @@ def _sizes(found: T) -> T:
         value = getattr(found, field.name)
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, float) and not one >= 0.0:
-                raise InputError(f"{field.name} must not be negative, got {one:g}")
+                raise InputError(f"{field.name} must be a number that is not negative, got {one:g}")
     return found
