@@ -230,8 +230,8 @@ class Walk:
         while len(path[-1].causes) < self.effort.causes:
             if not (explorer.budget.has_more(work) if steps else explorer.budget.left > 0.0):
                 return self._to_the_likeliest(path), True
-            steps += 1
             looked, self._looked = None if path[-1].causes else self._looked, None
+            steps += looked is None  # what was looked at before is paid for
             found, pairs = looked or self._next(path, beam)
             path[-1] = explorer.beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
