@@ -593,6 +593,18 @@ def test_decimal_commas_behind_labels_are_read_and_said(tmp_path, separator):
     assert notes(reading)["decimal_commas"].startswith("numbers such as 60,5 were read with a decimal comma.")
 
 
+def test_what_stands_above_values_with_labels_tells_nothing_of_their_decimal_sign(tmp_path):
+    whole = "".join(
+        f"t_ms: {t * 1e3:.0f}, r: {r * 1e6:.0f}, y: {y * 1e6:.0f}\n" for t, r, y in zip(T, R, Y, strict=True)
+    )
+    reading = read_log(written(tmp_path, "Limits 5,10\nkp: 60\n" + whole), units={"position": "um", "reference": "um"})
+    assert "decimal_commas" not in notes(reading)
+    parts = "".join(f"t_ms: {t * 1e3:.0f} r: {r:.4f} y: {y:.9f}\n" for t, r, y in zip(T, R, Y, strict=True))
+    reading = read_log(written(tmp_path, "Datum: 28.11.2026\nkp: 60\n" + parts.replace(".", ",")))
+    assert "decimal_commas" in notes(reading)
+    assert reading.record.position == pytest.approx(Y, abs=1e-9)
+
+
 def test_commas_beside_points_behind_labels_are_no_decimals(tmp_path):
     lines = [f"t_ms: {t * 1e3:.0f} u: {u:.3f} ist_mm: {y * 1e3:.6f}" for t, u, y in zip(T, U, Y, strict=True)]
     lines[30] = lines[30].replace(".", ",")

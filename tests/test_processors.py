@@ -244,7 +244,13 @@ def program():
     def start(text):
         pipe = subprocess.PIPE
         one = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM + text], stdout=pipe, stderr=pipe, text=True, start_new_session=True
+            [sys.executable, "-c", PROGRAM + text],
+            stdout=pipe,
+            stderr=pipe,
+            text=True,
+            start_new_session=True,
+            # a shell that runs tests in the background has them ignore Ctrl-C, which a program would inherit
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
         )
         started.append(one)
         assert one.stdout.readline() == "begun\n"

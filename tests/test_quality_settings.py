@@ -313,6 +313,21 @@ def test_settings_of_a_cascade_are_told_by_their_names(true, stated, said):
     assert found["settings_contradict_log"].startswith(f"the log fits {said}")
 
 
+@pytest.mark.parametrize(
+    ("true", "stated", "said"),
+    [
+        ({"kd": 0.0}, {"velocity_feedforward": 0.0}, "velocity_feedforward = 3 V s/m, not 0 ("),
+        ({"kd": 4.0}, {"velocity_feedforward": 0.0}, "velocity_feedforward = 3 V s/m, not 0 ("),
+        ({"kd": 4.0, "ki": 100.0}, {"ki": 0.0}, "ki = 100 V/(m s), not 0 ("),
+    ],
+)
+def test_feedforward_makes_a_pd_or_pid_law_no_cascade(true, stated, said):
+    loop = Controller(kp=60.0, velocity_feedforward=3.0, **true)
+    record = lab.step_record(RUBBING, seed=2, setup=lab.Setup(controller=loop, trajectory=RAMP))
+    found = told(record.with_({"controller": replace(loop, **stated)}))
+    assert found["settings_contradict_log"].startswith(f"the log fits {said}")
+
+
 def test_a_cascade_without_an_integral_is_told_and_designed_as_one(tmp_path):
     drive = Controller.cascade(kp=20.0, kv=5.0)
     record = lab.step_record(RUBBING, seed=2, duration=0.6, setup=lab.Setup(controller=drive))

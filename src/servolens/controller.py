@@ -195,7 +195,7 @@ class Controller:
     @property
     def is_cascade(self) -> bool:
         """Whether its gains are those of a cascade: stated as one, or of a form that no PID has."""
-        return self.law == "cascade" or self.integral_rate != 0 or self.velocity_feedforward != 0
+        return self.law == "cascade" or self.integral_rate != 0
 
     @property
     def integrates(self) -> bool:

@@ -238,7 +238,7 @@ def _name(record: Record, name: str) -> str:
 def _as_stated(controller: Controller, name: str) -> Any:
     """Return the value of a setting as the law states it: a cascade's integral gain, its share of the velocity."""
     value, kv = getattr(controller, name), controller.kd
-    if not controller.is_cascade or name not in STATED_AS:
+    if not controller.is_cascade or name not in STATED_AS or kv == 0.0:
         return value
     return value * kv if name == "integral_rate" else value / kv
 

@@ -44,7 +44,7 @@ def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...], int]:
     line = _middle(content)
     labels, _ = _labelled(_COMMA.sub(rb"\1.\2", _ARROW.sub(b"", line)))
     if len(labels) > 1:
-        lines, remarks = _pointed(content)
+        lines, remarks = _pointed(content.split(b"\n"), labels)
         has_arrow = _ARROW.match(line) is not None
         rows = [_row(line, labels, has_arrow=has_arrow) for line in lines]
         if 2 * sum(row is not None for row in rows) > sum(bool(line.strip()) for line in lines):
@@ -55,15 +55,25 @@ def as_table(content: bytes) -> tuple[bytes, tuple[Finding, ...], int]:
     return content, (), 0
 
 
-def _pointed(content: bytes) -> tuple[list[bytes], list[Finding]]:
-    """Return the lines with points for decimal commas, and that these were read; as they are where points stand."""
-    values = _ARROW.sub(b"", content)
-    found = _COMMA.search(values)
-    if found is None or _POINT.search(values):
-        return content.split(b"\n"), []
-    message = f"numbers such as {found[0].decode()} were read with a decimal comma."
+def _pointed(lines: list[bytes], labels: list[bytes]) -> tuple[list[bytes], list[Finding]]:
+    """Return the lines with points for decimal commas of labelled values, and that these were read.
+
+    As they are where a value has a point. What stands above the values, a date or settings, tells nothing of that.
+    """
+
+    def names(line: bytes) -> list[bytes]:
+        return _labelled(_ARROW.sub(b"", line))[0]
+
+    pointed = {i: _COMMA.sub(rb"\1.\2", line) for i, line in enumerate(lines) if _COMMA.search(_ARROW.sub(b"", line))}
+    changed = {i: line for i, line in pointed.items() if names(line)}
+    is_needed = any(names(line) == labels for line in changed.values())
+    has_points = any(names(line) == labels for line in lines if _POINT.search(_ARROW.sub(b"", line)))
+    if not is_needed or has_points:
+        return lines, []
+    found = _COMMA.search(_ARROW.sub(b"", lines[min(changed)]))
+    message = f"numbers such as {found[0].decode() if found else ''} were read with a decimal comma."
     remark = Finding(code="decimal_commas", severity="note", message=message)
-    return _COMMA.sub(rb"\1.\2", content).split(b"\n"), [remark]
+    return [changed.get(i, line) for i, line in enumerate(lines)], [remark]
 
 
 def _labelled(line: bytes) -> tuple[list[bytes], list[bytes]]:
