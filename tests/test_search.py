@@ -179,6 +179,19 @@ def test_friction_and_what_it_hides_are_found_together(seed, hidden, world):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "effects", "world"),
+    [
+        (911_791, {"coulomb_friction", "speed_servo"}, "white"),
+        (911_979, {"dead_zone", "flexible_coupling"}, "coloured"),
+    ],
+)
+def test_second_cause_is_looked_for_where_pairs_spent_the_effort(seed, effects, world):
+    campaign = lab.hidden_campaign(seed, effects=sorted(effects), world=world)
+    assert causes_of(campaign) == ("explained", effects)
+
+
+@pytest.mark.slow
 def test_drive_with_a_loop_of_its_own_is_found_together_with_friction():
     campaign = lab.hidden_campaign(610212, effects=["coulomb_friction", "speed_servo"], world="coloured")
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "speed_servo"})
