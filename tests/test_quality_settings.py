@@ -11,7 +11,7 @@ from servolens import Plant, lab, predict, read_record
 from servolens.checking import check
 from servolens.quality import fatal
 from servolens.record import Controller, Record
-from servolens.study.spec import _loop_of
+from servolens.study.spec import completed_spec
 
 RUBBING = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.5}})
 WORLDS = ("white", "coloured", "coarse", "hum")
@@ -334,6 +334,7 @@ def test_a_cascade_without_an_integral_is_told_and_designed_as_one(tmp_path):
     record.to_csv(tmp_path / "drive.csv")
     assert "# kv = 5.0 V s/m\n" in (tmp_path / "drive.csv").read_text()
     assert read_record(tmp_path / "drive.csv").controller == drive
-    assert _loop_of(record) | {"kp": 20.0, "controller": "cascade", "kiv": 0.0} == _loop_of(record)
+    spec = completed_spec([record], {"settling_time": 0.5})
+    assert (spec.controller, spec.kp, spec.kiv) == ("cascade", 20.0, 0.0)
     found = told(record.with_({"controller": Controller.cascade(kp=20.0, kv=6.0)}))
     assert "fits kp = 20 1/s, kv = 5 V s/m, not kp = 20 1/s, kv = 6 V s/m; " in found["gains_contradict_log"]
