@@ -136,6 +136,9 @@ def test_loop_that_no_settings_state_is_not_written(tmp_path):
     ):
         odd.to_csv(tmp_path / "run.csv")
     assert not [*tmp_path.iterdir()]
+    fed = Controller(kp=60, kd=2.0, velocity_feedforward=1.0)
+    RUN.with_({"controller": fed}).to_csv(tmp_path / "fed.csv")
+    assert dataclasses.replace(read_record(tmp_path / "fed.csv").controller, law="pd") == fed
     with pytest.raises(InputError, match=r"nowhere.run\.csv: cannot be written"):
         RUN.to_csv(tmp_path / "nowhere" / "run.csv")
 

@@ -59,7 +59,7 @@ def loop_settings(loop: Controller, length_unit: str, command_unit: str) -> dict
     """
     told = {name: getattr(loop, name) for name in SHARED if getattr(loop, name) != getattr(DEFAULT, name)}
     per_length = f"{command_unit}/{length_unit}"
-    if not loop.is_cascade:
+    if not loop.is_cascade and loop.velocity_feedforward == 0:
         own = {name: getattr(loop, name) for name in ("ki", "setpoint_weight", "derivative_on")}
         own = {name: value for name, value in own.items() if value != getattr(DEFAULT, name)}
         gains = {"kp": f"{float(loop.kp)!r} {per_length}", "kd": f"{float(loop.kd)!r} {command_unit} s/{length_unit}"}
