@@ -863,3 +863,15 @@ def test_integral_and_cascade_are_read_with_their_units(write):
     assert found.controller == Controller(
         kp=100.0, kd=5.0, integral_rate=10.0, velocity_feedforward=4.5, anti_windup="clamping", law="cascade"
     )
+
+
+def test_a_column_that_the_caller_maps_is_no_other_signal(tmp_path):
+    """A column named reference, mapped to the position, was taken for the reference as well."""
+    rows = (f"{0.01 * k},{0.001 * k * k},0.1,3" for k in range(9))
+    lines = ["time [s],reference [m],position [m],voltage [V]", *rows]
+    (tmp_path / "run.csv").write_text("\n".join(lines), encoding="utf-8")
+    read = read_record(tmp_path / "run.csv", columns={"position": "reference"})
+    assert read.reference is None
+    assert read.position[-1] == pytest.approx(0.064)
+    with pytest.raises(InputError, match="reference and position are both to be column 'position'; name one for each"):
+        read_record(tmp_path / "run.csv", columns={"reference": "position", "position": "3"})

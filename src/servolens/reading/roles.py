@@ -112,11 +112,14 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     absent = {signal for signal, name in mapping.items() if name.strip() == NONE}
     mapping = {signal: name for signal, name in mapping.items() if signal not in absent}
     found = _candidates(tables)
-    chosen: dict[str, Choice] = {}
-    for signal in sorted(set(SIGNALS) - absent, key=SIGNALS.index):
-        choice = _mapped(mapping[signal], signal, found) if signal in mapping else _named(signal, found)
-        if choice is not None:
-            chosen[signal] = choice
+    chosen = {signal: _mapped(name, signal, found) for signal, name in mapping.items()}
+    taken = {id(choice.column): signal for signal, choice in chosen.items()}
+    for signal, mapped in chosen.items():
+        if (other := taken[id(mapped.column)]) != signal:
+            raise InputError(f"{signal} and {other} are both to be column {quote(mapped.label)}; name one for each")
+    free = [c for c in found if id(c.column) not in taken]
+    named = {signal: _named(signal, free) for signal in SIGNALS if signal not in {*absent, *mapping}}
+    chosen |= {signal: choice for signal, choice in named.items() if choice}
     if not any(table.has_names for table in tables) and not {"time", "position"} <= set(chosen):
         raise InputError(_nameless(tables))
     for symbols in (False, True):
