@@ -26,8 +26,9 @@ from servolens.diagnosis.ordering import (
     with_twins,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
+from servolens.diagnosis.replacements import kin, last_resorts
 from servolens.diagnosis.trials import starts_to_fit
-from servolens.effects import Drive, Transmission, catalogue, effect_class
+from servolens.effects import Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
 from servolens.identification.likelihood import FEW, FULL, SOME
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.effort import Effort
     from servolens.diagnosis.trials import Start, Trials
+    from servolens.effects import Effect
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
@@ -89,6 +91,11 @@ class Explorer:
         self.budget.share = share
         self._freed_in_vain.clear()  # with more effort it may be worth while
 
+    @property
+    def has_pairs(self) -> bool:
+        """Whether pairs may still be looked for."""
+        return self._scored is not None
+
     def extended(self, beam: Sequence[Hypothesis], number: int) -> list[Hypothesis]:
         """Return the best extensions of the hypotheses in `beam` by one effect, the best first."""
         noise = beam[0].noise
@@ -131,16 +138,36 @@ class Explorer:
         begun = self._followed(self.trials.pairs(self.effort.fitted), base, 0)[: self.effort.fitted]
         followed, scores = self._followed([h.plant for h in begun], base, FEW), []
         if not self.likelihood.simulates:
-            for cls, starts in self.trials.hidden_beside_friction(base.plant).items():
-                # a transmission takes long; of a drive, the start says little about the end
-                most = self.effort.judged if issubclass(cls, Transmission) else self.effort.fitted
-                begun = self._followed(starts, base, 0)[:most]
-                followed += self._followed([h.plant for h in begun], base, FEW)
+            followed += self._hidden(base, (Drive, Transmission))
             scores = likeliest_pairs(test, scored, self.effort.judged, self.likelihood.price)
         proposed = [h for h in followed if not h.noise.is_model_error]
         likelier = best_of_each([h for h in (*proposed, *self._followed(scores, base, FEW)) if h.total < best.total])
         found = self.fitted([(h.plant, h) for h in likelier[: self.effort.judged]])
         return sorted([*found, *self._delayed()], key=by_total) if self.likelihood.simulates else found
+
+    def _hidden(self, base: Hypothesis, kinds: tuple[type[Effect], ...]) -> list[Hypothesis]:
+        """Return Coulomb friction with each effect of these `kinds`, a few iterations from the integral equation."""
+        found: list[Hypothesis] = []
+        for cls, starts in self.trials.hidden_beside_friction(base.plant).items():
+            if issubclass(cls, kinds):
+                # a transmission takes long; of a drive, the start says little about the end
+                most = self.effort.judged if issubclass(cls, Transmission) else self.effort.fitted
+                begun = self._followed(starts, base, 0)[:most]
+                found += self._followed([h.plant for h in begun], base, FEW)
+        return found
+
+    def _together(self, hypothesis: Hypothesis) -> list[Plant]:
+        """Return where friction and what it hides lead from the integral equation, if pairs were not looked for.
+
+        Found one after the other they may be at a lower minimum elsewhere.
+        """
+        effects = hypothesis.plant.effects
+        hidden = tuple(type(effect) for effect in effects if isinstance(effect, Drive | Transmission))
+        rubs = any(isinstance(effect, DryFriction) for effect in effects)
+        if self._scored is None or len(effects) != 2 or not (rubs and hidden):
+            return []
+        found = self._hidden(self._scored[0].hypothesis, hidden)
+        return [h.plant for h in sorted(found, key=by_total)[:1]]
 
     def _followed(self, plants: Sequence[Plant], base: Hypothesis, iterations: int) -> list[Hypothesis]:
         """Return where a few iterations beside the noise of `base` lead, the best first."""
@@ -323,7 +350,7 @@ class Explorer:
         known = {frozenset(h.causes) for h in self.judged}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
-            plants += [*self._as_good_alone(hypothesis), *self._kin(hypothesis), *with_twins(hypothesis.plant)]
+            plants += [*self._as_good_alone(hypothesis), *kin(self.trials, hypothesis), *with_twins(hypothesis.plant)]
         others = {
             causes: plant
             for plant in plants
@@ -369,16 +396,6 @@ class Explorer:
         """
         return INDISTINCT * (self.likelihood.remembered if hypothesis.noise.is_model_error else 1.0)
 
-    def _kin(self, hypothesis: Hypothesis) -> Iterator[Plant]:
-        """Yield the plant with a cause replaced by another one that generalises the same."""
-        for special in specialised(hypothesis.plant, self.trials.screen):
-            name = special.effects[-1].name
-            others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
-            test = ScoreTest(self.likelihood, replace(hypothesis, plant=special))
-            for other, cls in others.items():
-                starts = [] if cls.is_last_resort else self.trials.starts(test, other)
-                yield from (start.plant for start in starts[:1])
-
     def generalised(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what comes of a last resort in the place of causes that it generalises.
 
@@ -387,25 +404,16 @@ class Explorer:
         """
         if hypothesis.noise.rate > 0.0 or not self.is_enough(hypothesis):
             return hypothesis
-        found = self.fitted([(plant, hypothesis) for plant in self.last_resorts(hypothesis)])
+        found = self.fitted([(plant, hypothesis) for plant in last_resorts(self.trials, hypothesis)])
         return self.improved(found[0]) if found and found[0].total < hypothesis.total else hypothesis
-
-    def last_resorts(self, hypothesis: Hypothesis) -> Iterator[Plant]:
-        """Yield the plant with a last resort in the place of causes that it generalises, or of their kin."""
-        for plant in (hypothesis.plant, *specialised(hypothesis.plant, self.trials.screen)):
-            test = ScoreTest(self.likelihood, replace(hypothesis, plant=plant))
-            for name, cls in catalogue().items():
-                if cls.is_last_resort and set(cls.generalises) & {effect.name for effect in plant.effects}:
-                    starts = self.trials.starts(test, name)[:1]
-                    yield from (start.plant for start in starts if start.gain > self.trials.price(cls))
 
     def settled(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what explains as much more simply: special forms, and effects that unite two."""
         if not hypothesis.causes:
             return hypothesis
         hypothesis = self.generalised(hypothesis)
-        others = [*specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)]
-        forms = self.fitted([(plant, hypothesis) for plant in others])
+        others = *specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)
+        forms = self.fitted([(plant, hypothesis) for plant in (*others, *self._together(hypothesis))])
         known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
         best = min([hypothesis, *forms, *known], key=by_total)
         simpler = sorted((h for h in forms if h is not best), key=lambda h: h.plant.unusual)

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, final
 
+import numpy as np
+
 from servolens.diagnosis.explorer import INDISTINCT, Explorer
 from servolens.diagnosis.ordering import (
     beside_shaking,
@@ -15,6 +17,7 @@ from servolens.diagnosis.ordering import (
     distinct,
     families,
 )
+from servolens.diagnosis.replacements import last_resorts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -200,6 +203,8 @@ class Walk:
                 path, early = self._walked(path, longer * work)
                 if self._has_ended:
                     return self._found(path)
+        if is_enough(path[-1]):
+            explorer.grant(1.0)  # of the effort: nothing else needs it
         chosen = explorer.settled(path[-1])
         return self._found([*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], early=early)
 
@@ -268,20 +273,32 @@ class Walk:
             found = sorted([self.explorer.freed(found[0]), *found[1:]], key=by_total)
         hidden = self.trials.likelihood.simulates  # where no model is the axis, two effects may hide each other
         if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):
-            pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
+            pairs = self._beside_likeliest(path[-1], found)
+            if not pairs:
+                pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             if hidden or found[0].total >= path[-1].total or any(self.is_enough(h) for h in pairs):
                 found = sorted([*found, *pairs], key=by_total)
         return found, pairs
 
+    def _beside_likeliest(self, base: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return the likeliest single cause with a second one if that leaves nothing: cheaper than all other pairs."""
+        explorer, is_likelier = self.explorer, bool(singles) and singles[0].total < base.total
+        if not is_likelier or self.effort.causes == 1 or explorer.budget.left <= 0.0 or not explorer.has_pairs:
+            return []
+        second = explorer.extended(singles[:1], 1)[:1]
+        return [h for h in second if h.total < singles[0].total and self.is_enough(h)]
+
     def _without_observer(self, pairs: Sequence[Hypothesis] = ()) -> Hypothesis | None:
         """Return what leaves nothing if nothing shakes the axis, and end with it; None if nothing does.
 
-        Asked once are the likeliest hypotheses, and the likeliest of the `pairs`: among what an observer helps the true
-        one need not be the first.
+        Asked once are the likeliest hypotheses, those that are likelier than all that need less of an observer, and the
+        likeliest of the `pairs`: among what an observer helps the true one need not be the first.
         """
-        likeliest = best_of_each([h for h in self.explorer.judged if h.causes])[: self.effort.judged]
-        asked = distinct([*likeliest, *pairs[:1]])
+        likeliest = best_of_each([h for h in self.explorer.judged if h.causes])
+        least = np.minimum.accumulate([np.inf, *(h.noise.rate for h in likeliest)])
+        front = [h for h, before in zip(likeliest, least, strict=False) if h.noise.rate < before]
+        asked = distinct([*likeliest[: self.effort.judged], *front[: self.effort.judged], *pairs[:1]])
         observed = [h for h in asked if h.noise.rate > 0.0 and frozenset(h.causes) not in self._asked]
         self._asked |= {frozenset(h.causes) for h in observed}
         alone = (self.unobserved(h, self.explorer.budget.allowance(1 + len(observed))) for h in observed)
@@ -295,7 +312,7 @@ class Walk:
         other = None if self.is_enough(best) else self.ends(best, explorer.budget.allowance(1))
         if other is None:
             return False
-        resorts = explorer.fitted([(plant, best) for plant in explorer.last_resorts(best)])
+        resorts = explorer.fitted([(plant, best) for plant in last_resorts(self.trials, best)])
         return not resorts or resorts[0].total >= other.total
 
     def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:

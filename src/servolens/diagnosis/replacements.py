@@ -1,0 +1,40 @@
+"""Plants with a cause replaced by one of the same family, as large as a score test has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from servolens.diagnosis.ordering import specialised
+from servolens.effects import catalogue
+from servolens.identification.score import ScoreTest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from servolens.diagnosis.trials import Trials
+    from servolens.identification.hypothesis import Hypothesis
+    from servolens.plant import Plant
+
+__all__ = ["kin", "last_resorts"]
+
+
+def kin(trials: Trials, hypothesis: Hypothesis) -> Iterator[Plant]:
+    """Yield the plant with a cause replaced by another one that generalises the same."""
+    for special in specialised(hypothesis.plant, trials.screen):
+        name = special.effects[-1].name
+        others = {n: c for n, c in catalogue().items() if name in c.generalises and n not in hypothesis.causes}
+        test = ScoreTest(trials.likelihood, replace(hypothesis, plant=special))
+        for other, cls in others.items():
+            starts = [] if cls.is_last_resort else trials.starts(test, other)
+            yield from (start.plant for start in starts[:1])
+
+
+def last_resorts(trials: Trials, hypothesis: Hypothesis) -> Iterator[Plant]:
+    """Yield the plant with a last resort in the place of causes that it generalises, or of their kin."""
+    for plant in (hypothesis.plant, *specialised(hypothesis.plant, trials.screen)):
+        test = ScoreTest(trials.likelihood, replace(hypothesis, plant=plant))
+        for name, cls in catalogue().items():
+            if cls.is_last_resort and set(cls.generalises) & {effect.name for effect in plant.effects}:
+                starts = trials.starts(test, name)[:1]
+                yield from (start.plant for start in starts if start.gain > trials.price(cls))
