@@ -11,7 +11,7 @@ from servolens import Plant, diagnose, lab
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT, shared, work_for
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, delays, with_lag_for_damping, with_twins
+from servolens.diagnosis.ordering import beside_shaking, delays, parted, with_lag_for_damping, with_twins
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials
 from servolens.effects import (
@@ -168,6 +168,21 @@ def test_friction_beside_what_it_hides_begins_where_it_can_be_found():
     assert {cls.name for cls in hidden} >= {"speed_servo", "backlash", "flexible_coupling"}
     for starts in hidden.values():
         assert all(plant.effect("coulomb_friction").level > 0.0 for plant in starts)
+
+
+def test_friction_by_direction_beside_stribeck_friction_is_that_and_a_constant_force():
+    """Its levels may not be negative: a third cause made up for that, and the constant force was not found."""
+    uneven = CATALOGUE["asymmetric_friction"](level_positive=0.0, level_negative=0.2)
+    stribeck = CATALOGUE["stribeck_friction"](level=0.03, static_excess=0.02, stribeck_speed=0.04)
+    drag = CATALOGUE["quadratic_drag"](drag=0.1)
+    plant = Plant(gain=1.7, damping=6.6, effects=(uneven, drag, stribeck))
+    whole, *others = parted(plant)
+    assert {effect.name for effect in whole.effects} == {"constant_force", "stribeck_friction", "quadratic_drag"}
+    assert whole.effect("constant_force").acceleration == pytest.approx(-0.1)
+    assert whole.effect("stribeck_friction").level == pytest.approx(0.13)
+    assert [{*whole.effects} - {*other.effects} for other in others] == [
+        {whole.effect("quadratic_drag")}, {whole.effect("stribeck_friction")},
+    ]  # fmt: skip
 
 
 @pytest.mark.slow

@@ -74,11 +74,12 @@ def decided_beside_loop_rate(
         return found[0]
     cases += _faster(held, priors, candidates, OTHERS)
     likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total))
-    found.append(decided(likeliest, effort, lambda what, share: tell(what, 0.5 + 0.5 * share)))
+    part = replace(effort, work=0.5 * effort.work)  # of two further searches each half
+    found.append(decided(likeliest, part, lambda what, share: tell(what, 0.5 + 0.5 * share)))
     if not _explains(found[-1]):
         again = min((held, *cases), key=lambda case: _beside(case, found[-1]))
         if again is not likeliest and again is not held:
-            found.append(decided(again, effort, tell))
+            found.append(decided(again, part, tell))
     chosen = min(found, key=lambda one: (not _explains(one), _simulated_error(one)))
     return chosen if _fastest(chosen.case).ticks == 1 else _told(chosen)
 

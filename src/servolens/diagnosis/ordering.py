@@ -114,13 +114,30 @@ def united(plant: Plant) -> Iterator[Plant]:
 
 
 def parted(plant: Plant) -> Iterator[Plant]:
-    """Yield `plant` with one effect replaced by those that it unites, which may be more together than it can be."""
+    """Yield `plant` with one effect replaced by those that it unites, which may be more together than it can be.
+
+    One of these that stands already in a more general form is added to that: of friction that differs by direction
+    beside Stribeck friction, only the constant force is new. Then without another effect each: it may have made up for
+    what the one could not be.
+    """
     for effect in plant.effects:
         parts = effect.parts()
         if parts:
             others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
             with suppress(InputError):  # where one of them stands already
-                yield reduce(Plant.with_effect, parts, others)
+                whole = reduce(_with_part, parts, others)
+                yield whole
+                yield from (whole.without_effect(other.name) for other in others.effects)
+
+
+def _with_part(plant: Plant, part: Effect) -> Plant:
+    """Return `plant` with a `part`; a friction that generalises it takes its level instead."""
+    for effect in plant.effects:
+        values = {spec.name: value for spec, value in zip(effect.parameters(), effect.values, strict=True)}
+        if part.name in effect.generalises and part.values and "level" in values:
+            fuller = Plant.effect_from(effect.name, {**values, "level": values["level"] + part.values[0]})
+            return replace(plant, effects=tuple(fuller if e is effect else e for e in plant.effects))
+    return plant.with_effect(part)
 
 
 def with_twins(plant: Plant) -> Iterator[Plant]:
