@@ -448,6 +448,13 @@ def test_causes_with_which_held_out_data_are_missed_by_more_are_not_said_to_help
     assert "the held-out error falls from" in verdict_sentence(rubbing)
 
 
+def test_cause_at_less_than_even_odds_is_one_of_several_explanations(rubbing):
+    """A constant force at a confidence of 3.6 % was called the cause."""
+    assert "the cause is Coulomb friction (" in verdict_sentence(rubbing)
+    unsure = replace(rubbing, causes=tuple(replace(cause, confidence=0.036) for cause in rubbing.causes))
+    assert "one of several explanations is Coulomb friction (" in verdict_sentence(unsure)
+
+
 @pytest.mark.parametrize("error", [1.0, math.inf, math.nan])
 def test_causes_with_which_the_simulation_diverges_are_told_so(rubbing, error):
     """Off by more than an axis travels is no error of its model: 1 m of 0.1 m, or not a number."""

@@ -254,10 +254,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     runs_away = _diverges(diagnosis, after=False) and not _diverges(diagnosis, after=True)
     where = _where(diagnosis)
     start = f"{where}; " if where else ""
-    if diagnosis.verdict == "explained":
-        start += f"the cause{'s are' if len(causes) > 1 else ' is'} {names}"
-    else:
-        start += f"part of {'it' if where else 'the error'} is explained by {names}"
+    start += _named(diagnosis, names, f"part of {'it' if where else 'the error'} is explained by")
     unit_ = diagnosis.plant.length_unit
     errors = (_error(diagnosis, after=False), _error(diagnosis, after=True), diagnosis.noise_floor)
     held = "held-out " if diagnosis.extended.heldout_rms_error is not None else ""
@@ -290,6 +287,15 @@ def _verdict(diagnosis: Diagnosis) -> str:
         f"{start}; but simulations{loop} miss more with {them}: the {held}error is {after} with {them}, {before}"
         f" without (r.m.s., the noise is {noise})."
     )
+
+
+def _named(diagnosis: Diagnosis, names: str, partly: str) -> str:
+    """Return the `names` as the causes, as what explains `partly`, or, at less than even odds, as one of several."""
+    if diagnosis.verdict != "explained":
+        return f"{partly} {names}"
+    if min(cause.confidence for cause in diagnosis.causes) < 0.5:
+        return f"one of several explanations is {names}"
+    return f"the cause{'s are' if len(diagnosis.causes) > 1 else ' is'} {names}"
 
 
 def _healthy(diagnosis: Diagnosis) -> str:
