@@ -875,3 +875,21 @@ def test_a_column_that_the_caller_maps_is_no_other_signal(tmp_path):
     assert read.position[-1] == pytest.approx(0.064)
     with pytest.raises(InputError, match="reference and position are both to be column 'position'; name one for each"):
         read_record(tmp_path / "run.csv", columns={"reference": "position", "position": "3"})
+
+
+def test_a_mapped_column_decides_for_no_other_of_its_name(tmp_path):
+    """Of two sheets with a velocity one was mapped to the reference: the other was taken silently, not the drive's."""
+    time = np.arange(300) * 1e-3
+    position = 1e-3 * np.sin(20 * time)
+    speed = np.gradient(position, time)
+    sheets = {
+        "drive": {"time": time, "position": position, "speed": speed, "voltage": 5 * position},
+        "cmd": {"time": time, "velocity": 1.1 * position},
+        "axis2": {"time": time, "velocity": 7 * speed},
+    }
+    with pd.ExcelWriter(tmp_path / "log.xlsx") as book:
+        for sheet, columns in sheets.items():
+            pd.DataFrame(columns).to_excel(book, sheet_name=sheet, index=False)
+    read = read_record(tmp_path / "log.xlsx", columns={"reference": "cmd/velocity"})
+    assert read.reference == pytest.approx(1.1 * position)
+    assert read.velocity == pytest.approx(speed)

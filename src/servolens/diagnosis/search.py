@@ -92,7 +92,7 @@ def search(
         if observed is None:
             left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
             begun = _telling(unshaken, effort) if unshaken else ()
-            observed = observing.whole(begun, share=max(left, 0.0))
+            observed = observing.whole(begun, share=max(left, SPENT))  # where the other has spent it all, too
     finally:
         trials.likelihood.tally.add(observing.work + (alone.work if alone else 0))
     if not (observing.has_asked(observed.chosen) and is_enough(observed.chosen)):

@@ -282,9 +282,13 @@ class Walk:
         return found, pairs
 
     def _beside_likeliest(self, base: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the likeliest single cause with a second one if that leaves nothing: cheaper than all other pairs."""
+        """Return the likeliest single cause with a second one if that leaves nothing: cheaper than all other pairs.
+
+        Not where no model is the axis, which all leave something.
+        """
         explorer, is_likelier = self.explorer, bool(singles) and singles[0].total < base.total
-        if not is_likelier or self.effort.causes == 1 or explorer.budget.left <= 0.0 or not explorer.has_pairs:
+        may_explain = is_likelier and self.effort.causes > 1 and not self.trials.likelihood.simulates
+        if not may_explain or explorer.budget.left <= 0.0 or not explorer.has_pairs:
             return []
         second = explorer.extended(singles[:1], 1)[:1]
         return [h for h in second if h.total < singles[0].total and self.is_enough(h)]

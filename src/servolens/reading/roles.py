@@ -117,9 +117,8 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     for signal, mapped in chosen.items():
         if (other := taken[id(mapped.column)]) != signal:
             raise InputError(f"{signal} and {other} are both to be column {quote(mapped.label)}; name one for each")
-    free = [c for c in found if id(c.column) not in taken]
-    named = {signal: _named(signal, free) for signal in SIGNALS if signal not in {*absent, *mapping}}
-    chosen |= {signal: choice for signal, choice in named.items() if choice}
+    named = {signal: _named(signal, found) for signal in SIGNALS if signal not in {*absent, *mapping}}
+    chosen |= {signal: choice for signal, choice in named.items() if choice and id(choice.column) not in taken}
     if not any(table.has_names for table in tables) and not {"time", "position"} <= set(chosen):
         raise InputError(_nameless(tables))
     for symbols in (False, True):
