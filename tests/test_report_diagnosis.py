@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import re
@@ -35,6 +36,7 @@ from servolens.report.plots_diagnosis import (
     plot_residuals,
     plot_shares,
 )
+from servolens.report.style import panel_figure
 from servolens.report.svg import svg
 from servolens.report.wording import symbol_text
 from servolens.simulation import simulate
@@ -372,6 +374,26 @@ def test_shares_are_bars_under_their_samples():
     assert [bar.get_alpha() for bar in ax.patches] == [0.35, 1.0, 0.35]
     assert [line[0, 1] for line in ax.collections[0].get_segments()] == samples.tolist()
     assert ax.get_xlabel() == "Speed [m/s]"
+
+
+@pytest.mark.parametrize("width", [1.2, 2.6, 5.6])
+@pytest.mark.parametrize(
+    "texts",
+    [("0.00064", "0.0012", "0", "0.99"), ("0", "12", "5", "7"), ("−0.000079", "123456", "−4.8", "−0.00000012")],
+    ids=["speed", "short", "long"],
+)
+def test_ticks_of_shares_never_touch(texts, width):
+    share = np.full(12, 100 / 12)
+    for places in itertools.permutations((0.0, 1.0, 4.0, 12.0)):
+        figure, ax = panel_figure(2.2, width, 0.55)
+        ticks = [*zip(places, texts, strict=True)]
+        plot_shares(share, share, ticks, np.zeros(12, dtype=bool), xlabel="Speed [m/s]", ax=ax)
+        figure.draw_without_rendering()
+        labels = ax.get_xticklabels()
+        boxes = sorted((label.get_window_extent() for label in labels), key=lambda box: box.x0)
+        assert all(right.x0 > left.x1 for left, right in itertools.pairwise(boxes))
+        assert texts[0] in [label.get_text() for label in labels], "the most welcome is there"
+        assert boxes[-1].x1 < figure.bbox.x1
 
 
 def test_pieces_are_points_with_the_law_through_them():

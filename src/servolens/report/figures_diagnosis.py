@@ -92,7 +92,8 @@ def _draw_share(ax: Axes, share: Share) -> None:
         factor, text = _scaled(high[-1] if abs(high[-1]) > abs(low[0]) else low[0], share.unit)
         edges = factor * np.append(low, high[-1])
         ends = np.flatnonzero(np.diff(worst, prepend=False, append=False)).tolist()
-        ticks = [(float(place), edge_text(edges, place)) for place in _apart([*ends, 0, worst.size], worst.size)]
+        welcome = dict.fromkeys([*ends, 0, worst.size])
+        ticks = [(float(place), edge_text(edges, place)) for place in welcome]
         xlabel = f"{name.capitalize()} [{text}]"
     plot_shares(100 * error, 100 * samples, ticks, worst, xlabel=xlabel, title=title, ax=ax)
     ax.set_ylabel("Share [%]")
@@ -105,15 +106,6 @@ def edge_text(edges: NDArray[np.float64], place: int) -> str:
     nothing = 1e-3 if place == 0 else 1e-9  # inside, no more than rounding of the log
     text = "0" if abs(edges[place]) < nothing * largest else number(float(f"{edges[place]:.1e}"))
     return minus(text)
-
-
-def _apart(places: Sequence[int], size: int) -> list[int]:
-    """Return those of `places`, the first most welcome, whose numbers do not run into each other."""
-    kept: list[int] = []
-    for place in places:
-        if all(abs(place - other) >= 0.2 * size for other in kept):
-            kept.append(place)
-    return sorted(kept)
 
 
 def _scaled(largest: float, text: str) -> tuple[float, str]:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     import numpy as np
     from matplotlib.axes import Axes
+    from matplotlib.transforms import Bbox
     from numpy.typing import NDArray
 
     from servolens.report.curves import Curve
@@ -71,7 +72,8 @@ def plot_shares(
     error, samples : ndarray, shape (n,)
         Shares of each bin [%].
     ticks : sequence of (float, str)
-        Places on the axis, on which bin i reaches from i to i + 1, and what stands there.
+        Places on the axis, on which bin i reaches from i to i + 1, and what stands there, the most welcome first.
+        Those that would touch one before them are left out.
     worst : ndarray of bool, shape (n,)
         Bins to stress.
     xlabel : str
@@ -85,15 +87,29 @@ def plot_shares(
     for i, (height, stressed) in enumerate(zip(error, worst, strict=True)):
         ax.bar(i + 0.5, height, width=0.84, color=COLOUR_BEFORE, alpha=1.0 if stressed else 0.35, zorder=2)
     ax.hlines(samples, [i + 0.04 for i in range(samples.size)], [i + 0.96 for i in range(samples.size)], color=INK)
-    marks = ax.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
-    for mark, (place, _) in zip(marks, ticks, strict=True):
-        if place >= error.size:  # there is no room beyond
-            mark.label1.set_horizontalalignment("right")
     ax.set_xlim(0.0, float(error.size))
+    _label(ax, sorted(_apart(_label(ax, ticks), ticks)))
     ax.set_ylim(0.0, 1.08 * float(max(error.max(), samples.max())))
     ax.grid(visible=False, axis="x")
     ax.set(xlabel=xlabel, title=title)
     return ax
+
+
+def _label(ax: Axes, ticks: Sequence[tuple[float, str]]) -> list[Bbox]:
+    """Write the ticks, and return where each text lies."""
+    marks = ax.set_xticks([place for place, _ in ticks], [text for _, text in ticks])
+    for mark, (place, _) in zip(marks, ticks, strict=True):  # there is no room beyond the end
+        mark.label1.set_horizontalalignment("right" if place >= ax.get_xlim()[1] else "center")
+    return [mark.label1.get_window_extent() for mark in marks]
+
+
+def _apart(boxes: Sequence[Bbox], ticks: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+    """Return those of `ticks`, the first most welcome, that are as far from each other as a line is high."""
+    kept: list[tuple[Bbox, tuple[float, str]]] = []
+    for box, tick in zip(boxes, ticks, strict=True):
+        if all(max(box.x0 - other.x1, other.x0 - box.x1) >= box.height for other, _ in kept):
+            kept.append((box, tick))
+    return [tick for _, tick in kept]
 
 
 @styled
