@@ -215,6 +215,7 @@ def test_lags_that_give_the_same_records_are_rivals_that_no_step_parts(lagging, 
     assert {cause["effect"], *cause["rivals"]} == {"actuator_lag", "sensor_lag"}
     assert set(lagging["rival_models"]) == {cause["effect"]}
     assert lagging["next_experiment"] is None
+    assert lagging["reason"] == "next_experiment: no safe step like those logged would tell the rivals apart"
     (tmp_path / "lag.json").write_text(json.dumps(lagging), encoding="utf-8")
     assert "tell the rivals apart" in result("next", "next", tmp_path / "lag.json", status=1)["reason"]
 
@@ -618,6 +619,17 @@ def test_what_the_records_hold_beside_the_motion_is_told_once(found):
     assert "The sensor shows a ripple of the mains at 50 Hz." in summary.sentences
     assert len(re.findall(r"(?:the noise is|Noise) 0?\.?(?:019|02\d|19|2\d) [µm]m", " ".join(summary.sentences))) == 1
     assert not {"noise_model", "mains_ripple"} & {finding.code for finding in summary.findings}
+
+
+def test_diagnosis_that_proposes_nothing_says_why(found):
+    (cause,) = found.causes
+    alone = replace(found, causes=(replace(cause, rivals=()),), rival_plants={}, next_experiment=None)
+    assert alone.to_json()["reason"].startswith("next_experiment: the diagnosis names no rivals")
+    twin = replace(alone, causes=(replace(cause, rivals=("dead_zone",)),))
+    assert "give the same records whatever is done" in twin.to_json()["reason"]
+    rival = replace(twin, rival_plants={cause.effect: (found.linear.plant,)})
+    assert "no safe step like those logged" in rival.to_json()["reason"]
+    assert type(found).from_json(json.loads(to_text(rival.to_json()))).to_json() == rival.to_json()
 
 
 def test_errors_that_are_not_finite_are_null_with_a_reason(found):

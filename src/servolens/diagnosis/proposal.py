@@ -109,13 +109,7 @@ def _from_diagnosis(diagnosis: Diagnosis) -> Proposal:
     plant, rivals = diagnosis.plant, diagnosis.rival_plants
     sure = {cause.effect: cause.confidence for cause in diagnosis.causes}
     experiment = proposed(plant, rivals, sure, diagnosis.experiments, noise=diagnosis.noise_floor)
-    if any(rivals.values()):
-        reason = "no safe step like those logged would tell the rivals apart"
-    elif any(cause.rivals for cause in diagnosis.causes):
-        reason = "the rivals that the diagnosis names give the same records whatever is done, or were not fitted"
-    else:
-        reason = "the diagnosis names no rivals, so there is nothing to tell apart"
-    return _proposal(plant, experiment, reason)
+    return _proposal(plant, experiment, diagnosis.why_nothing_next)
 
 
 def _from_model(model: Model, kp: float | None, reference: float | None) -> Proposal:

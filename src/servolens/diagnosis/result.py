@@ -13,6 +13,7 @@ from servolens.effects import effect_class
 from servolens.model import Model, Quantity
 from servolens.model_evidence import Verdict
 from servolens.result import Result
+from servolens.results import with_reasons
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -250,10 +251,19 @@ class Diagnosis(Result):
         """The plant with the causes."""
         return self.model.plant
 
+    @property
+    def why_nothing_next(self) -> str:
+        """Why no experiment is proposed, where none is."""
+        if any(self.rival_plants.values()):
+            return "no safe step like those logged would tell the rivals apart"
+        if any(cause.rivals for cause in self.causes):
+            return "the rivals that the diagnosis names give the same records whatever is done, or were not fitted"
+        return "the diagnosis names no rivals, so there is nothing to tell apart"
+
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.diagnosis/1`` without the file's header."""
         unit = self.plant.length_unit
-        return {
+        result = {
             "verdict": self.verdict,
             "causes": [cause.to_json(unit) for cause in self.causes],
             "baseline": self.baseline.to_json(),
@@ -280,6 +290,7 @@ class Diagnosis(Result):
             "experiments": [logged.to_json() for logged in self.experiments],
             "heldout_experiments": [logged.to_json() for logged in self.tests],
         }
+        return with_reasons(result, {"next_experiment": self.why_nothing_next})
 
     @classmethod
     def _read(cls, data: Mapping[str, Any]) -> Diagnosis:
