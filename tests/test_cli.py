@@ -415,6 +415,8 @@ USAGE = {
     "empty name": (["check", ""], "empty"),
     "varying model file": (["identify", "r.csv", "--model", "varying", "--out", "m.json"], "varying"),
     "json folder": (["check", "r.csv", "--json", "no/such/x.json"], "no/such/x.json: the folder"),
+    "json without a name": (["check", "r.csv", "--json", ""], "--json needs the name of a file, this name is empty"),
+    "model without a name": (["predict", "", "r.csv"], "a model's file name is empty"),
     "json is a folder": (["check", "r.csv", "--json", "."], "folder"),
     "json over input": (["check", "r.csv", "--json", "r.csv"], "would overwrite"),
     "json over out": (["identify", "r.csv", "--json", "x.json", "--out", "x.json"], "would overwrite"),

@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+
 from servolens.errors import InputError, ServolensError
 from servolens.results import STANDARD_OUTPUT, check_writable
 
@@ -161,6 +163,8 @@ def load_models(files: Sequence[str]) -> list[Model]:
     models = []
     for name in files:
         path = Path(name)
+        if not name:
+            raise click.UsageError("a model's file name is empty")
         if path.exists() and not path.is_file():
             raise InputError(f"{name}: is a folder or a device; give a file that `servolens identify --out` wrote")
         try:
@@ -218,6 +222,8 @@ def check_page(name: str | None) -> None:
 
 def _check_output(option: str, name: str) -> None:
     path = Path(name)
-    if not name.strip() or path.is_dir():
-        raise InputError(f"{name or option}: {option} needs the name of a file, this is a folder")
+    if not name.strip():
+        raise click.UsageError(f"{option} needs the name of a file, this name is empty")
+    if path.is_dir():
+        raise InputError(f"{name}: {option} needs the name of a file, this is a folder")
     check_writable(path)
