@@ -186,7 +186,7 @@
   /* Cells that a spreadsheet would take for a formula are kept as text */
   const cell = (value) => {
     if (typeof value === "number") return Number.isFinite(value) ? String(value) : "";
-    const text = /^[=+\-@\t\r]/.test(value) ? `'${value}` : value;
+    const text = /^ *[=+\-@＝＋－＠\t\r]/.test(value) ? `'${value}` : value;
     return /[",\n\r']/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
   };
   const table = (told, figure) => {
