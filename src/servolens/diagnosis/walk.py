@@ -204,7 +204,7 @@ class Walk:
                 if self._has_ended:
                     return self._found(path)
         if is_enough(path[-1]):
-            explorer.grant(1.0)  # of the effort: nothing else needs it
+            explorer.grant(1.0)  # of the effort: what explains is worth it
         chosen = explorer.settled(path[-1])
         return self._found([*(h for h in path if len(h.causes) < len(chosen.causes)), chosen], early=early)
 
