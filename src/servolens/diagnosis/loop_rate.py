@@ -56,7 +56,7 @@ def decided_beside_loop_rate(
     records, heldout, priors, candidates
         As of :class:`~servolens.diagnosis.case.Case`.
     effort, tell
-        As of :func:`~servolens.diagnosis.decision.decided`.
+        As of :func:`~servolens.diagnosis.decision.decided`; each further search takes half of the effort.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def decided_beside_loop_rate(
         return found[0]
     cases += _faster(held, priors, candidates, OTHERS)
     likeliest = min(cases, key=lambda case: (not case.explains(case.base), case.base.total))
-    part = replace(effort, work=0.5 * effort.work)  # of two further searches each half
+    part = replace(effort, work=0.5 * effort.work)
     found.append(decided(likeliest, part, lambda what, share: tell(what, 0.5 + 0.5 * share)))
     if not _explains(found[-1]):
         again = min((held, *cases), key=lambda case: _beside(case, found[-1]))

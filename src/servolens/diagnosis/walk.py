@@ -133,7 +133,7 @@ class Walk:
         self.tell(what, low + (high - low) * share)
 
     def first(self) -> Search | None:
-        """Look for one cause, and return the whole search where that is the end of it.
+        """Look for one cause, or a pair, and return the whole search where that is the end of it.
 
         That is so if it leaves nothing that depends on the inputs, and nothing shakes the axis. What is beside shaking
         may be an impostor of which an observer follows the rest.
