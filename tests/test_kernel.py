@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from servolens.dynamics import dynamics
 from servolens.effects import (
@@ -353,6 +354,42 @@ def test_elementary_functions_are_those_of_the_library() -> None:
         plant = plant_with(Cogging(amplitude=1e6, pitch=2 * np.pi, phase=0.0))
         run = simulate_voltage(plant, [0.0, 1e-9], [0.0, 0.0], start=(float(angle), 0.0), substeps=1)
         assert run.velocity[1] == pytest.approx(-1e-3 * np.sin(angle), abs=1e-9)
+
+
+@pytest.mark.parametrize("damping", [6.0, 300.0, 3000.0])
+def test_linear_damping_is_solved_exactly_in_one_step_a_sample_however_strong(damping: float) -> None:
+    """Through reversals of the velocity within the sample, too; from sample to sample in closed form."""
+    plant = Plant(gain=10.0 * damping, damping=damping)
+    time = H * np.arange(400)
+    voltage = np.where(time % 0.1 < 0.05, 3.0, -3.0) + 0.3 * np.sin(2.0 * np.pi * 7.0 * time)
+    position, velocity = [0.0], [0.0]
+    kept = np.exp(-damping * H)
+    for held in voltage[:-1]:
+        end = 10.0 * held
+        position.append(position[-1] + end * H + (velocity[-1] - end) * (1.0 - kept) / damping)
+        velocity.append(end + (velocity[-1] - end) * kept)
+    run = simulate_voltage(plant, time, voltage)
+    assert substeps_for(plant, H) == 1
+    assert np.abs(run.position - position).max() < 1e-12 * np.ptp(position)
+    assert np.abs(run.velocity - velocity).max() < 1e-11 * np.ptp(velocity)
+
+
+@pytest.mark.parametrize("lag", [1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("damping", [60.0, 240.0, 1000.0, 3000.0])
+def test_lag_beside_strong_damping_takes_few_substeps(damping: float, lag: float) -> None:
+    plant = Plant(gain=10.0 * damping, damping=damping, effects=(ActuatorLag(time_constant=lag),))
+    time = H * np.arange(600)
+    voltage = np.where(time % 0.2 < 0.1, 3.0, -3.0)
+    rates = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, -damping, 10.0 * damping, 0.0], [0.0, 0.0, -1.0, 1.0], [0.0] * 4])
+    rates[2] /= lag
+    moved, state, position = expm(rates * H), np.array([0.0, 0.0, voltage[0], 0.0]), [0.0]
+    for held in voltage[:-1]:
+        state[3] = held
+        state = moved @ state
+        position.append(state[0])
+    run = simulate_voltage(plant, time, voltage)
+    assert substeps_for(plant, H) <= 8
+    assert np.abs(run.position - position).max() < 2e-7 * np.ptp(position)
 
 
 def test_more_substeps_for_faster_plants() -> None:

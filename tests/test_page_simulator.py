@@ -227,7 +227,6 @@ def test_script_agrees_on_axes_as_they_may_be(tmp_path):
 )
 def test_script_steps_back_lets_a_lag_begin_with_the_step_and_holds_the_axis_before_it(force, law, tmp_path):
     """Where a balance that bends is off by one bit, the first step begins with a reversal."""
-    apart = 1e-8 if force == "hardening_spring" else 1e-10
     spec = PDSpec(**{"kp": 80.0, "settling_time": 0.4, "reference": 0.1, **law})
     plant = Plant(gain=1.8, damping=6.0, effects=(CATALOGUE["actuator_lag"](time_constant=0.03),))
     plant = plant if force is None else plant.with_effect(CATALOGUE[force](**EFFECTS[force]))
@@ -236,7 +235,7 @@ def test_script_steps_back_lets_a_lag_begin_with_the_step_and_holds_the_axis_bef
     axes = [(s.plant, spec, 5.0, s) for s in scenarios]
     for scenario, told in zip(scenarios, asked(axes, tmp_path, duration=1.2), strict=True):
         run = step_response(plant, scenario.spec, 5.0 * scenario.realised, 1.2, back=scenario.back)
-        assert np.abs(np.array(told["position"]) - run.position).max() < apart
+        assert np.abs(np.array(told["position"]) - run.position).max() < 1e-10
         assert told["settling"] == pytest.approx(scenario.response(5.0, 1.2).settling_time, abs=1e-6)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, final
 import casadi as ca
 
 from servolens.dynamics import dynamics, ideal_pd
+from servolens.effects import Transmission
 
 if TYPE_CHECKING:
     from servolens.dynamics import Dynamics
@@ -57,6 +58,10 @@ class Equations:
         self.beginning = beginning
         self.acceleration = self.push - self.level * d.direction
         self.motion = ca.vertcat(d.position, d.velocity, d.time, d.states)
+        kinds = [(cls, state.name) for cls in structure for state in cls.states]
+        self._carried = [
+            i for i, (cls, name) in enumerate(kinds) if issubclass(cls, Transmission) and name == "velocity"
+        ]
         self.edges = self._edges()
 
     def functions(self) -> dict[str, list[Any]]:
@@ -104,7 +109,9 @@ class Equations:
         return list(found.values())
 
     def _taylor(self) -> list[Any]:
-        """Return acceleration, jerk and snap, and the derivatives of the smooth states; relaxing ones are ramps.
+        """Return acceleration, jerk, snap, damping, and the smooth states' derivatives; relaxing states are ramps.
+
+        The damping is that of the motion of the whole axis: a load behind a transmission takes part in it.
 
         Jerk and snap come from the gradient and the Hessian, which do not wait for the acceleration: a processor
         works them out beside it.
@@ -119,7 +126,9 @@ class Equations:
         seconds = [ca.dot(gradient, flow) for gradient in gradients]
         bend = ca.vertcat(firsts[0], seconds[0], 0.0, *seconds[1:], ca.SX(len(self.relaxing), 1))
         thirds = [ca.dot(gradient, bend) + ca.bilin(ca.jacobian(gradient, along), flow, flow) for gradient in gradients]
-        return [value for three in zip(firsts, seconds, thirds, strict=True) for value in three]
+        series = [value for three in zip(firsts, seconds, thirds, strict=True) for value in three]
+        damping = -sum((gradients[0][3 + self.smooth.index(i)] for i in self._carried), gradients[0][1])
+        return [*series[:3], ca.fmax(damping, 0.0), *series[3:]]
 
     def _relaxation(self) -> list[Any]:
         """Return A and B of each relaxing state's ż = A − B z."""

@@ -1,11 +1,13 @@
 """The motion of one axis under a held input: pieces of Taylor series, split at reversals and kinks.
 
-A step is a Taylor series: third order where the motion is smooth; it is halved while its last term is more than a
-hundred-thousandth of the travel (a kick of the voltage may change the damping within a sample). Each velocity
-reversal is found as the root of the series and the step is split there, so that the order holds across it (second
-order at least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves only if the push
-exceeds the level, and until then its position does not change by one bit. Where a force has a kink (a contact closes,
-a limit is met) the step is split as well.
+A step is a Taylor series of third order with the tail of a constant damping β = −∂a/∂v: after the snap s each
+derivative is −β times the one before, so that v = v₀ + a τ + j τ²/2 + s τ³ φ₃(β τ). That is an exponential integrator
+[1]_, which solves a linear damping exactly, however strong it is. A step is halved while what the damping leaves of its
+last term is more than a hundred-thousandth of the travel (a kick of the voltage may change the damping within a
+sample). Each velocity reversal is found as the root of the series and the step is split there, so that the order holds
+across it (second order at least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves
+only if the push exceeds the level, and until then its position does not change by one bit. Where a force has a kink (a
+contact closes, a limit is met) the step is split as well.
 
 What the effects remember is carried along: a second mass or an integral by its own series; a state that relaxes
 (ż = A − B z: a filter, a bristle) exactly for an A/B that changes linearly, however fast it is. Within a piece the
@@ -14,6 +16,10 @@ Where A and B change with the motion, their values at the end of a piece come fr
 
 The layout of the arrays stands in :mod:`servolens.simulation.plant_functions`. Numba turns this module into LLVM's
 language together with :mod:`servolens.simulation.stepping`.
+
+References
+----------
+.. [1] Hochbruck and Ostermann, Exponential integrators, Acta Numerica 19, 2010, doi:10.1017/S0962492910000048.
 """
 
 # ruff: noqa: C901 - compiled loops, and every array is an argument
@@ -27,6 +33,7 @@ from numba import njit
 from servolens.simulation.elementary import OPTIONS, exponential
 from servolens.simulation.plant_functions import (
     MOVING,
+    SERIES,
     SHAKING,
     STATES,
     D,
@@ -54,28 +61,6 @@ SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all t
 
 
 @njit(**OPTIONS)
-def reversal_time(c0: float, c1: float, c2: float, c3: float, h: float) -> float:
-    """Root in (0, h] of c0 + c1 τ + c2 τ² + c3 τ³, which changes sign there: Newton kept inside its bracket."""
-    low, high = 0.0, h
-    positive = c0 > 0.0 or (c0 == 0.0 and c1 > 0.0)
-    tau = 0.5 * h
-    for _ in range(60):
-        f = c0 + tau * (c1 + tau * (c2 + tau * c3))
-        if (f > 0.0) == positive:
-            low = tau
-        else:
-            high = tau
-        slope = c1 + tau * (2.0 * c2 + tau * 3.0 * c3)
-        new = tau - f / slope if slope != 0.0 else 0.5 * (low + high)
-        if not (low < new < high):
-            new = 0.5 * (low + high)
-        if abs(new - tau) <= 1e-15 * h:
-            return new
-        tau = new
-    return tau
-
-
-@njit(**OPTIONS)
 def averages(x: float) -> tuple[float, float, float, float]:
     """φ₁ = (1 − e⁻ˣ)/x and φₖ₊₁ = (1/k! − φₖ)/x, up to φ₄; where that cancels, from the series of φ₄ downwards."""
     if abs(x) < 0.125:
@@ -90,6 +75,46 @@ def averages(x: float) -> tuple[float, float, float, float]:
     second = (1.0 - first) * inverse
     third = (HALF - second) * inverse
     return first, second, third, (SIXTH - third) * inverse
+
+
+@njit(**OPTIONS)
+def decays(x: float) -> tuple[float, float]:
+    """φ₃ and φ₄ of :func:`averages` for x ≥ 0, as exact as the last term of a series of the motion needs them."""
+    if x < 0.125:
+        fourth = TWENTYFOURTH - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5040.0)))
+        return SIXTH - x * fourth, fourth
+    inverse = 1.0 / x
+    third = (HALF - (1.0 - (1.0 - exponential(-x)) * inverse) * inverse) * inverse
+    return third, (SIXTH - third) * inverse
+
+
+@njit(**OPTIONS)
+def reversal_time(v: float, series: Any, h: float) -> float:
+    """Root in (0, h] of v + a τ + j τ²/2 + s τ³ φ₃(β τ), whose sign changes there: Newton kept inside its bracket.
+
+    Where v is 0, the root at 0 is divided out.
+    """
+    a, j, s, rate = series[0], HALF * series[1], series[2], series[3]
+    c0, c1, c2, s2, s3 = (a, j, 0.0, s, 0.0) if v == 0.0 else (v, a, j, 0.0, s)
+    low, high = 0.0, h
+    positive = c0 > 0.0 or (c0 == 0.0 and c1 > 0.0)
+    tau = 0.5 * h
+    for _ in range(60):
+        third, _ = decays(rate * tau)
+        second = HALF - rate * tau * third
+        f = c0 + tau * (c1 + tau * (c2 + third * (s2 + tau * s3)))
+        if (f > 0.0) == positive:
+            low = tau
+        else:
+            high = tau
+        slope = c1 + tau * (2.0 * c2 + (second - third) * s2 + tau * second * s3)
+        new = tau - f / slope if slope != 0.0 else 0.5 * (low + high)
+        if not (low < new < high):
+            new = 0.5 * (low + high)
+        if abs(new - tau) <= 1e-15 * h:
+            return new
+        tau = new
+    return tau
 
 
 @njit(**OPTIONS)
@@ -154,14 +179,16 @@ def choose_direction(x: Any, p: Any, out: Any) -> None:
 
 
 @njit(**OPTIONS)
-def lacking(x: Any, p: Any, direction: float, out: Any) -> float:
-    """Return how much push an axis at rest lacks to set out in a direction."""
+def lacking(x: Any, p: Any, out: Any) -> tuple[float, float]:
+    """Return how much push an axis at rest lacks to set out forward, and backward."""
     chosen = x[D]
-    x[D] = direction
+    x[D] = 1.0
+    breakaway(x, p, out)
+    forward = max(out[1] - out[0], 0.0)
+    x[D] = -1.0
     breakaway(x, p, out)
     x[D] = chosen
-    least: float = max(out[1] - out[0] * direction, 0.0)
-    return least
+    return forward, max(out[1] + out[0], 0.0)
 
 
 @njit(**OPTIONS)
@@ -181,12 +208,12 @@ def breaking_loose(e: Any, p: Any, out: Any, forward: float, backward: float) ->
 
 @njit(**OPTIONS)
 def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
-    """Whether `h` is so long that the last term of the series matters.
+    """Whether `h` is so long that the last term of the series matters, but for what the damping explains of it.
 
     It is more than a share, than a speed of `coarse`, and than what the rounding of the position hides: an axis that
     has settled swings by its rounding for ever.
     """
-    last, share = abs(series[2]) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+    last, share = abs(series[2] + series[3] * series[1]) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
     matters: bool = last > share + coarse and last * h > ROUNDING * abs(y)
     return matters
 
@@ -195,24 +222,22 @@ def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
 def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
     """Write into `e` where the axis is after `h` seconds or at its reversal; return the time that this takes."""
     y, v, d = x[Y], x[V], x[D]
-    a, j, s = series[0], series[1], series[2]
-    tau, speed = h, (v + h * a) + h * h * (HALF * j + h * SIXTH * s)
-    if x[MOVING] == 0.0 or (v == 0.0 and a * d <= 0.0):
+    a, j, s, rate = series[0], series[1], series[2], series[3]
+    third, fourth = decays(rate * h)
+    tau, speed = h, (v + h * a) + h * h * (HALF * j + h * third * s)
+    if x[MOVING] == 0.0 or (v == 0.0 and a * d <= 0.0 and speed * d <= 0.0):  # a balance is left by a jerk
         speed = 0.0
         e[Y] = y
     else:
         if not speed * d > 0.0 and speed == speed:
-            at_rest = v == 0.0  # then the root at 0 is divided out
-            c0, c1 = (a, HALF * j) if at_rest else (v, a)
-            c2, c3 = (SIXTH * s, 0.0) if at_rest else (HALF * j, SIXTH * s)
-            tau = reversal_time(c0, c1, c2, c3, h)
-            speed = 0.0
-        e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * TWENTYFOURTH * s))
+            tau, speed = reversal_time(v, series, h), 0.0
+            _, fourth = decays(rate * tau)
+        e[Y] = (y + tau * v) + tau * tau * (HALF * a + tau * (SIXTH * j + tau * fourth * s))
         if v == 0.0 and speed == 0.0 and e[Y] == y:  # set out and back without moving by one bit: it rests
             tau = h
     e[V], e[T], e[U], e[D], e[MOVING], e[SHAKING] = speed, x[T] + tau, x[U], d, x[MOVING], x[SHAKING]
     for i in range(ns):
-        k = 3 + 3 * i
+        k = SERIES + 3 * i
         change = series[k] + tau * (HALF * series[k + 1] + tau * SIXTH * series[k + 2])
         e[STATES + i] = x[STATES + i] + tau * change
     return tau
@@ -229,21 +254,26 @@ def remember(x: Any, p: Any, kept: Any, begin: Any, end: Any, z: int, nz: int) -
 
 
 @njit(**OPTIONS)
+def arrive(x: Any, e: Any, size: int) -> None:
+    """Put the axis where the piece ends."""
+    for i in range(size):
+        x[i] = e[i]
+
+
+@njit(**OPTIONS)
 def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
     """Carry the axis in `x` over `h` seconds under the held input; return in how many pieces."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
-    z, left = STATES + ns, h
+    z, left, tau = STATES + ns, h, h
     e, series, kept, begin, end, before, after = room
     for piece in range(1, MOST_PIECES + 1):
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
             return piece
-        forward, backward, weight = 0.0, 0.0, 1.0
-        if x[MOVING] == 0.0:
-            forward, backward = lacking(x, p, 1.0, series), lacking(x, p, -1.0, series)
+        forward, backward = lacking(x, p, series) if x[V] == 0.0 else (0.0, 0.0)
         kinked(x, p, before)
         remember(x, p, kept, begin, end, z, nz)
-        part, tau, again = left, left, nz > 0
+        part, again, sets_out, weight = left, nz > 0, x[V] == 0.0 and x[MOVING] == 1.0, 1.0
         for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, z, nz, part)
             taylor(x, p, series)
@@ -252,6 +282,9 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
                 shorten(begin, end, nz, 0.5)
                 continue
             tau = move(x, series, ns, part, e)
+            if sets_out and e[V] == 0.0 and e[Y] == x[Y]:  # not in this direction: it rests until it is pushed loose
+                sets_out, x[MOVING] = False, 0.0
+                continue
             if nz > 0 and tau < part:
                 tau = max(tau, SHORTEST * h) if again and part > SHORTEST * h else tau  # it comes later than that
                 shorten(begin, end, nz, tau / part)
@@ -274,8 +307,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
                 break
             part = max(share * tau, shortest)
             shorten(begin, end, nz, part / tau)
-        for i in range(z + nz):
-            x[i] = e[i]
+        arrive(x, e, z + nz)
         if tau == left:
             return piece
         left -= tau

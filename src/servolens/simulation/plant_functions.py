@@ -5,7 +5,7 @@ LLVM's language once.
 
 The arrays: `x` is [y, v, t, u, d, moving, shaking, smooth states, relaxing states, their ramps], where `shaking` is an
 acceleration that an observer holds from sample to sample; `p` holds the plant's parameters; a series is [acceleration,
-jerk, snap, then three derivatives of each smooth state].
+jerk, snap, damping, then three derivatives of each smooth state].
 """
 
 # mypy: disallow-untyped-decorators=False
@@ -34,6 +34,8 @@ __all__ = [
     "taylor",
 ]
 
+SERIES = 4
+"""Where the derivatives of the smooth states begin in a series."""
 Y, V, T, U, D, MOVING, SHAKING, STATES = 0, 1, 2, 3, 4, 5, 6, 7
 """Places in `x`; the states of the effects begin at the last."""
 

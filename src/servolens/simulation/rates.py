@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["MOST_SUBSTEPS", "rate_of", "rate_within", "substeps_for", "work_of"]
+__all__ = ["MOST_SUBSTEPS", "damping_of", "rate_of", "rate_within", "substeps_for", "work_of"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
+RAMPED = 1.0 / 15.0
+"""Share of √(damping × rate at which a state relaxes) that counts: about 20 nm on a 0.1 m step as well, measured."""
 FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
 """The same where more than eight substeps would be needed: so fast a mode dies out within the sample."""
@@ -30,8 +32,9 @@ MOST_SUBSTEPS = 400
 BESIDE_SUBSTEPS = 2
 """Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it: measured
 over diagnoses, 28 ns each beside 56 ns."""
-PROBES = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
-"""Positions, speeds and values of the states at which the rates are looked at, SI."""
+SPEEDS = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.0, 1.0, 0.0))
+PROBES = (*SPEEDS, (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
+"""Positions, speeds and values of the states at which the rates are looked at, SI; first those of one place."""
 
 
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
@@ -54,13 +57,18 @@ def work_of(samples: int, substeps: int) -> int:
 
 
 def rate_of(plant: Plant) -> float:
-    """Return the fastest rate of a plant [1/s], or one beyond it."""
-    return _fastest_rate(plant.structure)(plant.values)
+    """Return the fastest rate [1/s] of what a step of a plant does not solve exactly, or one beyond it."""
+    return _rates(plant.structure)(plant.values)[0]
+
+
+def damping_of(plant: Plant) -> float:
+    """Return the largest damping of a plant [1/s]: a step solves it exactly, a method of Runge and Kutta does not."""
+    return _rates(plant.structure)(plant.values)[1]
 
 
 @lru_cache(maxsize=256)
-def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], float]:
-    """Return a function of the parameters: the fastest rate [1/s] of the axis in a few conditions."""
+def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], tuple[float, float]]:
+    """Return a function of the parameters: fastest rate and largest damping [1/s] of the axis in a few conditions."""
     from servolens.simulation.native import native
 
     code = native(structure)
@@ -76,12 +84,17 @@ def _fastest_rate(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float,
         return out.reshape(n, n).T
 
     @lru_cache(maxsize=1024)
-    def rate(values: tuple[float, ...]) -> float:
+    def rates(values: tuple[float, ...]) -> tuple[float, float]:
         p = np.array(values)
         slopes = np.array([jacobian(probe, p) for probe in probes])
-        return max(contact, _rate(slopes, exact, quick=contact == 0.0))
+        damping = np.maximum(-slopes[: len(SPEEDS), 1, 1], 0.0)
+        slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+        known = damping[np.isfinite(damping)]
+        differs = float(np.ptp(known)) if known.size else 0.0
+        rate = max(contact, differs, _rate(slopes, exact, quick=contact == 0.0))
+        return rate, float(np.max(-slopes[:, 1, 1], initial=0.0))
 
-    return rate
+    return rates
 
 
 def _probe(size: int, position: float, velocity: float, state: float) -> NDArray[np.float64]:
@@ -90,12 +103,25 @@ def _probe(size: int, position: float, velocity: float, state: float) -> NDArray
 
 
 def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> float:
-    """Return the fastest rate of the Jacobians `slopes`, shape (k, n, n); how fast relaxing states forget is no matter.
+    """Return the fastest rate of the Jacobians `slopes`, shape (k, n, n), of what a step does not solve exactly.
 
-    With `quick` a bound of it does, which is three times too large for a critically damped contact.
+    It solves a damping that is the same at all speeds, and how relaxing states forget. Of the damping there counts,
+    beside a spring, a mean with the spring's rate, where that is less than the rate of both together; and a share of
+    the geometric mean with the rate of a relaxing state, which a step sees as a ramp. With `quick` a bound of a
+    spring's rate does, which is three times too large for a critically damped contact.
     """
-    slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+    slope, left = slopes[:, 1, 1], slopes.copy()
+    damping = float(np.max(-slope, initial=0.0))
+    forgets = float(np.max(np.abs(slopes[:, exact, exact]) * (slopes[:, 1, exact] != 0.0), initial=0.0))
+    left[:, exact, exact] = 0.0
+    together = _largest(left, quick)
+    left[:, 1, 1] = np.maximum(slope, 0.0)
+    rest = _largest(left, quick)
+    return max(rest, min(together, float(np.cbrt(rest * rest * damping))), float(RAMPED * np.sqrt(damping * forgets)))
+
+
+def _largest(slopes: NDArray[np.float64], quick: bool) -> float:
+    """Return the largest eigenvalue in size, or a bound of it; 0 where there is no Jacobian."""
     if quick and slopes.shape[1] == 2:
         return float(np.max(np.abs(slopes[:, 1, 1]) + np.sqrt(np.abs(slopes[:, 1, 0])), initial=0.0))
-    slopes[:, exact, exact] = 0.0
     return float(np.max(np.abs(np.linalg.eigvals(slopes)), initial=0.0))

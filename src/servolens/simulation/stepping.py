@@ -44,6 +44,7 @@ from servolens.simulation.plant_functions import (
     MOVING,
     NUMBERS,
     POINTER,
+    SERIES,
     SHAKING,
     STATES,
     D,
@@ -187,9 +188,9 @@ def run(
     actuator `delay` seconds late; before the record the first one was applied, if it is not known.
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
-    size = STATES + ns + 2 * nz
+    size, series = STATES + ns + 2 * nz, numbers(SERIES + 3 * ns)
     p, x, states, output = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3)
-    room = (numbers(size), numbers(3 + 3 * ns), numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
+    room = (numbers(size), series, numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
     closed, is_pd, ratio = loop[CLOSED] != 0.0, loop[IS_PD] != 0.0, int(loop[RATIO])
