@@ -79,7 +79,7 @@ CASES = {
     "weight, friction that holds": ((WEIGHT, CoulombFriction(level=0.7)), {}, False, 1e-9),
     "weight, friction that slips": ((WEIGHT, CoulombFriction(level=0.3)), {}, False, 2e-3),
     "spring, back": ((SPRING,), {}, True, 1e-9),
-    "spring, back, ideal loop": ((SPRING, LATE[1]), {"control": "continuous"}, True, 1e-7),
+    "spring, back, ideal loop": ((SPRING, LATE[1]), {"control": "continuous"}, True, 1e-9),
     "spring, back, dead zone": ((SPRING, DeadZone(width=0.25)), {}, True, 1e-9),
     "spring, back, integral": ((SPRING,), {"ki": 100.0}, True, 1e-9),
     "hardening spring, back": ((HardeningSpring(cubic_stiffness=5000.0),), {}, True, 1e-6),

@@ -208,12 +208,14 @@ def breaking_loose(e: Any, p: Any, out: Any, forward: float, backward: float) ->
 
 @njit(**OPTIONS)
 def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
-    """Whether `h` is so long that the last term of the series matters, but for what the damping explains of it.
+    """Whether `h` is so long that the last term of the series matters.
 
-    It is more than a share, than a speed of `coarse`, and than what the rounding of the position hides: an axis that
-    has settled swings by its rounding for ever.
+    What the damping explains of it does not, unless a state relaxes after the motion: that is no ramp. It is more than
+    a share, than a speed of `coarse`, and than what the rounding of the position hides: an axis that has settled swings
+    by its rounding for ever.
     """
-    last, share = abs(series[2] + series[3] * series[1]) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+    explained = series[3] * series[1] if drifts() == 0 else 0.0
+    last, share = abs(series[2] + explained) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
     matters: bool = last > share + coarse and last * h > ROUNDING * abs(y)
     return matters
 
