@@ -87,8 +87,8 @@ def assert_self_contained(text):
     hashes = [b64encode(sha256(script.encode()).digest()).decode() for script in page.scripts]
     assert re.findall(r"'sha256-([^']+)'", page.policy) == hashes
     outside = text
-    for script in page.scripts:
-        outside = outside.replace(script, "")
+    for script, its_hash in zip(page.scripts, hashes, strict=True):
+        outside = outside.replace(script, "").replace(its_hash, "")  # in which any letters may stand
         assert not re.search(r"\bfetch\(|XMLHttpRequest|WebSocket|\beval\(|new Function|\bimport\b", script)
     assert "http" not in text
     assert not re.search(r"//[a-z]", outside)
