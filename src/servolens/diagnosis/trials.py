@@ -285,11 +285,16 @@ class Trials:
         return self._proposals[cls.name]
 
     def _solved(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
-        """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for."""
-        starts = []
-        for effect in self.screen.best(plant.effects, self._proposals_of(plant, cls), STARTS):
+        """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for.
+
+        A force that the integral equation does not solve for, or finds to be none, is a slight one beside `plant`.
+        """
+        proposals, starts = self._proposals_of(plant, cls), []
+        solved = self.screen.best(plant.effects, proposals, STARTS)
+        for effect in solved or proposals.effects[:1]:
+            is_found = bool(solved) and not effect.absent
+            starts.append(plant.with_effect(effect if is_found else self.screen.slight(plant, effect)))
             alone = plant.with_effect(effect)
-            starts.append(alone)
             with suppress(InputError, NumericalError):
                 starts.append(sized(self.screen, alone))
         return [*starts, *self._standing(plant, cls, starts)]

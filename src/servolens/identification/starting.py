@@ -33,6 +33,8 @@ __all__ = ["Screen", "seen_in"]
 
 MOST_STARTS, MOST_ACTED = 1600, 200
 """Proposals of an effect that are ranked; sets of actuators behind which the stretches are kept."""
+SLIGHT = 0.01
+"""Share of the motor's force that shows a direction: a score test is the same for any small one."""
 
 
 def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
@@ -150,6 +152,17 @@ class Screen:
     def left(self, others: Sequence[Effect], proposals: Proposals) -> NDArray[np.float64]:
         """Return the square error that each of the `proposals` leaves beside `others` of a few thousand samples."""
         return self._behind(others)[1].left(others, proposals)
+
+    def slight(self, plant: Plant, effect: Effect) -> Effect:
+        """Return the force `effect` with sizes that are each a hundredth of what the motor of `plant` can do.
+
+        Where the integral equation has it at its bound, as large as nothing, its bias may have the wrong sign; and
+        nothing has no direction in which it could be told how much the effect explains.
+        """
+        seen = self.thinned
+        rows = force_rows(effect, seen.time, seen.position, seen.velocity, seen.record, 1)
+        largest, push = np.abs(rows).max(axis=1), abs(plant.gain) * seen_in(self.segments, plant).command
+        return _sized(effect, (SLIGHT * push / np.maximum(largest, 1e-300)).tolist(), 1)
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
         """Return `effect` and what it proposes itself beside `plant`."""
