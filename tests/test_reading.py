@@ -854,6 +854,11 @@ def test_integral_and_cascade_are_read_with_their_units(write):
         integral_before=0.5,
     )
     assert found.controller.ki == pytest.approx(400.0)
+    ahead = "# kp = 0.06 V/mm\n# kd = 1\n# velocity_feedforward = 0.002 V s/mm\n"
+    found = read_record(write(ahead + HEADER + ROWS))
+    assert found.controller == Controller(kp=found.controller.kp, kd=1.0, velocity_feedforward=2.0)
+    with pytest.raises(InputError, match="velocity_feedforward is given and controller = cascade has none; its gains"):
+        read_record(write("# controller = cascade\n# kp = 20\n# kv = 5\n# velocity_feedforward = 2\n" + HEADER + ROWS))
     drive = (
         "# controller = cascade\n# kp = 20 1/s\n# kv = 5 A s/m\n# kiv = 50 A/m\n# feedforward_speed = 0.9\n"
         "# current_limit = 3 A\n# anti_windup = clamping\n"

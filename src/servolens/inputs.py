@@ -91,6 +91,7 @@ class RecordSettings(TypedDict, total=False):
     integral_before: float | str
     setpoint_weight: float | str
     feedforward_speed: float | str
+    velocity_feedforward: float | str
     derivative: str
     derivative_on: str
     derivative_filter: float | str

@@ -55,31 +55,45 @@ def loop_settings(loop: Controller, length_unit: str, command_unit: str) -> dict
     Raises
     ------
     InputError
-        If the loop integrates its own output or feeds the velocity forward, and is no cascade: no keys state it.
+        If the law is that of a cascade, and a cascade's keys do not state it.
     """
     told = {name: getattr(loop, name) for name in SHARED if getattr(loop, name) != getattr(DEFAULT, name)}
     per_length = f"{command_unit}/{length_unit}"
-    if not loop.is_cascade and loop.velocity_feedforward == 0:
+    per_speed = f"{command_unit} s/{length_unit}"
+    if not loop.is_cascade:
         own = {name: getattr(loop, name) for name in ("ki", "setpoint_weight", "derivative_on")}
         own = {name: value for name, value in own.items() if value != getattr(DEFAULT, name)}
-        gains = {"kp": f"{float(loop.kp)!r} {per_length}", "kd": f"{float(loop.kd)!r} {command_unit} s/{length_unit}"}
+        if loop.velocity_feedforward != 0:
+            own["velocity_feedforward"] = f"{float(loop.velocity_feedforward)!r} {per_speed}"
+        gains = {"kp": f"{float(loop.kp)!r} {per_length}", "kd": f"{float(loop.kd)!r} {per_speed}"}
         return {**gains, **own, **told}
-    if loop.kd == 0 or loop.ki != 0 or loop.setpoint_weight != 1 or loop.derivative_on != "measurement":
-        raise InputError(
-            "a loop with integral_rate or velocity_feedforward can be written as a cascade alone: with kd other than 0,"
-            " ki = 0, setpoint_weight = 1 and the derivative of the measurement"
-        )
+    _check_cascade(loop)
     kv = float(loop.kd)
     return {
         "controller": "cascade",
         "kp": _inverted(lambda kp: kv * kp, loop.kp, loop.kp / kv),
-        "kv": f"{kv!r} {command_unit} s/{length_unit}",
+        "kv": f"{kv!r} {per_speed}",
         "kiv": _inverted(lambda kiv: kiv / kv, loop.integral_rate, loop.integral_rate * kv),
         "feedforward_speed": _inverted(
             lambda share: kv * share, loop.velocity_feedforward, loop.velocity_feedforward / kv
         ),
         **told,
     }
+
+
+def _check_cascade(loop: Controller) -> None:
+    """Refuse a law that is a cascade by its `law` or its `integral_rate` and has what no cascade's keys state."""
+    why = "law = 'cascade'" if loop.law == "cascade" else "integral_rate"
+    if loop.kd == 0:
+        cure = " or law = 'pd'" if loop.integral_rate == 0 else ""
+        raise InputError(f"the controller has {why} and kd = 0, but kd is the gain kv of a cascade; give kd{cure}")
+    others = {"ki": 0.0, "setpoint_weight": 1.0, "derivative_on": "measurement"}
+    for name, value in others.items():
+        if (found := getattr(loop, name)) != value:
+            raise InputError(
+                f"the controller has {why} and {name} = {found!r}, which a cascade does not have; only with"
+                f" {name} = {value!r} can it be written"
+            )
 
 
 def _inverted(function: Callable[[float], float], wanted: float, near: float) -> float:

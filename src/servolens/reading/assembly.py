@@ -52,13 +52,15 @@ SIGNAL_UNITS = {
     "integral_before": "{command}",
     "tracking_time": "s",
     "current_limit": "{command}",
+    "velocity_feedforward": "{command} s/{length}",
 }
 """What each quantity is measured in; those that settle the units of the record stand first."""
 CASCADE = {"kp": "1/s", "kv": "{command} s/{length}", "kiv": "{command}/{length}"}
 """The same of a cascade's gains."""
 COUNTING = ("counts_per_rev", "pwm_full_scale")
 """Pure numbers that scale columns, and are no settings of the law."""
-ONLY_PID, ONLY_CASCADE = ("kd", "ki", "setpoint_weight", "derivative_on"), ("kv", "kiv", "feedforward_speed")
+ONLY_PID = ("kd", "ki", "setpoint_weight", "derivative_on", "velocity_feedforward")
+ONLY_CASCADE = ("kv", "kiv", "feedforward_speed")
 """Settings that only one of the two laws has."""
 LARGEST_VALUE = 1e15
 """Nothing measured in SI units on an axis is larger; squares of larger numbers overflow."""
@@ -237,7 +239,8 @@ def _check_size(quantities: Mapping[str, NDArray[np.float64] | float]) -> None:
 
 
 def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Controller | None, list[Finding]]:
-    own = ("kd", "ki", "kv", "kiv", "control_period", "tracking_time", "integral_before")
+    shared = ("control_period", "tracking_time", "integral_before")
+    own = ("kd", "ki", "kv", "kiv", "velocity_feedforward", *shared)
     stated = [key for key in settings.numbers if key not in COUNTING]
     loop = [key for key in (*own, *stated, *settings.words) if _given(key, settings)]
     if "kp" not in numbers:
@@ -254,7 +257,7 @@ def _controller(numbers: Mapping[str, float], settings: Settings) -> tuple[Contr
             raise InputError(f"{key} is given and controller = {law} has none; its gains are {others}")
     if cascade and "kv" not in numbers:
         raise InputError("controller = cascade needs kv, the gain of its speed loop; give it")
-    wanted = (*(CASCADE if cascade else ("kp", "kd", "ki")), "control_period", "tracking_time", "integral_before")
+    wanted = (*(CASCADE if cascade else ("kp", "kd", "ki", "velocity_feedforward")), *shared)
     fields: dict[str, Any] = {key: numbers[key] for key in wanted if key in numbers}
     fields |= {key: value for key, value in settings.numbers.items() if key not in COUNTING}
     fields |= {key: word for key, word in settings.words.items() if key != "controller"}

@@ -123,6 +123,7 @@ def _say(output: IO[bytes], answer: dict[str, Any]) -> None:
 def _packed(table: Table) -> dict[str, Any]:
     return {
         "name": table.name,
+        "comments": dict(table.comments),
         "properties": dict(table.properties),
         "has_names": table.has_names,
         "columns": [
@@ -143,7 +144,7 @@ def _unpacked(table: dict[str, Any], output: IO[bytes]) -> Table:
         values = np.frombuffer(output.read(8 * size), dtype="<f8").astype(np.float64)
         fault, switches = (Fault(*one) if one else None for one in faults)
         columns.append(Column(name, values, unit, fault, switches))
-    return Table(tuple(columns), table["name"], properties=table["properties"], has_names=table["has_names"])
+    return Table(tuple(columns), **{key: table[key] for key in ("name", "comments", "properties", "has_names")})
 
 
 def _answer(output: IO[bytes]) -> dict[str, Any] | None:

@@ -20,7 +20,7 @@ __all__ = ["KEYS", "Amount", "Settings", "as_settings", "comment_settings", "par
 DIMENSIONED = (
     "kp", "kd", "encoder_resolution", "voltage_limit", "voltage_before", "control_period", "counts_per_unit", "ki",
     "inertia", "mass", "supply_voltage", "sample_time", "kv", "kiv", "integral_before", "tracking_time",
-    "current_limit",
+    "current_limit", "velocity_feedforward",
 )  # fmt: skip
 PURE = (
     "derivative_filter", "derivative_window", "counts_per_rev", "pwm_full_scale", "setpoint_weight",

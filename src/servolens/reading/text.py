@@ -49,7 +49,7 @@ LAST_TEXTS = 5
 LAST_WORDS = 20
 """Lines at the end that may be a table's statistics, of which there are ten or so."""
 _WORD = re.compile(r"[^\W\d_]{2,}(?: [^\W\d_]+)*:?")
-_COMMENT = re.compile(rb"(?m)^[ \t]*(?:#|%|//)[^\n]*")
+_COMMENT = re.compile(rb'(?m)^[ \t]*(?:#|%|//|"#+[ \t]*[A-Za-z_]\w*[ \t]*=)[^\n]*')
 _SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
 
@@ -86,12 +86,19 @@ def read_text(content: bytes) -> tuple[Table, ...]:
     columns, remarks = _columns(plain, form)
     table = Table(
         columns=columns,
-        comments=comment_settings(line for line in comments if line.startswith("#")),
+        comments=comment_settings(_as_written(line, form.separator) for line in comments if line[0] in '#"'),
         properties=form.layout.properties,
         has_names=form.layout.has_names,
         remarks=(*cut, *remarks),
     )
     return _by_clock(table) if form.layout.has_clocks else (table,)
+
+
+def _as_written(line: str, separator: str) -> str:
+    """Return a comment line without what a spreadsheet adds to it: quotation marks, and blank cells up to the width."""
+    if separator == " " or not (line.startswith('"') or line.endswith((separator, '"'))):
+        return line
+    return separator.join(fields_of(line, separator)).rstrip(f"{separator} ")
 
 
 def _by_clock(table: Table) -> tuple[Table, ...]:

@@ -10,6 +10,7 @@ from python_calamine import CalamineError, CalamineWorkbook
 from servolens.errors import InputError
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.layout import find_layout
+from servolens.reading.settings import comment_settings
 from servolens.reading.table import Column, Table
 
 if TYPE_CHECKING:
@@ -59,7 +60,9 @@ def _table(name: str, rows: Sequence[Sequence[object]]) -> Table | None:
         for j, heading in enumerate(layout.names)
         if heading or j in layout.typed
     ]
-    return Table(tuple(columns), name, properties=layout.properties, has_names=layout.has_names)
+    above = (", ".join(row).rstrip(", ") for _, row in lines[: layout.first])
+    comments = comment_settings(line for line in above if line.startswith("#"))
+    return Table(tuple(columns), name, comments, layout.properties, has_names=layout.has_names)
 
 
 def _text(cell: object) -> str:
