@@ -1,4 +1,4 @@
-"""The words that people use for an axis's signals, English and German, and what a heading made of them means."""
+"""What a heading made of known words, symbols and units means."""
 
 from __future__ import annotations
 
@@ -7,6 +7,18 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, final
 
+from servolens.reading.vocabulary import (
+    ANGLES,
+    ASSUMED,
+    COMMANDS,
+    IMPLIED,
+    LETTER_KINDS,
+    LETTERS,
+    MOTOR_VOLTAGES,
+    PLACES,
+    UNITS,
+    WORDS,
+)  # fmt: skip
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -14,112 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["BY_ARMATURE", "BY_KIND", "BY_NAME", "BY_PROTOCOL", "DUTY", "Meaning", "allows", "meaning", "unit_behind"]
 
-_WORDS: Mapping[str, str] = {
-    "time": (
-        "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
-        "nanos datetime secs"
-    ),
-    "position": (
-        "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
-        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos"
-    ),
-    "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
-    "velocity": (
-        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
-        "xdot dot dq tacho"
-    ),
-    "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
-    "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
-    "current": "strom amps ampere iq",
-    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
-    "force": "force kraft thrust",
-    "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
-    "either": "command cmd commanded",
-    "input": "input eingang",
-    "reference": (
-        "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
-        "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action rpos"
-    ),
-    "actual": (
-        "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
-        "est sensor real mess messwert gemessen response regelgroesse observation state"
-    ),
-    "feedforward": "feedforward ff vorsteuerung",
-    "direction": "dir direction richtung drehrichtung vorzeichen",
-    "enabled": "enabled enable freigabe",
-    "other": (
-        "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
-        "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
-        "batterie netz betrieb speise bord vorspannung zugspannung riemenspannung federspannung "
-        "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
-        "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
-        "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
-        "ref_count crc checksum checks id_current integral integrator p_term i_term d_term anteil pressure "
-        "druck rssi line note comment kommentar bemerkung offset"
-    ),
-    "neutral": (
-        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb "
-        "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
-        "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
-        "tisch"
-    ),
-}
-_LETTERS: Mapping[str, tuple[str, ...]] = {
-    "r": ("reference",),
-    "w": ("reference", "velocity"),
-    "y": ("position",),
-    "x": ("position",),
-    "z": ("position",),
-    "theta": ("position",),
-    "phi": ("position",),
-    "psi": ("position",),
-    "alpha": ("position",),
-    "q": ("position",),
-    "v": ("velocity", "voltage"),
-    "i": ("voltage",),
-    "ua": ("voltage",),
-    "qm": ("position",),
-    "qg": ("reference",),
-    **dict.fromkeys(("qd", "xd", "yd", "thetad", "phid"), ("reference", "velocity")),
-}
-"""Symbols that stand alone; of two meanings the data or the other columns must decide."""
-_ANGLES = frozenset({"theta", "phi", "psi", "alpha", "thetad", "phid"})
-_PLACES = ("x", "y", "z", "q", "theta", "phi", "psi", "alpha")
-"""Symbols of positions, to which names append what is asked of them: xref, theta_des, qSoll."""
-_LETTER_KINDS = {"i": "current", "ua": "voltage"}
-"""Kind of the command that a symbol stands for."""
-_MOTOR_VOLTAGES = frozenset(
-    (
-        *("stell", "anker", "klemmen", "steuer", "ansteuer", "ansteuerungs", "regel", "motoren", "aktor", "aktuator"),
-        *("umrichter", "verstaerker", "treiber", "endstufen", "spulen"),
-    )
-)
-"""What stands before "spannung" where that is the command, beside the words that are known."""
-_COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
-_IMPLIED = {
-    "millis": "ms",
-    "micros": "us",
-    "nanos": "ns",
-    "rpm": "rpm",
-    "pwm": "pwm",
-    "duty": "duty",
-    "dutycycle": "duty",
-}
-_ASSUMED = {"current": "A", "torque": "N m", "force": "N"}
-_UNITS = {
-    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s", "ms": "ms", "msec": "ms",
-    "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
-    "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
-    "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "counts": "counts",
-    "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
-    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
-    "ampere": "A",
-    "inch": "inch", "inches": "inch", "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
-    "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
-    "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
-}  # fmt: skip
-"""Units at a heading's end, in small letters."""
 _ARMATURE = ("u", "a")
 BY_ARMATURE = "perhaps at the end of its name"
 """Where the unit of ``U_A`` stands: it is the armature's voltage, or a command in amperes."""
@@ -137,7 +43,7 @@ _CONVENTIONS = (
     ),
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
-_CLASS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+_CLASS = {word: kind for kind, words in WORDS.items() for word in words.split()}
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
@@ -251,7 +157,7 @@ def _known(text: str) -> str | None:
     text = text.strip()
     if text in ("", "-"):
         return None
-    return text if parse_unit(text) else _UNITS.get(text.lower())
+    return text if parse_unit(text) else UNITS.get(text.lower())
 
 
 def _tokens(name: str) -> tuple[str, ...]:
@@ -259,21 +165,21 @@ def _tokens(name: str) -> tuple[str, ...]:
     found: list[str] = []
     for part in _ACRONYM.findall(name.replace("Δ", "delta ").replace("θ", "theta ").replace("φ", "phi ")):
         whole = part.lower().translate(_UMLAUTS)
-        if whole in _CLASS or whole in _LETTERS or whole in _UNITS:
+        if whole in _CLASS or whole in LETTERS or whole in UNITS:
             found.append(whole)
             continue
         for token in _TOKEN.findall(part):
             plain = token.lower().translate(_UMLAUTS)
             found += _compound(plain) or _marked(plain) or _a_voltage(plain) or [plain]
     for i in range(len(found) - 1, 0, -1):
-        if found[i] == "d" and found[i - 1] + "d" in _LETTERS:  # q_d is qd
+        if found[i] == "d" and found[i - 1] + "d" in LETTERS:  # q_d is qd
             found[i - 1 : i + 1] = [found[i - 1] + "d"]
     return tuple(found)
 
 
 def _marked(token: str) -> list[str] | None:
     """Return the symbol of a position and what stands behind it: ``xref``, ``thetasoll``."""
-    for symbol in _PLACES:
+    for symbol in PLACES:
         mark = token.removeprefix(symbol)
         if mark != token and (mark == "des" or _CLASS.get(mark) in ("reference", "actual")):
             return [symbol, mark]
@@ -283,7 +189,7 @@ def _marked(token: str) -> list[str] | None:
 def _a_voltage(token: str) -> list[str] | None:
     """Return which voltage of the motor a German compound names: ``Ankerspannung``; others are sensors' or tensions."""
     head = token.removesuffix("spannung")
-    return [head, "spannung"] if head != token and head in _MOTOR_VOLTAGES else None
+    return [head, "spannung"] if head != token and head in MOTOR_VOLTAGES else None
 
 
 @cache
@@ -311,14 +217,14 @@ def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
     """Return the tokens without the units at their end, and these."""
     if tokens[-2:] == _ARMATURE:
         return tokens, None
-    if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in _UNITS and tokens[-2] not in ("s", "ms", "us"):
+    if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in UNITS and tokens[-2] not in ("s", "ms", "us"):
         kept = tokens[:-3] if tokens[-2] == "per" else tokens[:-2]
-        return kept, f"{_UNITS[tokens[-2]]}/s"
-    if len(tokens) > 3 and tokens[-2] == "per" and tokens[-1] in ("s", "sec", "second") and tokens[-3] in _UNITS:
-        return tokens[:-3], f"{_UNITS[tokens[-3]]}/s"
-    if len(tokens) > 1 and tokens[-1] in _UNITS:
+        return kept, f"{UNITS[tokens[-2]]}/s"
+    if len(tokens) > 3 and tokens[-2] == "per" and tokens[-1] in ("s", "sec", "second") and tokens[-3] in UNITS:
+        return tokens[:-3], f"{UNITS[tokens[-3]]}/s"
+    if len(tokens) > 1 and tokens[-1] in UNITS:
         rest = tokens[:-1] if tokens[-1] not in ("pwm", "duty", "rpm", "volt", "volts") else tokens
-        return rest, _UNITS[tokens[-1]]
+        return rest, UNITS[tokens[-1]]
     return tokens, None
 
 
@@ -331,21 +237,21 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     kinds = _kinds(tokens)
     rest = frozenset(token for token, kind in zip(tokens, kinds, strict=True) if kind in ("", "neutral"))
     rest -= {"value", "wert", "signal", "data", "raw", "main", "val"}
-    implied = next((_IMPLIED[token] for token in tokens if token in _IMPLIED), None)
+    implied = next((IMPLIED[token] for token in tokens if token in IMPLIED), None)
     if unit is None and implied:
         unit, where = implied, BY_NAME
-    if len(tokens) == 1 and unit is None and allows("position", _UNITS.get(tokens[0], "s")):
-        return Meaning(("position",), _UNITS[tokens[0]], tokens[0], BY_NAME)
+    if len(tokens) == 1 and unit is None and allows("position", UNITS.get(tokens[0], "s")):
+        return Meaning(("position",), UNITS[tokens[0]], tokens[0], BY_NAME)
     if len(tokens) == 1 and unit is None and tokens[0] in ("ms", "us", "ns", "sec", "s"):
-        return Meaning(("time",), _UNITS[tokens[0]], tokens[0], BY_NAME, symbol=True)
+        return Meaning(("time",), UNITS[tokens[0]], tokens[0], BY_NAME, symbol=True)
     asked, measured = "reference" in kinds, "actual" in kinds or (tokens[:1] == ("current",) and len(tokens) > 1)
-    symbols = [token for token in tokens if token in _LETTERS]
+    symbols = [token for token in tokens if token in LETTERS]
     words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
     if unit is None:
         unit, where = _convention(name) or (None, BY_ARMATURE if tokens[-2:] == _ARMATURE else "")
-    if unit is None and kind in _ASSUMED:
-        unit, where = _ASSUMED[kind], BY_KIND
+    if unit is None and kind in ASSUMED:
+        unit, where = ASSUMED[kind], BY_KIND
     asked = asked or bool({"either", "input"} & set(kinds))
     roles = _agreeing(roles, unit, kind, asked)
     grade = 0 if asked else 2 if measured else 1
@@ -362,7 +268,7 @@ def _kinds(tokens: Sequence[str]) -> list[str]:
     for i in {words[0], words[-1]} if len(words) > 1 else ():
         if tokens[i] == "des":
             kinds[i] = "reference"
-    if not _agree(kinds) or "current" in tokens or any(token in _LETTERS for token in tokens):
+    if not _agree(kinds) or "current" in tokens or any(token in LETTERS for token in tokens):
         kinds = ["" if kind == "direction" else kind for kind in kinds]
     return kinds
 
@@ -383,7 +289,7 @@ def _roles(
         return (() if asked else ("velocity",)), "", False
     if "direction" in kinds:
         return (), "direction", False
-    command = next((kind for kind in _COMMANDS if kind in kinds), "")
+    command = next((kind for kind in COMMANDS if kind in kinds), "")
     if place:
         roles = ("reference",) if asked else ("position",)
         return (() if command and command != "output" else roles), place, False
@@ -400,13 +306,13 @@ def _bare(kinds: Sequence[str], symbols: Sequence[str], *, measured: bool) -> tu
         return ("position", "reference", "voltage"), "", False
     if "either" in kinds:
         return ("reference", "voltage"), "", False
-    kind = "angle" if _ANGLES & set(symbols) else ""
+    kind = "angle" if ANGLES & set(symbols) else ""
     if "reference" in kinds:
         return ("reference",), kind, False
     if measured:
         return ("position",), kind, False
     if symbols:
-        return _LETTERS[symbols[0]], _LETTER_KINDS.get(symbols[0], kind), True
+        return LETTERS[symbols[0]], LETTER_KINDS.get(symbols[0], kind), True
     return (), "", False
 
 

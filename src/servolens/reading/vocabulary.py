@@ -1,0 +1,119 @@
+"""The vocabulary of headings: words, symbols and units that people use for an axis's signals, English and German."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = [
+    "ANGLES", "ASSUMED", "COMMANDS", "IMPLIED", "LETTERS", "LETTER_KINDS", "MOTOR_VOLTAGES", "PLACES", "UNITS", "WORDS",
+]  # fmt: skip
+
+WORDS: Mapping[str, str] = {
+    "time": (
+        "time times t zeit timestamp timestamps zeitstempel stempel stamp clock uhrzeit elapsed ts millis micros "
+        "nanos datetime secs"
+    ),
+    "position": (
+        "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
+        "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos"
+    ),
+    "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
+    "velocity": (
+        "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
+        "xdot dot dq tacho"
+    ),
+    "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
+    "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
+    "current": "strom amps ampere iq",
+    "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
+    "force": "force kraft thrust",
+    "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
+    "either": "command cmd commanded",
+    "input": "input eingang",
+    "reference": (
+        "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
+        "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
+        "leitwert set action rpos"
+    ),
+    "actual": (
+        "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
+        "est sensor real mess messwert gemessen response regelgroesse observation state"
+    ),
+    "feedforward": "feedforward ff vorsteuerung",
+    "direction": "dir direction richtung drehrichtung vorzeichen",
+    "enabled": "enabled enable freigabe",
+    "other": (
+        "error err e abweichung deviation regelabweichung schleppfehler following lag fehler delta diff "
+        "difference differenz temperature temp temperatur bus vbus supply versorgung zwischenkreis dc battery "
+        "batterie netz betrieb speise bord vorspannung zugspannung riemenspannung federspannung "
+        "vbat bat akku input_voltage id mode modus status fault faults flag flags warning acc accel "
+        "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
+        "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
+        "ref_count crc checksum checks id_current integral integrator p_term i_term d_term anteil pressure "
+        "druck rssi line note comment kommentar bemerkung offset"
+    ),
+    "neutral": (
+        "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb "
+        "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
+        "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
+        "tisch"
+    ),
+}
+LETTERS: Mapping[str, tuple[str, ...]] = {
+    "r": ("reference",),
+    "w": ("reference", "velocity"),
+    "y": ("position",),
+    "x": ("position",),
+    "z": ("position",),
+    "theta": ("position",),
+    "phi": ("position",),
+    "psi": ("position",),
+    "alpha": ("position",),
+    "q": ("position",),
+    "v": ("velocity", "voltage"),
+    "i": ("voltage",),
+    "ua": ("voltage",),
+    "qm": ("position",),
+    "qg": ("reference",),
+    **dict.fromkeys(("qd", "xd", "yd", "thetad", "phid"), ("reference", "velocity")),
+}
+"""Symbols that stand alone; of two meanings the data or the other columns must decide."""
+ANGLES = frozenset({"theta", "phi", "psi", "alpha", "thetad", "phid"})
+PLACES = ("x", "y", "z", "q", "theta", "phi", "psi", "alpha")
+"""Symbols of positions, to which names append what is asked of them: xref, theta_des, qSoll."""
+LETTER_KINDS = {"i": "current", "ua": "voltage"}
+"""Kind of the command that a symbol stands for."""
+MOTOR_VOLTAGES = frozenset(
+    (
+        *("stell", "anker", "klemmen", "steuer", "ansteuer", "ansteuerungs", "regel", "motoren", "aktor", "aktuator"),
+        *("umrichter", "verstaerker", "treiber", "endstufen", "spulen"),
+    )
+)
+"""What stands before "spannung" where that is the command, beside the words that are known."""
+COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
+IMPLIED = {
+    "millis": "ms",
+    "micros": "us",
+    "nanos": "ns",
+    "rpm": "rpm",
+    "pwm": "pwm",
+    "duty": "duty",
+    "dutycycle": "duty",
+}
+ASSUMED = {"current": "A", "torque": "N m", "force": "N"}
+UNITS = {
+    "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s", "ms": "ms", "msec": "ms",
+    "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
+    "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
+    "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "counts": "counts",
+    "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
+    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
+    "ampere": "A",
+    "inch": "inch", "inches": "inch", "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
+    "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
+    "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
+}  # fmt: skip
+"""Units at a heading's end, in small letters."""
