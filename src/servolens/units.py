@@ -74,7 +74,9 @@ _SPELLINGS = {
     **dict.fromkeys(("sek", "Sek", "Sekunden"), "s"),
     **dict.fromkeys(("Grad", "grad"), "deg"),
     **dict.fromkeys(("U", "Umdr", "Umdrehungen"), "rev"),
-    **dict.fromkeys(("inc", "Ink", "Inkr", "Inkremente", "LU", "Cnt"), "count"),
+    **dict.fromkeys(
+        ("inc", "Ink", "Inkr", "Inkremente", "LU", "Cnt", "pulse", "pulses", "Pulse", "Pulses", "PUU"), "count"
+    ),
     **dict.fromkeys(("Volt", "Volts", "VOLT", "VOLTS"), "V"),
     **dict.fromkeys(("Second", "Seconds", "Sec"), "s"),
     **dict.fromkeys(("RPM",), "rpm"),

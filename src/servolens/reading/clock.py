@@ -31,6 +31,13 @@ _INTERVALS = {
 """What preambles call the sample time, and its unit where none stands there."""
 _STARTS = {"delta_x": "x0", "increment": "start"}
 """What they call the first instant beside it."""
+_PARTS = {
+    **dict.fromkeys(("nanoseconds", "nanosecs", "nanosec", "nsecs", "nsec"), 1e-9),
+    **dict.fromkeys(("microseconds", "microsecs", "microsec", "usecs", "usec"), 1e-6),
+}
+"""Ends of the names of columns that hold what is left of a second, longest first."""
+_SECONDS = ("seconds", "secs", "sec")
+"""Ends of the names of those with the whole seconds."""
 COUNTERS = (2.0**32, 2.0**16)
 """Ticks after which a microcontroller's counter begins again."""
 LONGEST_STEP = 2.0
@@ -38,7 +45,7 @@ LONGEST_STEP = 2.0
 
 
 def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
-    """Add the time to a table that states its sample time instead of logging it.
+    """Add the time to a table that states its sample time instead of logging it, or logs it in two parts.
 
     Parameters
     ----------
@@ -47,6 +54,7 @@ def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     settings : mapping, optional
         From the caller; their ``sample_time`` wins.
     """
+    table = _whole_stamps(table)
     found = _interval(table, settings)
     if found is None or not table.columns:
         return table
@@ -61,6 +69,40 @@ def with_clock(table: Table, settings: Mapping[str, object] | None) -> Table:
     if sum(logged) != 1:
         columns = (*(column for column, is_time in zip(table.columns, logged, strict=True) if not is_time), time)
     return replace(table, columns=columns)
+
+
+def _whole_stamps(table: Table) -> Table:
+    """Put a time together whose whole seconds and the rest stand in two columns, as ROS and C's clocks have it.
+
+    They are counted from the first whole second, so that no digit of the nanoseconds is lost.
+    """
+    columns = list(table.columns)
+    for name, (column, scale) in _fractions(table).items():
+        seconds = next((c for c in columns if c.name.lower() in (f"{name}{word}" for word in _SECONDS)), None)
+        if seconds is None or not (_is_whole(seconds.values) and _is_whole(column.values)):
+            continue
+        if seconds.values.size != column.values.size or np.any((column.values < 0) | (column.values * scale >= 1)):
+            continue
+        instants = seconds.values - seconds.values[0] + column.values * scale
+        whole = replace(seconds, name=f"{name}time" if name else "time", values=instants, unit="s")
+        columns = [whole if c is seconds else c for c in columns if c is not column]
+    return replace(table, columns=tuple(columns))
+
+
+def _fractions(table: Table) -> dict[str, tuple[Column, float]]:
+    """Return the columns that hold parts of a second, and which, by what their names begin with."""
+    found: dict[str, tuple[Column, float]] = {}
+    for column in table.columns:
+        lower = column.name.lower()
+        for word, scale in _PARTS.items():
+            if lower.endswith(word) and column.fault is None:
+                found.setdefault(lower.removesuffix(word), (column, scale))
+                break
+    return found
+
+
+def _is_whole(values: Values) -> bool:
+    return bool(values.size and np.isfinite(values).all() and np.array_equal(values, np.round(values)))
 
 
 def _interval(table: Table, settings: Mapping[str, object] | None) -> tuple[float, Guess] | None:

@@ -14,8 +14,16 @@ from servolens.reading.completed import held, signed
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
 from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, check_mapping, choose, typed, unknown
-from servolens.reading.scales import command_unit, is_counted, length_unit, time_unit, velocity_unit
-from servolens.reading.words import BY_ARMATURE, BY_KIND, BY_NAME, BY_PROTOCOL, DUTY, allows, unit_behind
+from servolens.reading.scales import (
+    LONGEST_AXIS,
+    command_unit,
+    is_counted,
+    is_huge,
+    length_unit,
+    time_unit,
+    velocity_unit,
+)
+from servolens.reading.words import BY_ARMATURE, BY_KIND, BY_NAME, BY_PROTOCOL, DUTY, allows, meaning
 from servolens.units import parse_unit, split_number
 
 if TYPE_CHECKING:
@@ -231,8 +239,11 @@ def _may_be(choice: Choice, signal: str) -> bool:
     is_whole = values.dtype.kind in "iuf" and bool(np.array_equal(values, np.round(values)))
     if choice.unit == DUTY and choice.meaning.where == BY_NAME and np.max(np.abs(values), initial=0.0) > 1:
         return False
-    if choice.meaning.where == BY_KIND and is_counted(values):
+    if choice.meaning.where == BY_KIND and (is_counted(values) or is_huge(choice)):
         return False
+    is_mark = choice.unit == "m" and choice.meaning.symbol and values.dtype.kind in "iuf" and values.size > 0
+    if is_mark and np.ptp(values) > LONGEST_AXIS:
+        return False  # the m of y_m may as well say that it was measured
     return allows(signal, choice.unit or "") and (BY_PROTOCOL not in choice.meaning.where or is_whole)
 
 
@@ -344,7 +355,7 @@ def _own_clock(tables: Sequence[Table], index: int) -> Values | None:
         return choose([tables[index]], None)["time"].column.values
     except (InputError, KeyError):
         pass
-    named = [c for c in tables[index].columns if unit_behind(c.name)[0].lower() in ("time", "t", "timestamp")]
+    named = [c for c in tables[index].columns if meaning(c.name, c.unit).roles == ("time",)]
     return named[0].values if named else None
 
 

@@ -14,7 +14,7 @@ from servolens.units import ordinary_unit, parse_unit
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["Layout", "find_layout", "properties_of"]
+__all__ = ["Layout", "find_layout", "properties_of", "units_above"]
 
 MOST_TYPED = 20
 """Rows at the end of the head that tell which columns hold numbers."""
@@ -22,6 +22,7 @@ _PROPERTY = re.compile(r"\W*([A-Za-z][\w .\-\[\]()]*?)\s*[=:]\s*(.*?)\s*")
 _BRACKETED = re.compile(r"[\[(<{]\s*(.*?)\s*[\])>}]")
 _COUNT = "sequence"
 """What stands for the unit of a column that counts samples."""
+_LABVIEW_UNITS = "y_unit_label"
 _SCOPE = ("data-type", "sampletime[ms]", "symbolcomment", "symbolname")
 """Labels of the header rows of a TwinCAT Scope export, of which each channel may have a column of labels."""
 
@@ -186,6 +187,23 @@ def properties_of(rows: Iterable[Sequence[str]]) -> dict[str, str]:
         elif len(cells) >= 2:
             found[cells[0].rstrip(":=").strip().lower()] = cells[1]
     return found
+
+
+def units_above(head: Iterable[Sequence[str]], units: Sequence[str | None]) -> tuple[str | None, ...]:
+    """Return the units of columns, with those of a LabVIEW measurement file's header where a column has none.
+
+    Parameters
+    ----------
+    head : iterable of sequence of str
+        Its rows; the one of the units begins with ``Y_Unit_Label``.
+    units : sequence of (str or None)
+        As the rows below state them.
+    """
+    row: Sequence[str] = next((row for row in head if row and row[0].strip().lower() == _LABVIEW_UNITS), ())
+    labels = [None, *(cell.strip() for cell in row[1:])]
+    known = [label if label and parse_unit(label) else None for label in labels]
+    known += [None] * (len(units) - len(known))
+    return tuple(unit or label for unit, label in zip(units, known, strict=False))
 
 
 def _scope(above: Sequence[Sequence[str]], width: int) -> tuple[tuple[str, ...], tuple[str | None, ...]] | None:

@@ -11,6 +11,7 @@ import numpy as np
 from servolens.encoder import SPAN, white_noise
 from servolens.errors import InputError, as_text, by_name, names_like
 from servolens.reading.files import quote
+from servolens.reading.narrowing import alike, increasing, measured, moving, near, paired
 from servolens.reading.words import Meaning, allows, meaning, unit_behind
 from servolens.record import SIGNALS
 from servolens.units import COMMAND_UNITS, parse_unit
@@ -37,8 +38,6 @@ NONE, NAMED, ITS_NAME = "-", "named by you", "its name"
 """Stands for a signal that is in no column; how the column of another is known."""
 MOST_SHOWN = 4
 """Columns that a question names."""
-SAME = 1e-6
-"""Relative difference up to which two columns are one quantity in two units: logs print six digits and more."""
 DERIVATIVE = 0.98
 """Correlation with the position's derivative from which on a column is the velocity, below half of it is not."""
 
@@ -245,13 +244,15 @@ def _pick(signal: str, found: Sequence[Choice], chosen: Mapping[str, Choice], sy
     if signal == "voltage" and left:
         left, passed = _commands(left)
     if "position" in chosen:
-        left = _near(left, chosen["position"])
+        left = near(left, chosen["position"])
     elif signal == "position":
-        left = _moving(_paired(left, found))
+        left = moving(paired(measured(left), found))
+    if signal == "time":
+        left = increasing(left)
     if not left:
         return None
     if len(left) > 1:
-        left = _alike(left)
+        left = alike(left)
     if len(left) > 1:
         raise InputError(_question(signal, left))
     choice = left[0]
@@ -309,49 +310,6 @@ def turns(position: NDArray[np.float64]) -> bool:
 def _varies(choice: Choice, least: float = SAG) -> bool:
     values = choice.column.values
     return bool(values.size and np.isfinite(values).all() and np.ptp(values) > least * abs(float(np.mean(values))))
-
-
-def _near(left: Sequence[Choice], position: Choice) -> list[Choice]:
-    """Keep the columns of the position's table and of its axis, by the words that name it, where there are such."""
-    same = [c for c in left if c.table == position.table] or list(left)
-    shared = [len(c.meaning.rest & position.meaning.rest) for c in same]
-    return [c for c, n in zip(same, shared, strict=True) if n == max(shared)]
-
-
-def _paired(left: Sequence[Choice], found: Sequence[Choice]) -> list[Choice]:
-    """Of several positions keep the one whose axis a single reference names."""
-    references = [c for c in found if c.meaning.roles == ("reference",)]
-    if len(left) < 2 or len(references) != 1 or not references[0].meaning.rest:
-        return list(left)
-    return [c for c in left if c.meaning.rest & references[0].meaning.rest] or list(left)
-
-
-def _moving(left: Sequence[Choice]) -> list[Choice]:
-    """Leave out axes that stand still, unless all do."""
-    return [c for c in left if c.column.values.size and np.ptp(c.column.values) != 0] or list(left)
-
-
-def _alike(left: Sequence[Choice]) -> list[Choice]:
-    """Of columns that are one quantity, in several units or twice, keep the first with a unit."""
-    best = next((c for c in left if c.unit), left[0])
-    return [best] if all(_same(best, c) for c in left if c is not best) else list(left)
-
-
-def _same(one: Choice, other: Choice) -> bool:
-    """Tell whether two columns hold the same quantity; without a unit, any scale may be meant beside a stated one."""
-    a, b = one.column.values, other.column.values
-    if a.size != b.size or a.size < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
-        return False
-    spread = float(np.ptp(a))
-    if spread == 0 or np.ptp(b) == 0:
-        return bool(np.array_equal(a, b))
-    mine, others = parse_unit(one.unit or ""), parse_unit(other.unit or "")
-    scale = spread / float(np.ptp(b))
-    if mine is not None and others is not None:
-        scale = others.factor / mine.factor
-    elif mine is None and others is None:
-        scale = 1.0
-    return bool(np.max(np.abs((a - a[0]) - scale * (b - b[0]))) < SAME * spread)
 
 
 def _decide(found: Sequence[Choice], chosen: dict[str, Choice], absent: set[str]) -> None:

@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "velocity_unit"]
+__all__ = ["LONGEST_AXIS", "VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "velocity_unit"]
 
 LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
 SAMPLE_TIMES = (25e-6, 0.1)
 """Sample times that servo drives and hobby loops have [s]: 40 kHz current loops to 10 Hz loggers."""
 DAY = 86400.0
+TIMES = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": DAY}
+"""Units of time beside seconds, and seconds of each."""
 DATES = ((20000.0, 60000.0), (700000.0, 800000.0))
 """Dates as numbers [day]: 1954 to 2064 as spreadsheets count them, 1916 to 2190 as MATLAB does."""
 ROUNDING = 1e-3
@@ -38,6 +40,8 @@ LONGEST_AXIS = 10.0
 """Travel beyond which metres are doubtful [m]: gantries are shorter."""
 MOST_TURNS = 4 * np.pi
 """Travel beyond which radians are doubtful where the name says angle [rad]: two turns, and 12.6 degrees."""
+LARGEST_COMMAND = 1000.0
+"""Beyond which volts, amperes and newton metres are doubtful where no unit is stated: drives have some hundred."""
 FULL_SCALES = (100, 127, 255, 511, 512, 1000, 1023, 2047, 2048, 4095, 8191, 10000, 32767, 65535)
 """Largest counts of PWM registers."""
 VELOCITY_AGREES = 0.05
@@ -58,11 +62,13 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         return None, "seconds are assumed"
     interval = float(np.median(np.diff(values)))
     low, high = SAMPLE_TIMES
+    if low <= interval <= high:
+        return None, "seconds are assumed"
     if _is_date(values) and low <= interval * DAY <= (1 + ROUNDING) * LONGEST_SAMPLE_TIME:
         return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
-    if not interval >= LONGEST_SAMPLE_TIME:
-        return None, "seconds are assumed"
-    fits = [unit for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)) if low <= interval * factor <= high]
+    fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
+    if fits and 0 < interval < LONGEST_SAMPLE_TIME:
+        fits.append("s")
     if len(fits) > 1:
         readings = " or ".join(f"--unit time={unit}" for unit in fits)
         raise InputError(
@@ -71,7 +77,7 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         )
     if not fits:
         return None, "seconds are assumed"
-    rate = 1 / (interval * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}[fits[0]])
+    rate = 1 / (interval * TIMES[fits[0]])
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
 
 
@@ -110,10 +116,11 @@ def length_unit(choice: Choice, settled: str | None, beside: Choice | None = Non
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
         return (si if is_angle else None), f"{si} is assumed"
     travel = float(np.ptp(values))
-    if travel <= (MOST_TURNS if is_angle else LONGEST_AXIS):
+    is_whole = np.array_equal(values, np.round(values))
+    if travel <= (MOST_TURNS if is_angle else LONGEST_AXIS) and not (is_whole and travel > 2):
         return (si if is_angle else None), f"{si} is assumed (it travels {travel:.3g})"
     units = ["deg", "rad"] if is_angle else ["mm", "deg", "rad"]
-    if np.array_equal(values, np.round(values)):
+    if is_whole:
         units.append("counts")
     readings = " or ".join(f"--unit {{}}={unit}" for unit in units)
     raise InputError(
@@ -191,15 +198,23 @@ def command_unit(choice: Choice) -> tuple[str | None, str]:
             f"column {quote(choice.label)} reaches {np.max(np.abs(values)):.4g}, and 1 is full duty: per cent and"
             " counts of a PWM are plausible; say --unit voltage=% or --unit voltage=pwm"
         )
-    if is_counted(values):
+    if is_counted(values) or is_huge(choice):
         units = (choice.unit, f"m{choice.unit}") if choice.unit else ("V", "pwm")
         spoken = " and ".join(units) if choice.unit else "volts and counts of a PWM"
         answers = " or ".join("--unit " + typed(f"voltage={unit}") for unit in units)
+        holds = "holds whole numbers up to" if is_counted(values) else "reaches"
         raise InputError(
-            f"column {quote(choice.address)} holds whole numbers up to {np.max(np.abs(values)):g} and states no unit:"
+            f"column {quote(choice.address)} {holds} {np.max(np.abs(values)):g} and states no unit:"
             f" {spoken} are plausible; say {answers}"
         )
     return None, "volts are assumed"
+
+
+def is_huge(choice: Choice) -> bool:
+    """Tell whether a command is beyond what axes are driven with, in whole units of what its name says."""
+    values = choice.column.values
+    is_known = choice.meaning.kind != "force" and values.size >= FEWEST_SAMPLES and bool(np.isfinite(values).all())
+    return is_known and float(np.max(np.abs(values))) > LARGEST_COMMAND
 
 
 def is_counted(values: Values) -> bool:

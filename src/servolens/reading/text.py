@@ -21,7 +21,7 @@ from servolens.reading.cells import (
 )
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
-from servolens.reading.layout import Layout, find_layout, properties_of
+from servolens.reading.layout import Layout, find_layout, properties_of, units_above
 from servolens.reading.serial_monitor import as_table
 from servolens.reading.settings import comment_settings
 from servolens.reading.table import MOST_COLUMNS, Column, Table
@@ -207,8 +207,9 @@ def _form(content: bytes, comments: Sequence[str]) -> _Form:
         raise InputError(
             f"the rows have {len(layout.names)} values where the header row has {layout.other_width}{hint}"
         )
-    above = properties_of(fields_of(text, separator) for text in texts[:skipped])
-    layout = replace(layout, properties={**above, **layout.properties})
+    head = [fields_of(text, separator) for text in texts[:skipped]]
+    units = units_above(head, layout.units)
+    layout = replace(layout, units=units, properties={**properties_of(head), **layout.properties})
     if not layout.has_names and comments:
         layout = _names_in_comment(layout, comments[-1], separator)
     return _Form(separator, decimal, layout, lines[skipped + layout.first][0])

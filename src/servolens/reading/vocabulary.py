@@ -8,8 +8,25 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 __all__ = [
-    "ANGLES", "ASSUMED", "COMMANDS", "IMPLIED", "LETTERS", "LETTER_KINDS", "MOTOR_VOLTAGES", "PLACES", "UNITS", "WORDS",
-]  # fmt: skip
+    "AMOUNTS",
+    "ANGLES",
+    "ASKED_LETTERS",
+    "ASSUMED",
+    "CALCULATED",
+    "COMMANDS",
+    "IMPLIED",
+    "LAWS",
+    "LETTERS",
+    "LETTER_KINDS",
+    "MEASURED_LETTERS",
+    "MOTOR_VOLTAGES",
+    "PLACES",
+    "SENSORS",
+    "SHAPED",
+    "SPANS",
+    "UNITS",
+    "WORDS",
+]
 
 WORDS: Mapping[str, str] = {
     "time": (
@@ -20,26 +37,32 @@ WORDS: Mapping[str, str] = {
         "position positions positionen pos lage weg ort encoder enc geber displacement verschiebung stellung "
         "hub strecke travel distance distanz abstand carriage coordinate koordinate xpos ypos fpos"
     ),
-    "angle": ("angle angles winkel rotation drehwinkel heading azimuth azimut elevation pitch yaw roll"),
+    "angle": (
+        "angle angles angular ang rotary rotational winkel rotation drehwinkel heading azimuth azimut elevation pitch "
+        "yaw roll"
+    ),
     "velocity": (
         "velocity velocities vel velo speed geschwindigkeit drehzahl omega rpm rate tempo thetadot phidot qdot "
-        "xdot dot dq tacho"
+        "xdot dot dq tacho gyro gyroscope"
     ),
-    "voltage": "voltage volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
+    "voltage": "voltage vq uq volt volts spannung vir vm uout umot umotor vmotor uanker ustell",
     "duty": "duty pwm dutycycle tastverhaeltnis tastgrad aussteuerung",
     "current": "strom amps ampere iq",
     "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
-    "output": "u output out dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand",
+    "output": (
+        "u output out op co mv dac stellgroesse stellsignal stellwert ausgang control actuation manipulated "
+        "motorcommand"
+    ),
     "either": "command cmd commanded",
     "input": "input eingang",
     "reference": (
         "reference references ref refs setpoint setpoints sp soll sollwert sollwerte target targets zielwert "
         "ziel desired des goal demand demanded wanted fuehrung fuehrungsgroesse trajectory vorgabe nominal "
-        "leitwert set action rpos"
+        "leitwert set action rpos traj plan planned planner"
     ),
     "actual": (
-        "actual act ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
+        "actual act pv ist istwert istwerte measured measurement meas feedback fbk fb present estimate estimated "
         "est sensor real mess messwert gemessen response regelgroesse observation state"
     ),
     "feedforward": "feedforward ff vorsteuerung",
@@ -53,13 +76,15 @@ WORDS: Mapping[str, str] = {
         "acceleration beschleunigung jerk ruck power leistung energy limit grenze max min kp ki kd gain pgain "
         "igain dgain moving index counter zaehler count_no seq sequence frame episode task trial "
         "ref_count crc checksum checks id_current integral integrator p_term i_term d_term anteil pressure "
-        "druck rssi line note comment kommentar bemerkung offset"
+        "druck flow durchfluss frequency frequenz freq weight gewicht mass masse mag magnetometer electrical elec "
+        "elektrisch elektrische elektrischer vd ud nr lfdnr row zeile rssi line note comment kommentar bemerkung offset"
     ),
     "neutral": (
         "value wert signal data daten raw filtered filt joint joints gelenk axis achse motor servo drive antrieb "
         "antriebs controller regler the of der des regel raum cart wagen schlitten arm link spindle spindel actual_ in "
         "me mess field msg val var main gvl plc prg act_ r4 f fl lr nc tonc plctonc nctoplc axes stage table "
         "tisch"
+        " achs achsen kolben zylinder ventil greifer vorschub kran katz spindel tisch stoessel wellen kreuz roboter"
     ),
 }
 LETTERS: Mapping[str, tuple[str, ...]] = {
@@ -88,11 +113,57 @@ LETTER_KINDS = {"i": "current", "ua": "voltage"}
 """Kind of the command that a symbol stands for."""
 MOTOR_VOLTAGES = frozenset(
     (
-        *("stell", "anker", "klemmen", "steuer", "ansteuer", "ansteuerungs", "regel", "motoren", "aktor", "aktuator"),
+        *(
+            "stell",
+            "ventil",
+            "anker",
+            "klemmen",
+            "steuer",
+            "ansteuer",
+            "ansteuerungs",
+            "regel",
+            "motoren",
+            "aktor",
+            "aktuator",
+        ),
         *("umrichter", "verstaerker", "treiber", "endstufen", "spulen"),
     )
 )
 """What stands before "spannung" where that is the command, beside the words that are known."""
+MEASURED_LETTERS: Mapping[str, tuple[str, ...]] = {
+    "i": ("voltage",),
+    "n": ("velocity",),
+    "w": ("velocity",),
+    "v": ("velocity", "voltage"),
+    "m": (),
+    "f": (),
+}
+"""What symbols of no position mean beside "actual": ``n_ist`` is a speed, ``M_ist`` a torque or a mass."""
+ASKED_LETTERS: Mapping[str, tuple[str, ...]] = {
+    **MEASURED_LETTERS,
+    "n": (),
+    "v": (),
+    "w": ("reference", "velocity"),
+}
+"""The same beside "reference": ``v_soll`` is a trajectory's speed or a drive's command, which only its owner knows."""
+LAWS = frozenset({"controller", "regler", "pid", "pi", "pd", "ctrl"})
+"""Words that make an output the controller's, whatever it controls: ``pos_pid_out``."""
+SENSORS = frozenset(
+    {"sensor", "sensors", "pot", "poti", "potentiometer", "potmeter", "tacho", "lvdt", "geber", "transducer"}
+)
+"""Words that make a voltage a reading, not a command."""
+SHAPED = frozenset({"limited", "profiled"})
+"""Words that make a position the one that the path generator asks for: Copley's "Limited Position"."""
+SPANS = frozenset(
+    {"cycle", "loop", "zyklus", "exec", "execution", "compute", "calc", "latency", "jitter", "period", "task"}
+)
+"""Words that make a time one that something takes."""
+CALCULATED = frozenset(
+    {"sim", "simulated", "simulation", "simuliert", "model", "modell", "modelled", "predicted", "prediction", "hat"}
+)
+"""Words for what was calculated, where it was measured as well."""
+AMOUNTS = frozenset({"load", "last"})
+"""Words for what is measured or asked for where no word says position: ``Present_Load``."""
 COMMANDS = ("voltage", "duty", "current", "torque", "force", "output")
 IMPLIED = {
     "millis": "ms",
@@ -108,9 +179,11 @@ UNITS = {
     "s": "s", "sec": "s", "secs": "s", "seconds": "s", "sekunden": "s", "sek": "s", "ms": "ms", "msec": "ms",
     "us": "us", "usec": "us", "ns": "ns", "nsec": "ns", "m": "m", "mm": "mm", "um": "um", "cm": "cm", "meter": "m",
     "meters": "m", "rad": "rad", "mrad": "mrad", "deg": "deg", "degs": "deg", "degree": "deg", "degrees": "deg",
-    "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "counts": "counts",
+    "grad": "deg", "rev": "rev", "revs": "rev", "turn": "rev", "turns": "rev", "umdrehungen": "rev", "umdr": "rev",
+    "umdr.": "rev", "counts": "counts",
     "count": "counts", "cnt": "counts", "cnts": "counts", "ticks": "counts", "inc": "counts", "inkremente": "counts",
-    "steps": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
+    "steps": "counts", "pulse": "counts", "pulses": "counts",
+    "impulse": "counts", "v": "V", "volt": "V", "volts": "V", "mv": "mV", "a": "A", "amp": "A", "amps": "A",
     "ampere": "A",
     "inch": "inch", "inches": "inch", "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
     "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",

@@ -8,17 +8,24 @@ from functools import cache
 from typing import TYPE_CHECKING, final
 
 from servolens.reading.vocabulary import (
+    AMOUNTS,
     ANGLES,
+    ASKED_LETTERS,
     ASSUMED,
     COMMANDS,
     IMPLIED,
+    LAWS,
     LETTER_KINDS,
     LETTERS,
+    MEASURED_LETTERS,
     MOTOR_VOLTAGES,
     PLACES,
+    SENSORS,
+    SHAPED,
+    SPANS,
     UNITS,
     WORDS,
-)  # fmt: skip
+)
 from servolens.units import parse_unit
 
 if TYPE_CHECKING:
@@ -26,9 +33,9 @@ if TYPE_CHECKING:
 
 __all__ = ["BY_ARMATURE", "BY_KIND", "BY_NAME", "BY_PROTOCOL", "DUTY", "Meaning", "allows", "meaning", "unit_behind"]
 
-_ARMATURE = ("u", "a")
+_ARMATURES = (("u", "a"), ("v", "a"))
 BY_ARMATURE = "perhaps at the end of its name"
-"""Where the unit of ``U_A`` stands: it is the armature's voltage, or a command in amperes."""
+"""Where the unit of ``U_A`` or ``V_A`` stands: it is the armature's voltage, or a command in amperes."""
 BY_NAME, DUTY, BY_KIND = "by its name", "duty", "which a column of that name is in"
 BY_PROTOCOL = "which servos of that protocol count in"
 _CONVENTIONS = (
@@ -53,6 +60,8 @@ _SLASH = re.compile(r"(.+?)(?:/|\sin\s|,\s)([^/,]+(?:/[A-Za-z]+)?)", re.DOTALL)
 LONGEST_NAME = 1000
 """Letters up to which a heading is looked at, so that no text can keep the reader busy; paths of variables have some
 hundred."""
+_OF_TIME = re.compile(r"\s*\([tk]\)(?=\s*(?:[\[({<].*)?$)")
+"""What makes a symbol a function of time, which is no unit: ``y(t)``."""
 _INDEX = re.compile(r".*\S[\[(]\d+[\])]\s*")
 
 
@@ -109,7 +118,8 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
     if unit is None:
         kept, found = _suffix(tokens)
         said = _judged(name, kept, found, "at the end of its name" if found else "")
-        if found and not said.roles:  # letters that are no unit of what the words say
+        is_mark = found == "m" and ANGLES & set(kept)  # theta_m is the motor's, or measured
+        if found and (is_mark or not said.roles):  # letters that are no unit of what the words say
             return _judged(name, tokens, None, "")
         return said
     if not bracketed:
@@ -134,12 +144,13 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
 
     Examples
     --------
-    >>> unit_behind("Weg / mm"), unit_behind("y[0]")
-    (('Weg', 'mm', 'behind its name'), ('y[0]', None, ''))
+    >>> unit_behind("Weg / mm"), unit_behind("y[0]"), unit_behind("y(t) [mm]")
+    (('Weg', 'mm', 'behind its name'), ('y[0]', None, ''), ('y', 'mm', 'in brackets'))
     """
     text = text.strip().strip('"').strip()
     if len(text) > LONGEST_NAME:
         return text, None, ""
+    text = _OF_TIME.sub("", text) if text[:1] not in "([{<" else text
     match = None if _INDEX.fullmatch(text) else _BRACKETS.fullmatch(text)
     if match and match[1]:
         inner = match[3].strip()
@@ -215,7 +226,7 @@ def _agree(kinds: Iterable[str]) -> bool:
 
 def _suffix(tokens: tuple[str, ...]) -> tuple[tuple[str, ...], str | None]:
     """Return the tokens without the units at their end, and these."""
-    if tokens[-2:] == _ARMATURE:
+    if tokens[-2:] in _ARMATURES:
         return tokens, None
     if len(tokens) > 2 and tokens[-1] in ("s", "sec") and tokens[-2] in UNITS and tokens[-2] not in ("s", "ms", "us"):
         kept = tokens[:-3] if tokens[-2] == "per" else tokens[:-2]
@@ -248,8 +259,10 @@ def _judged(name: str, tokens: tuple[str, ...], unit: str | None, where: str) ->
     symbols = [token for token in tokens if token in LETTERS]
     words = " ".join(t for t, k in zip(tokens, kinds, strict=True) if k and k != "neutral") or " ".join(symbols)
     roles, kind, symbol = _roles(tokens, kinds, symbols, asked=asked, measured=measured)
+    if symbol and not roles:
+        words = ""  # a symbol of which only its owner knows what it is
     if unit is None:
-        unit, where = _convention(name) or (None, BY_ARMATURE if tokens[-2:] == _ARMATURE else "")
+        unit, where = _convention(name) or (None, BY_ARMATURE if tokens[-2:] in _ARMATURES else "")
     if unit is None and kind in ASSUMED:
         unit, where = ASSUMED[kind], BY_KIND
     asked = asked or bool({"either", "input"} & set(kinds))
@@ -281,27 +294,65 @@ def _roles(
         return (), "", False
     if "feedforward" in kinds or "enabled" in kinds:
         return ("feedforward" if "feedforward" in kinds else "enabled",), "", False
-    place = "angle" if "angle" in kinds else "position" if "position" in kinds else ""
-    if place and {"joint", "joints", "gelenk"} & set(tokens):
-        place = "angle"
-    asked = asked or bool({"either", "input"} & set(kinds))
-    if "velocity" in kinds or (place and "dot" in tokens):
+    if _ends_with_time(tokens, kinds):
+        return _bare(tokens, kinds, symbols, measured=False)
+    asked = asked or bool({"either", "input"} & set(kinds)) or _is_shaped(tokens, kinds)
+    command = next((kind for kind in COMMANDS if kind in kinds), "")
+    if command == "output" and LAWS & set(tokens):
+        return ("voltage",), command, False
+    is_place = bool({"angle", "position"} & set(kinds))
+    if "velocity" in kinds or (is_place and "dot" in tokens):
         return (() if asked else ("velocity",)), "", False
     if "direction" in kinds:
         return (), "direction", False
-    command = next((kind for kind in COMMANDS if kind in kinds), "")
-    if place:
-        roles = ("reference",) if asked else ("position",)
-        return (() if command and command != "output" else roles), place, False
+    if command in ("voltage", "output") and SENSORS & set(tokens):
+        return (), "", False
+    if is_place:
+        return _of_place(tokens, kinds, command, asked=asked)
     if command or "current" in tokens:
         return ("voltage",), command or "current", False
-    return _bare(kinds, symbols, measured=measured)
+    return _bare(tokens, kinds, symbols, measured=measured)
 
 
-def _bare(kinds: Sequence[str], symbols: Sequence[str], *, measured: bool) -> tuple[tuple[str, ...], str, bool]:
+def _of_place(
+    tokens: Sequence[str], kinds: Sequence[str], command: str, *, asked: bool
+) -> tuple[tuple[str, ...], str, bool]:
+    """Return what a name with a word for a position or an angle means: a position, or where it is asked for."""
+    if tokens[0] == "in":  # whether it is in position
+        return (), "", False
+    is_angle = "angle" in kinds or bool({"joint", "joints", "gelenk"} & set(tokens))
+    roles = ("reference",) if asked else ("position",)
+    return (() if command and command != "output" else roles), "angle" if is_angle else "position", False
+
+
+def _ends_with_time(tokens: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Tell whether a name's last word is one for time: ``u.Time`` is that of the voltage."""
+    last = max((i for i, token in enumerate(tokens) if not token.isdecimal()), default=0)
+    return bool(tokens) and kinds[last] == "time" and tokens[last] != "t"
+
+
+def _is_shaped(tokens: Sequence[str], kinds: Sequence[str]) -> bool:
+    """Tell whether a position or a velocity is what a path generator or a loop asks for: ``control.position``."""
+    pairs = zip(tokens[:-1], kinds[1:], strict=True)
+    return bool(SHAPED & set(tokens)) or any(
+        token == "control" and kind in ("position", "angle", "velocity") for token, kind in pairs
+    )
+
+
+def _bare(
+    tokens: Sequence[str], kinds: Sequence[str], symbols: Sequence[str], *, measured: bool
+) -> tuple[tuple[str, ...], str, bool]:
     """Return what a name without a quantity means: a time, a modifier such as "target", or a symbol."""
+    asked = bool({"reference", "either"} & set(kinds))
     if "time" in kinds:
-        return ("time",), "", False
+        takes = bool(SPANS & set(tokens)) or ("t" in tokens and (measured or asked))
+        return (() if takes else ("time",)), "", False
+    if AMOUNTS & set(tokens):
+        return (), "", True
+    letter = next((token for token in tokens if token in MEASURED_LETTERS), "")
+    if letter and (measured or asked) and not {"x", "y", "z", "q"} & set(tokens):
+        roles = (ASKED_LETTERS if asked else MEASURED_LETTERS)[letter]
+        return roles, "current" if letter == "i" else "", len(roles) != 1
     if "input" in kinds:
         return ("position", "reference", "voltage"), "", False
     if "either" in kinds:

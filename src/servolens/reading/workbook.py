@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from python_calamine import CalamineError, CalamineWorkbook
 
 from servolens.errors import InputError
+from servolens.reading.cells import REWRITE, decimal_sign, grouped_or_decimal
 from servolens.reading.column_cells import ColumnCells
+from servolens.reading.files import quote
 from servolens.reading.layout import find_layout
 from servolens.reading.settings import comment_settings
 from servolens.reading.table import Column, Table
@@ -51,18 +53,28 @@ def read(path: Path) -> list[Table]:
 def _table(name: str, rows: Sequence[Sequence[object]]) -> Table | None:
     cells = [[_text(cell) for cell in row] for row in rows]
     lines = [(k + 1, row) for k, row in enumerate(cells) if any(row)]
-    layout = find_layout([row for _, row in lines[:LAYOUT_ROWS]])
+    head = [row for _, row in lines[:LAYOUT_ROWS]]
+    layout, decimal = find_layout(head), "."
+    if layout is None:  # numbers stored as texts, as an import with the wrong settings does
+        decimal = decimal_sign(_joined(head), ";")
+        layout = find_layout(head, decimal)
     if layout is None:
         return None
     body = lines[layout.first :]
+    if decimal != "." and (cell := grouped_or_decimal(_joined([row for _, row in body]), ";", decimal)):
+        raise InputError(f"{quote(cell)} may be a whole number with separated thousands; {REWRITE}")
     columns = [
-        _column(heading, [row[j] for _, row in body], [line for line, _ in body], layout.units[j])
+        _column(heading, [row[j] for _, row in body], [line for line, _ in body], layout.units[j], decimal)
         for j, heading in enumerate(layout.names)
         if heading or j in layout.typed
     ]
     above = (", ".join(row).rstrip(", ") for _, row in lines[: layout.first])
     comments = comment_settings(line for line in above if line.startswith("#"))
     return Table(tuple(columns), name, comments, layout.properties, has_names=layout.has_names)
+
+
+def _joined(rows: Sequence[Sequence[str]]) -> bytes:
+    return "\n".join(";".join(row) for row in rows).encode()
 
 
 def _text(cell: object) -> str:
@@ -73,7 +85,7 @@ def _text(cell: object) -> str:
     return str(cell).strip()
 
 
-def _column(name: str, cells: Sequence[str], lines: Sequence[int], unit: str | None) -> Column:
-    column = ColumnCells()
+def _column(name: str, cells: Sequence[str], lines: Sequence[int], unit: str | None, decimal: str) -> Column:
+    column = ColumnCells(decimal)
     column.add(cells, [f"row {line}" for line in lines])
     return column.column(name, unit)

@@ -1,0 +1,258 @@
+"""Logs whose names mislead: what was taken silently for another signal or unit is read right, or asked about."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from servolens import lab
+from servolens.errors import InputError
+from servolens.reading import read_log
+from servolens.reading.words import meaning, unit_behind
+
+TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.6, noise=1e-5, seed=5)
+T, Y, R, U = TRUTH.time, TRUTH.position, TRUTH.reference, TRUTH.voltage
+SPEED = np.gradient(Y, T)
+TURN = 1 / (2 * np.pi)
+COUNTS = np.round(Y * 4096 * TURN + 2048), np.round(R * 4096 * TURN + 2048)
+START = 1_714_564_800
+STAMPS = [(START + round(1e6 * t) // 10**6, round(1e6 * t) % 10**6 * 1000) for t in T]
+
+
+def rows(*columns, separator=",", decimal=".", form="%.9g"):
+    return "".join(
+        separator.join((form % x).replace(".", decimal) for x in row) + "\n" for row in zip(*columns, strict=True)
+    )
+
+
+def written(folder, content, name="run.csv"):
+    path = folder / name
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+def check(record, scale=1.0):
+    assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
+    for signal, truth in (("position", Y * scale), ("reference", R * scale), ("voltage", U)):
+        assert np.max(np.abs(getattr(record, signal) - truth)) < 2e-3 * np.ptp(truth), signal
+
+
+# ---- names
+
+
+@pytest.mark.parametrize(
+    ("name", "roles"),
+    [
+        *((name, ("voltage",)) for name in ("i_soll", "i_ist", "i_ref", "PosCtrlOut", "Lagereglerausgang", "Vq", "OP")),
+        *((name, ("velocity",)) for name in ("n_ist", "w_meas", "gyro_z", "servo_stats.velocity")),
+        *((name, ("velocity", "voltage")) for name in ("v_ist", "v_act")),
+        *((name, ("reference",)) for name in ("Limited Position", "servo_control.position", "traj_pos", "r(t)", "SP")),
+        *((name, ("position",)) for name in ("y(t)", "PV", "theta_m", "Kolbenweg [mm]", "Achsposition", "load_pos")),
+        *((name, ("time",)) for name in ("u.Time", "pos.Time", "pos_timestamp", "Zeit")),
+        *(
+            (name, ())
+            for name in ("v_ref", "v_soll", "n_soll", "M_ist [Nm]", "T_ist", "f_ist", "servo_control.velocity")
+        ),
+        *((name, ()) for name in ("Present_Load", "in_position", "elec_angle", "U_pot", "sensor voltage [V]")),
+        *((name, ()) for name in ("loop_time", "cycle time", "Nr")),
+    ],
+)
+def test_a_name_means_what_the_field_calls_so(name, roles):
+    assert meaning(name).roles == roles
+
+
+@pytest.mark.parametrize(("name", "kind"), [("angular position", "angle"), ("ang_pos", "angle"), ("pos", "position")])
+def test_angles_are_in_radians(name, kind):
+    assert meaning(name).kind == kind
+
+
+def test_a_letter_behind_an_angle_is_no_unit():
+    assert [meaning(name).unit for name in ("theta_m", "phi_m", "x_m")] == [None, None, "m"]
+
+
+def test_a_function_of_time_is_no_mass():
+    assert unit_behind("y(t) [mm]") == ("y", "mm", "in brackets")
+    assert unit_behind("u(t)") == ("u", None, "")
+    assert unit_behind("Masse (kg)")[1] == "kg"
+
+
+# ---- logs that are plain
+
+
+def labview(columns):
+    count = {"One": 3, "Multi": 6, "No": 3}[columns]
+    cells = ["mm", "mm", "Volts"] if count == 3 else ["mm", "", "mm", "", "Volts", ""]
+    names = ["Position", "Setpoint", "Output"]
+    names = ["X_Value", *names] if count == 3 else [cell for name in names for cell in ("X_Value", name)]
+    body = {"One": (T, Y * 1e3, R * 1e3, U), "Multi": (T, Y * 1e3, T, R * 1e3, T, U), "No": (Y * 1e3, R * 1e3, U)}[
+        columns
+    ]
+    lines = rows(*body, separator="\t").splitlines()
+    return (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nReader_Version\t2\nSeparator\tTab\nDecimal_Separator\t.\n"
+        f"Multi_Headings\tYes\nX_Columns\t{columns}\nTime_Pref\tRelative\n***End_of_Header***\t\n\t\nChannels\t3\n"
+        + "\t".join(["Y_Unit_Label", *cells])
+        + "\nX0\t0\t0\t0\nDelta_X\t0.001\t0.001\t0.001\n***End_of_Header***\n"
+        + "\t".join([*names, "Comment"])
+        + "\n"
+        + "".join(("\t" if columns == "No" else "") + line + "\t\n" for line in lines)
+    )
+
+
+def ros_lines():
+    return "\n".join(
+        json.dumps({"stamp": {"sec": s, "nanosec": n}, "position": y, "setpoint": r, "voltage": u})
+        for (s, n), y, r, u in zip(STAMPS, Y.tolist(), R.tolist(), U.tolist(), strict=True)
+    )
+
+
+PLAIN = {
+    "LabVIEW, one time": ("run.lvm", labview("One")),
+    "LabVIEW, a time for each": ("run.lvm", labview("Multi")),
+    "LabVIEW, no time": ("run.lvm", labview("No")),
+    "JSON lines of ROS": ("run.jsonl", ros_lines()),
+    "seconds and nanoseconds": (
+        "run.csv",
+        "sec,nanosec,position,setpoint,voltage\n" + rows(*np.transpose(STAMPS), Y, R, U, form="%.10g"),
+    ),
+    "C's clock": (
+        "run.csv",
+        "tv_sec,tv_usec,pos,ref,u\n" + rows(*(np.transpose(STAMPS) // [[1], [1000]]), Y, R, U, form="%.10g"),
+    ),
+    "moteus": (
+        "run.csv",
+        "timestamp,servo_stats.position,servo_control.position,servo_control.velocity,servo_stats.velocity,"
+        "servo_control.torque\n" + rows(T, Y * TURN, R * TURN, 0 * T, SPEED * TURN, U),
+    ),
+    "Copley": (
+        "run.csv",
+        "Time (ms),Limited Position (mm),Actual Motor Position (mm),Commanded Current (A)\n"
+        + rows(T * 1e3, R * 1e3, Y * 1e3, U),
+    ),
+    "process control": ("run.csv", "Time,SP,PV,OP\n" + rows(T, R, Y, U)),
+    "parts of the law": ("run.csv", "t,sp,pv,p,i,d,out\n" + rows(T, R, Y, 60 * (R - Y), 0 * T, U - 60 * (R - Y), U)),
+    "a simulation beside it": ("run.csv", "t,r,y,y_model,u\n" + rows(T, R, Y, 1.1 * Y, U)),
+    "time of the loop": ("run.csv", "timestamp,loop_time,pos,ref,u\n" + rows(T, 1e-3 + 1e-5 * np.sin(99 * T), Y, R, U)),
+    "functions of time": ("run.csv", "t,r(t),y(t),u(t)\n" + rows(T, R, Y, U)),
+    "motor angle": ("run.csv", "t,theta_m,theta_ref,u\n" + rows(T, Y, R, U)),
+    "pulses": ("run.csv", "t,Feedback [pulse],Reference [pulse],u\n" + rows(T, Y * 1e6, R * 1e6, U)),
+    "German compounds": (
+        "run.csv",
+        "Zeit [s];Kolbenposition [mm];Kolbensollposition [mm];Ventilspannung [V]\n"
+        + rows(T, Y * 1e3, R * 1e3, U, separator=";", decimal=","),
+    ),
+    "German revolutions": (
+        "run.csv",
+        "Zeit [s];Position [Umdr.];Sollposition [Umdr.];Moment [Nm]\n"
+        + rows(T, Y * TURN, R * TURN, U, separator=";", decimal=","),
+    ),
+}
+
+
+@pytest.mark.parametrize("form", PLAIN)
+def test_a_plain_log_is_read_without_a_question(tmp_path, form):
+    name, content = PLAIN[form]
+    settings = {"counts_per_unit": 1e6} if form == "pulses" else None
+    check(read_log(written(tmp_path, content, name), settings=settings).record)
+
+
+def test_the_load_of_a_servo_is_no_position(tmp_path):
+    content = "timestamp,Present_Position,Goal_Position,Present_Load\n" + rows(T, *COUNTS, np.round(U * 10))
+    path = written(tmp_path, content)
+    with pytest.raises(InputError, match="no column is known as the command; if it is 'Present_Load', name it"):
+        read_log(path, settings={"counts_per_rev": 4096})
+    record = read_log(path, settings={"counts_per_rev": 4096, "kp": 60}).record
+    assert record.voltage is None
+    assert record.position == pytest.approx(COUNTS[0] / 4096 / TURN)
+
+
+@pytest.mark.parametrize("every", [1, 5], ids=["one clock", "own clocks"])
+def test_signals_of_matlab_have_times_of_their_own(tmp_path, every):
+    from scipy.io import savemat
+
+    signals = {"y": (T, Y), "r": (T[::every], R[::every]), "u": (T[::every], U[::every])}
+    tree = {name: {"Time": t[:, None], "Data": values[:, None]} for name, (t, values) in signals.items()}
+    savemat(tmp_path / "run.mat", tree)
+    record = read_log(tmp_path / "run.mat").record
+    assert record.time == pytest.approx(T)
+    assert record.position == pytest.approx(Y)
+    assert record.voltage == pytest.approx(np.repeat(U[::every], every)[: T.size])
+
+
+def test_a_sheet_of_numbers_with_decimal_commas_is_read(tmp_path):
+    """Numbers that an import has left as texts: "a workbook without a sheet of numbers"."""
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.append(["Zeit [s]", "Istposition [mm]", "Sollposition [mm]", "Spannung [V]"])
+    for row in zip(T, Y * 1e3, R * 1e3, U, strict=True):
+        book.active.append([f"{x:.6f}".replace(".", ",") for x in row])
+    book.save(tmp_path / "run.xlsx")
+    check(read_log(tmp_path / "run.xlsx").record)
+
+
+def test_grouped_thousands_of_a_sheet_are_a_question(tmp_path):
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    book.active.append(["Zeit [s]", "Istposition [mm]", "Spannung [V]"])
+    for k in range(60):
+        book.active.append([f"0,{k:02d}5", f"{900 + k}" if k < 50 else f"1,{k:03d}", f"0,{k:02d}5"])
+    book.save(tmp_path / "run.xlsx")
+    with pytest.raises(InputError, match="'1,050' may be a whole number with separated thousands"):
+        read_log(tmp_path / "run.xlsx")
+
+
+# ---- logs of which two readings are plausible
+
+
+ASKED = {
+    "a speed loop": ("t,v_ref,v_act,u\n" + rows(T, R, Y, U), "no column named position"),
+    "a speed loop, German": ("t,n_soll,n_ist,i_soll\n" + rows(T, R, Y, U), "no column named position"),
+    "a gyroscope": ("t,gyro_z,ref,u\n" + rows(T, Y, R, U), "no column named position"),
+    "a sensor's voltage": ("t,pos,ref,sensor_voltage\n" + rows(T, Y, R, 30 * Y + 1), "the gains are unknown"),
+    "an output of the position loop": (
+        "Zeit;Laser [mm];Lagereglerausgang;Sollwert [mm]\n" + rows(T, Y * 1e3, U, R * 1e3, separator=";", decimal=","),
+        "no column named position",
+    ),
+    "amperes or milliamperes": (
+        "t,pos,ref,current\n" + rows(T, Y, R, 1000.1 * U),
+        "column 'current' reaches 6001.2 and states no unit: A and mA are plausible",
+    ),
+    "newton metres": ("t,pos,ref,torque\n" + rows(T, Y, R, 1000.1 * U), "N m and mN m are plausible"),
+    "a quarter of a millisecond": (
+        "t,pos,ref,u\n" + rows(T * 250, Y, R, U),
+        "column 't' has steps of 0.25, which are plausible in ms and in s; say --unit time=ms or --unit time=s",
+    ),
+    "minutes": ("t,pos,ref,u\n" + rows(T / 60, Y, R, U), "are plausible in min and in h and in s; say --unit time=min"),
+    "hours": ("Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U), "are plausible in h and in day and in s"),
+    "a few counts": (
+        "t,encoder,target,pwm\n" + rows(T, np.round(Y * 80), np.round(R * 80), U),
+        "column 'encoder' travels 9 and states no unit: mm, deg, rad and counts are plausible",
+    ),
+    "measured or metres": (
+        "t,y_m,ref,u\n" + rows(T, Y * 1e3, R * 1e3, U),
+        "travels 107.3 and states no unit: mm, deg and rad are plausible",
+    ),
+    "angle of a motor": (
+        "t,theta_m,theta_ref,u\n" + rows(T, Y * 1e3, R * 1e3, U),
+        "column 'theta_m' travels 107.3 and states no unit: deg and rad are plausible",
+    ),
+    "U_A": ("t,pos,ref,v_a\n" + rows(T, Y, R, U), "may be the armature's voltage, or a command in A"),
+}
+
+
+@pytest.mark.parametrize("form", ASKED)
+def test_what_can_be_read_in_two_ways_is_a_question(tmp_path, form):
+    content, part = ASKED[form]
+    with pytest.raises(InputError) as asked:
+        read_log(written(tmp_path, content))
+    assert part in str(asked.value)
+
+
+def test_a_unit_that_is_stated_is_no_question(tmp_path):
+    content = "t [min],pos,ref,current [mA]\n" + rows(T / 60, Y, R, U * 1e3, form="%.12g")
+    check(read_log(written(tmp_path, content)).record)
+    check(read_log(written(tmp_path, "t,pos,ref,u\n" + rows(T * 250, Y, R, U)), units={"time": "4 ms"}).record)
