@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from servolens.errors import InputError
 from servolens.reading import KEYS
 from servolens.reading.reading import units_of
+from servolens.results import copy_atomically, write_atomically
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,9 +38,8 @@ def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
     Raises
     ------
     InputError
-        If a ROS 2 bag, which is a folder, lies elsewhere.
-    OSError
-        If a file cannot be written.
+        If a ROS 2 bag, which is a folder, lies elsewhere, or a file cannot be written: then none is, and what was
+        there before is as it was.
     """
     folder = path.resolve().parent
     taken: dict[Path, Path] = {}
@@ -53,16 +52,22 @@ def write_campaign(logs: Sequence[Log], path: Path) -> tuple[Path, ...]:
             if target != source and source not in taken:
                 if source.is_dir():
                     raise InputError(f"{log.path}: is a bag outside the campaign's folder; copy its folder there first")
-                copies.append((source, target))
+                copies.append((source, target, target.exists()))  # an equal one stays
             taken[source] = target
             places.append(target.relative_to(folder))
         entries.append(_entry(log, *places))
-    for source, target in copies:
-        shutil.copyfile(source, target)
-    path.write_text(
-        "# Written by servolens convert: change what was guessed wrong.\n\n" + "\n".join(entries), encoding="utf-8"
-    )
-    return tuple(target for _, target in copies)
+    text = "# Written by servolens convert: change what was guessed wrong.\n\n" + "\n".join(entries)
+    try:
+        for source, target, is_there in copies:
+            if not is_there:
+                copy_atomically(source, target)
+        write_atomically(path, text.encode("utf-8"))
+    except BaseException:
+        for _, target, is_there in copies:
+            if not is_there:
+                target.unlink(missing_ok=True)
+        raise
+    return tuple(target for _, target, _ in copies)
 
 
 def _target(source: Path, folder: Path, taken: set[Path]) -> Path:

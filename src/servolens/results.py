@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,13 @@ from servolens import __version__
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from servolens.findings import Finding
 
 __all__ = [
-    "STANDARD_OUTPUT", "check_writable", "envelope", "to_finite", "to_text", "with_reasons", "write_atomically",
-    "write_json",
+    "STANDARD_OUTPUT", "check_writable", "copy_atomically", "envelope", "to_finite", "to_text", "with_reasons",
+    "write_atomically", "write_json",
 ]  # fmt: skip
 
 STANDARD_OUTPUT = "-"
@@ -156,18 +157,52 @@ def write_atomically(path: Path, content: bytes, *, durable: bool = False) -> No
         If the file cannot be written.
     """
     target = Path(os.path.realpath(path))
-    try:
-        if target.exists() and not target.is_file():
+    if _is_device(target):
+        with _told(path):
             target.write_bytes(content)  # a device such as /dev/null has no other place
-            return
-        part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
+        return
+    with _part_of(path, target) as part:
+        _write(part, content, durable=durable)
+
+
+def copy_atomically(source: Path, path: Path) -> None:
+    """Copy a file to `path` so that no reader ever sees half of it.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+    """
+    with _part_of(path, Path(os.path.realpath(path))) as part:
+        shutil.copyfile(source, part)
+
+
+def _is_device(target: Path) -> bool:
+    try:
+        return target.exists() and not target.is_file()
+    except OSError:
+        return False  # told where it is written
+
+
+@contextmanager
+def _part_of(path: Path, target: Path) -> Iterator[Path]:
+    """Yield a file beside `target` that takes its place where all went well, and is gone where not."""
+    part = target.with_name(f".{target.name[:100]}.{os.getpid()}.part")
+    with _told(path):
         try:
-            _write(part, content, durable=durable)
+            yield part
             part.replace(target)
         except BaseException:
             with suppress(OSError):
                 part.unlink()
             raise
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Refuse by the name of the file that cannot be written."""
+    try:
+        yield
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({(error.strerror or 'unknown error').lower()})") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import subprocess
@@ -27,6 +28,8 @@ MEMORY = 4 * 2**30
 """Address space of a reader [bytes]: the longest file, its numbers twice, and what libraries map."""
 PROCESSOR, WALL = 120, 180
 """Limits of a reader [s]; a file of the greatest size takes a tenth of that."""
+NO_SPACE = 28
+"""Exit status of a reader whose answer found no room on the disk."""
 SINGLE = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 """Threads reserve address space each."""
 _START = "import sys; sys.path.insert(0, {root!r}); from servolens.reading.isolated import main; main(sys.argv[1:])"
@@ -61,6 +64,8 @@ def read_isolated(module: str, path: Path, kind: str) -> tuple[Table, ...]:
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             raise InputError(f"takes more than {WALL} s to read as {kind}; export it as CSV") from error
+        if done.returncode == NO_SPACE:
+            raise InputError(f"cannot be read: no space is left for temporary files in {tempfile.gettempdir()}")
         output.seek(0)
         answer = _answer(output) if done.returncode == 0 else None
         if answer is None:
@@ -80,8 +85,11 @@ def main(arguments: Sequence[str]) -> None:
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # libraries print
     _limit()
-    _write(output, module, Path(path))
-    output.flush()
+    try:
+        _write(output, module, Path(path))
+        output.flush()
+    except OSError as error:
+        os._exit(NO_SPACE if error.errno in (errno.ENOSPC, errno.EDQUOT) else 1)
     os._exit(0)  # a library's clean-up may crash or wait
 
 

@@ -77,15 +77,23 @@ def printed(html: str) -> bytes:
     program = chromium()
     if program is None:
         raise InputError(f"no Chromium or Chrome was found to print the page; install one, or name it in {CHOSEN}")
-    with tempfile.TemporaryDirectory(prefix="servolens-") as folder:
-        page, target = Path(folder, "page.html"), Path(folder, "page.pdf")
-        page.write_text(html, encoding="utf-8", errors="replace")
-        command = [program, *_options(folder), f"--print-to-pdf={target}", page.as_uri()]
-        with suppress(OSError, subprocess.TimeoutExpired):  # what it leaves tells
-            subprocess.run(command, capture_output=True, timeout=BROWSER_SECONDS, check=False)
-        if not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
-            raise InputError(f"{Path(program).name} did not print the page; write a .html file and print that instead")
-        return target.read_bytes()
+    try:
+        with tempfile.TemporaryDirectory(prefix="servolens-") as folder:
+            return _printed(program, html, folder)
+    except OSError as error:
+        where, why = tempfile.gettempdir(), (error.strerror or "unknown error").lower()
+        raise InputError(f"the page cannot be printed: {why} where temporary files are kept ({where})") from None
+
+
+def _printed(program: str, html: str, folder: str) -> bytes:
+    page, target = Path(folder, "page.html"), Path(folder, "page.pdf")
+    page.write_text(html, encoding="utf-8", errors="replace")
+    command = [program, *_options(folder), f"--print-to-pdf={target}", page.as_uri()]
+    with suppress(OSError, subprocess.TimeoutExpired):  # what it leaves tells
+        subprocess.run(command, capture_output=True, timeout=BROWSER_SECONDS, check=False)
+    if not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
+        raise InputError(f"{Path(program).name} did not print the page; write a .html file and print that instead")
+    return target.read_bytes()
 
 
 def _options(folder: str) -> list[str]:
