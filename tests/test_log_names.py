@@ -138,6 +138,15 @@ PLAIN = {
     "functions of time": ("run.csv", "t,r(t),y(t),u(t)\n" + rows(T, R, Y, U)),
     "motor angle": ("run.csv", "t,theta_m,theta_ref,u\n" + rows(T, Y, R, U)),
     "pulses": ("run.csv", "t,Feedback [pulse],Reference [pulse],u\n" + rows(T, Y * 1e6, R * 1e6, U)),
+    "rotations": ("run.csv", "t,Position (rot),target_rotations,u\n" + rows(T, Y * TURN, R * TURN, U)),
+    "feet": ("run.csv", "t,pos_ft,ref_ft,u\n" + rows(T, Y / 0.3048, R / 0.3048, U)),
+    "a set point of the position, as ODrive calls it": ("run.csv", "t,pos,pos_setpoint,u\n" + rows(T, Y, R, U)),
+    "ODrive without its axis": (
+        "run.csv",
+        "timestamp,pos_setpoint,pos_estimate,vel_estimate,Iq_setpoint\n" + rows(T, R * TURN, Y * TURN, SPEED * TURN, U),
+    ),
+    "one motor by its number": ("run.csv", "t,motor_id,pos,ref,u\n" + rows(T, 0 * T + 3, Y, R, U)),
+    "a speed beside the position": ("run.csv", "t,target,velocity,angle,u\n" + rows(T, R, SPEED, Y, U)),
     "German compounds": (
         "run.csv",
         "Zeit [s];Kolbenposition [mm];Kolbensollposition [mm];Ventilspannung [V]\n"
@@ -208,6 +217,16 @@ def test_grouped_thousands_of_a_sheet_are_a_question(tmp_path):
 # ---- logs of which two readings are plausible
 
 
+def by_turns(label, *names):
+    scales = (1.0, 0.4)
+    lines = (
+        f"{t + 3e-4 * k:.6f},{name},{y * scale + 0.2 * k:.9g},{r * scale + 0.2 * k:.9g},{u * scale:.9g}\n"
+        for t, y, r, u in zip(T, Y, R, U, strict=True)
+        for k, (name, scale) in enumerate(zip(names, scales, strict=True))
+    )
+    return f"time,{label},position,target,current\n" + "".join(lines)
+
+
 ASKED = {
     "a speed loop": ("t,v_ref,v_act,u\n" + rows(T, R, Y, U), "no column named position"),
     "a speed loop, German": ("t,n_soll,n_ist,i_soll\n" + rows(T, R, Y, U), "no column named position"),
@@ -239,6 +258,29 @@ ASKED = {
     "angle of a motor": (
         "t,theta_m,theta_ref,u\n" + rows(T, Y * 1e3, R * 1e3, U),
         "column 'theta_m' travels 107.3 and states no unit: deg and rad are plausible",
+    ),
+    "rows of two axes": (by_turns("motor_id", "1", "2"), "of several axes by turns, as column 'motor_id' says"),
+    "rows of two joints": (by_turns("joint", "shoulder", "elbow"), "of several axes by turns, as column 'joint' says"),
+    "a set point of the speed": (
+        "t,target,velocity,angle,u\n" + rows(T, 30 * R, 30 * Y, np.cumsum(0.03 * Y), U),
+        "column 'target' seems to be the set point of the speed 'velocity'; say --column reference=- if the position"
+        " has none, or --column reference=target",
+    ),
+    "a steady set point of the speed": (
+        "t,setpoint,speed,pos,u\n" + rows(T, 3 + 0 * T, 3 - 3 * np.exp(-20 * T), 3 * T, U),
+        "column 'setpoint' seems to be the set point of the speed 'speed'",
+    ),
+    "two units": (
+        "t,pos_mm [m],ref_mm [m],u\n" + rows(T, Y * 1e3, R * 1e3, U),
+        "column 'pos_mm [m]' has mm in its name and m as its unit; say --unit position=mm or --unit position=m",
+    ),
+    "perhaps ODrive's": (
+        "t,pos_estimate,pos_setpoint,u\n" + rows(T, Y, R, U),
+        "column 'pos_estimate' may be in revolutions, as ODrive's of that name, or in m; say --unit position=rev or",
+    ),
+    "two references, one of them shifted": (
+        "t,target_pos,pos_setpoint,pos,u\n" + rows(T, R + 0.05, R, Y, U),
+        "the reference may be one of 'target_pos', 'pos_setpoint'",
     ),
     "U_A": ("t,pos,ref,v_a\n" + rows(T, Y, R, U), "may be the armature's voltage, or a command in A"),
 }

@@ -73,7 +73,7 @@ _ATOMS: Mapping[str, tuple[float, Mapping[str, int]]] = {
 _SPELLINGS = {
     **dict.fromkeys(("sek", "Sek", "Sekunden"), "s"),
     **dict.fromkeys(("Grad", "grad"), "deg"),
-    **dict.fromkeys(("U", "Umdr", "Umdrehungen"), "rev"),
+    **dict.fromkeys(("U", "Umdr", "Umdrehungen", "rot", "rotations", "revolutions"), "rev"),
     **dict.fromkeys(
         ("inc", "Ink", "Inkr", "Inkremente", "LU", "Cnt", "pulse", "pulses", "Pulse", "Pulses", "PUU"), "count"
     ),

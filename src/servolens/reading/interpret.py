@@ -11,9 +11,10 @@ from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.reading.clock import unwrapped, with_clock
 from servolens.reading.completed import held, signed
+from servolens.reading.contradictions import check_choices, check_units_of_names
 from servolens.reading.files import quote
 from servolens.reading.guess import Guess
-from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, check_mapping, choose, typed, unknown
+from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, candidates, check_mapping, choose, typed, unknown
 from servolens.reading.scales import (
     LONGEST_AXIS,
     command_unit,
@@ -107,12 +108,14 @@ def interpret(
     if not tables:
         raise InputError("holds no columns of numbers")
     chosen, remarks = held(choose(tables, columns))
+    check_choices(tables, chosen, candidates(tables))
     chosen, of_sign = signed(chosen, tables)
     remarks += [*of_sign, *dict.fromkeys(remark for table in tables for remark in table.remarks)]
     comments = {key: value for table in tables for key, value in table.comments.items()}
     gains = _constant_gains(tables, chosen["position"].table, {**comments, **(settings or {})})
     stated = check_mapping(units, "units", "mm")
-    found = _units(chosen, stated, {**comments, **gains, **(settings or {})})
+    names = [column.name for table in tables for column in table.columns]
+    found = _units(chosen, stated, names, {**comments, **gains, **(settings or {})})
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
     for signal, choice in chosen.items():
         _check_numbers(signal, choice)
@@ -216,14 +219,16 @@ def _is_amount(text: str) -> bool:
 
 
 def _units(
-    chosen: Mapping[str, Choice], stated: Mapping[str, str], settings: Mapping[str, object]
+    chosen: Mapping[str, Choice], stated: Mapping[str, str], names: Sequence[str], settings: Mapping[str, object]
 ) -> dict[str, tuple[str | None, str]]:
     """Return each signal's unit and where it is from; a velocity that cannot be used is left out."""
     found: dict[str, tuple[str | None, str]] = {}
     for signal, choice in chosen.items():
         if signal in stated:
             found[signal] = stated[signal], BY_CALLER
-        elif choice.unit is not None and (choice.meaning.where in SURE_UNITS or _may_be(choice, signal)):
+            continue
+        check_units_of_names(signal, choice, names)
+        if choice.unit is not None and (choice.meaning.where in SURE_UNITS or _may_be(choice, signal)):
             found[signal] = choice.unit, f"unit {choice.meaning.where}" if choice.meaning.where else ""
     for signal in ("time", "position", "reference", "voltage", "velocity", "feedforward", "enabled"):
         if signal in chosen and signal not in found:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from servolens.reading.table import Column, Table
 
-__all__ = ["Choice", "check_mapping", "choose", "offer", "turns", "typed", "unknown"]
+__all__ = ["Choice", "candidates", "check_mapping", "choose", "offer", "turns", "typed", "unknown"]
 
 ALIASES = {"time": ("t",)}
 ORDER = ("position", "time", "reference", "voltage", "velocity", "feedforward", "enabled")
@@ -110,7 +110,7 @@ def choose(tables: Sequence[Table], columns: Mapping[str, str] | None) -> dict[s
     mapping = check_mapping(columns, "columns", "qm")
     absent = {signal for signal, name in mapping.items() if name.strip() == NONE}
     mapping = {signal: name for signal, name in mapping.items() if signal not in absent}
-    found = _candidates(tables)
+    found = candidates(tables)
     chosen = {signal: _mapped(name, signal, found) for signal, name in mapping.items()}
     taken = {id(choice.column): signal for signal, choice in chosen.items()}
     for signal, mapped in chosen.items():
@@ -157,7 +157,7 @@ def unknown(tables: Sequence[Table], chosen: Mapping[str, Choice]) -> list[Choic
     home = chosen["position"].table
     return [
         c
-        for c in _candidates(tables)
+        for c in candidates(tables)
         if c.table == home
         and id(c.column) not in taken
         and c.column.fault is c.column.switches is None
@@ -179,8 +179,14 @@ def offer(found: Iterable[Choice]) -> str:
     return f"the columns are {quote(names)}" if names else "the table has no named columns"
 
 
-def _candidates(tables: Sequence[Table]) -> list[Choice]:
-    """Return every column with what its heading says, and the shortest address that is its own."""
+def candidates(tables: Sequence[Table]) -> list[Choice]:
+    """Return every column with what its heading says, and the shortest address that is its own.
+
+    Parameters
+    ----------
+    tables : sequence of Table
+        Of a file.
+    """
     plain = [(i, column, unit_behind(column.name)[0]) for i, table in enumerate(tables) for column in table.columns]
     everywhere = Counter(name for _, _, name in plain)
     inside = Counter((i, name) for i, _, name in plain)

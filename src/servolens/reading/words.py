@@ -31,16 +31,34 @@ from servolens.units import parse_unit
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-__all__ = ["BY_ARMATURE", "BY_KIND", "BY_NAME", "BY_PROTOCOL", "DUTY", "Meaning", "allows", "meaning", "unit_behind"]
+__all__ = [
+    "BY_ARMATURE",
+    "BY_KIND",
+    "BY_NAME",
+    "BY_PROTOCOL",
+    "DUTY",
+    "PERHAPS_ODRIVE",
+    "Meaning",
+    "allows",
+    "at_the_end",
+    "meaning",
+    "unit_behind",
+]
 
 _ARMATURES = (("u", "a"), ("v", "a"))
 BY_ARMATURE = "perhaps at the end of its name"
 """Where the unit of ``U_A`` or ``V_A`` stands: it is the armature's voltage, or a command in amperes."""
 BY_NAME, DUTY, BY_KIND = "by its name", "duty", "which a column of that name is in"
 BY_PROTOCOL = "which servos of that protocol count in"
+BY_ODRIVE, PERHAPS_ODRIVE = "which ODrive counts in", "which ODrive counts in, as its other names beside it say"
 _CONVENTIONS = (
-    (re.compile(r"(.*[._])?(pos_estimate|pos_setpoint|input_pos)"), "rev", "which ODrive counts in"),
-    (re.compile(r"(.*[._])?vel_estimate"), "rev/s", "which ODrive counts in"),
+    (
+        re.compile(r".*(axis\d|odrv\d?|encoder|controller)[._](.*[._])?(pos_estimate|pos_setpoint|input_pos)"),
+        "rev",
+        BY_ODRIVE,
+    ),
+    (re.compile(r"pos_estimate|input_pos"), "rev", PERHAPS_ODRIVE),
+    (re.compile(r"(.*[._])?vel_estimate"), "rev/s", BY_ODRIVE),
     (re.compile(r"servo_(stats|control|command)[._]position"), "rev", "which moteus counts in"),
     (re.compile(r"servo_(stats|control|command)[._]velocity"), "rev/s", "which moteus counts in"),
     (
@@ -125,6 +143,19 @@ def meaning(text: str, unit: str | None = None) -> Meaning:
     if not bracketed:
         where = "stated beside its name"
     return _judged(name, tokens, unit, where)
+
+
+def at_the_end(text: str) -> str | None:
+    """Return the unit at the end of a heading's name, whatever stands behind that; None without, or for one letter.
+
+    Examples
+    --------
+    >>> at_the_end("pos_mm [m]"), at_the_end("Position [mm]"), at_the_end("x_m [mm]")
+    ('mm', None, None)
+    """
+    kept, found = _suffix(_tokens(unit_behind(text)[0]))
+    last = _ACRONYM.findall(unit_behind(text)[0])[-1:]
+    return found if kept and last and len(last[0]) > 1 else None
 
 
 def allows(signal: str, unit: str) -> bool:
