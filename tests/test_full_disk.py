@@ -79,3 +79,15 @@ def test_a_page_that_finds_no_room_for_temporary_files_is_refused_by_one_sentenc
         InputError, match=r"^the page cannot be printed: no such file or directory where temporary file"
     ):
         printed("<p>page</p>")
+
+
+@needs_limits
+def test_what_is_compiled_leaves_no_part_in_the_cache(tmp_path):
+    """Parts were left for ever, one more at each start."""
+    start = START.format(room=ROOM).rpartition("; ")[0]
+    code = f"{start}; from servolens.simulation.kernel import kept"
+    code += f"; print(len(kept('x', ['y'], lambda: bytes({3 * ROOM}))))"
+    environment = {**os.environ, "SERVOLENS_CACHE": os.fspath(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    assert done.stdout.strip() == str(3 * ROOM)
+    assert [*tmp_path.iterdir()] == []

@@ -113,8 +113,14 @@ def _write(path: Path, content: bytes) -> None:
     """Write a file at once; many processes may do so at the same time."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-        file.write(content)
-    Path(file.name).replace(path)
+        try:
+            file.write(content)
+            file.close()
+            Path(file.name).replace(path)
+        except OSError:  # a full disk keeps no parts
+            file.close()
+            Path(file.name).unlink(missing_ok=True)
+            raise
 
 
 def _compiled() -> str:
