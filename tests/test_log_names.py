@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from servolens import lab
+from servolens.campaign import read_logs, read_records
+from servolens.conversion import write_campaign
 from servolens.errors import InputError
 from servolens.reading import read_log
 from servolens.reading.words import meaning, unit_behind
@@ -165,6 +167,15 @@ def test_a_plain_log_is_read_without_a_question(tmp_path, form):
     name, content = PLAIN[form]
     settings = {"counts_per_unit": 1e6} if form == "pulses" else None
     check(read_log(written(tmp_path, content, name), settings=settings).record)
+
+
+@pytest.mark.parametrize("form", PLAIN)
+def test_the_campaign_of_a_plain_log_reads_it_again(tmp_path, form):
+    name, content = PLAIN[form]
+    settings = {"counts_per_unit": 1e6} if form == "pulses" else None
+    write_campaign(read_logs([written(tmp_path, content, name)], settings=settings), tmp_path / "runs.toml")
+    (record,) = read_records(tmp_path / "runs.toml")
+    check(record)
 
 
 def test_the_load_of_a_servo_is_no_position(tmp_path):
