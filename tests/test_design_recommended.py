@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from servolens import Controller, lab, simulate_loop
-from servolens.design import PDSpec, evaluate, recommend, settling_time, trust, tune
+from servolens.design import Design, PDSpec, compare, evaluate, recommend, settling_time, trust, tune
 from servolens.design.scenarios import UnexplainedForce, drawn, missed_share
 from servolens.effects import (
     ConstantForce,
@@ -515,6 +515,25 @@ def test_withheld_design_keeps_its_intervals_alone(least):
     assert (body["kd"], body["recommended"], body["gains"]["kd"]) == (None, None, None)
     assert body["intervals"] == [list(interval) for interval in least.intervals]
     assert body["reason"] == "The model is wrong."
+
+
+def test_file_says_why_nothing_is_recommended_or_tracked_and_is_read_without_that(least):
+    told = least.to_json()
+    assert told["recommended"] is told["tracking"] is None
+    assert told["reason"] == "recommended: only the least gain was sought; tracking: only the least gain was sought"
+    assert Design.from_json(told).reason is None
+    ideal = tune(NLM3, replace(SPEC, control="continuous"))
+    told = recommend(NLM3, ideal, scenarios=1).to_json()
+    assert told["reason"] == "tracking: feedforward is simulated in loops that are sampled only"
+    assert Design.from_json(told).to_json() == told
+
+
+def test_comparison_without_causes_says_so():
+    plain = Plant(gain=1.9, damping=6.0)
+    told = compare(plain, NLM3, SPEC).to_json()
+    assert told["diagnosed"] is told["linear"]["on_diagnosed"] is None
+    assert told["reason"] == "diagnosed: there is no model with causes"
+    assert told["linear"]["reason"].endswith("; on_diagnosed: there is no model with causes")
 
 
 def test_gain_that_the_sensors_noise_spoils_is_not_recommended():

@@ -175,6 +175,9 @@ def test_compare_runs_every_gain_on_the_diagnosed_plant(bench):
     assert body["schema"] == "servolens.comparison/1"
     assert body["diagnosed"]["recommended"]["kd"] > body["diagnosed"]["kd"]
     assert set(body["linear"]["on_diagnosed"]) == set(body["linear"]["on_nonlinear"])
+    assert body["linear"]["recommended"] is body["linear"]["tracking"] is None
+    assert body["linear"]["reason"].startswith("recommended: only the least gain was sought; tracking: ")
+    assert "reason" not in body["diagnosed"]
     assert set(body["lights"]) == {"data", "model", "gain"}
 
 

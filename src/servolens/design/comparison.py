@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 from servolens.design.least_kd import tune
 from servolens.design.settle import evaluate
 from servolens.inputs import as_plant
+from servolens.results import with_reasons
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
 
 __all__ = ["Comparison", "compare"]
+
+UNDIAGNOSED = "there is no model with causes"
 
 
 @final
@@ -64,19 +67,20 @@ class Comparison:
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``servolens.comparison/1`` without the file's header."""
         own = next(iter(self.nonlinear.verified), None)
-        return {
-            "linear": {
-                **self.linear.to_json(),
-                "on_nonlinear": _optional(self.linear_on_nonlinear),
-                "on_diagnosed": _optional(self.linear_on_diagnosed),
-            },
-            "nonlinear": {
-                **self.nonlinear.to_json(),
-                "on_nonlinear": _optional(own),
-                "on_diagnosed": _optional(self.nonlinear_on_diagnosed),
-            },
+        result = {
+            "linear": self._with_runs(self.linear, self.linear_on_nonlinear, self.linear_on_diagnosed),
+            "nonlinear": self._with_runs(self.nonlinear, own, self.nonlinear_on_diagnosed),
             "diagnosed": _optional(self.diagnosed),
         }
+        return with_reasons(result, {"diagnosed": UNDIAGNOSED})
+
+    def _with_runs(
+        self, design: Design, on_nonlinear: Response | None, on_diagnosed: Response | None
+    ) -> dict[str, Any]:
+        """Return a design with what its gain does on other plants, and why what is null of that is missing."""
+        runs = {"on_nonlinear": _optional(on_nonlinear), "on_diagnosed": _optional(on_diagnosed)}
+        why = {} if self.diagnosed is not None or design.kd is None else {"on_diagnosed": UNDIAGNOSED}
+        return with_reasons({**design.to_json(), **runs}, why)
 
 
 def compare(

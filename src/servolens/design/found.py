@@ -12,6 +12,7 @@ from servolens.design.response import Response
 from servolens.errors import InputError
 from servolens.model import Model
 from servolens.result import Result
+from servolens.results import with_reasons
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -204,7 +205,7 @@ class Design(Result):
     nearest : tuple of Relaxed
         Specs that can be met, with as few fields changed as possible.
     reason : str or None
-        Why there is none.
+        Why there is no gain; None where there is one.
     recommended : Recommended or None
         The gain to use, beside the least one; None until :func:`servolens.design.recommend` looked for it.
     hunting : mapping of str to Hunting or None
@@ -327,7 +328,17 @@ class Design(Result):
             result["nearest"] = [relaxed.to_json() for relaxed in self.nearest]
         if self.disagreement is not None:
             result["disagreement"] = self.disagreement
-        return result
+        return with_reasons(result, self._why_missing())
+
+    def _why_missing(self) -> dict[str, str]:
+        """Return why fields of a design that gives a gain are null; where it gives none, `reason` says why."""
+        if self.kd is None:
+            return {}
+        if self.recommended is None:
+            return dict.fromkeys(("recommended", "tracking"), "only the least gain was sought")
+        if self.spec.control == "continuous":
+            return {"tracking": "feedforward is simulated in loops that are sampled only"}
+        return {"tracking": "on the smooth move the axis, or a plant of the scenarios, runs away"}
 
     @classmethod
     def _read(cls, data: Mapping[str, Any]) -> Design:
@@ -336,6 +347,8 @@ class Design(Result):
         from servolens.design.spec import PDSpec
 
         known = {"Hunting": Hunting, "PDSpec": PDSpec, "Tracking": Tracking}
+        if data.get("kd") is not None:  # the reason is that of other fields
+            data = {**data, "reason": None}
         return cls(
             plants=tuple(Model.from_json(one).plant for one in data.get("plants", ())),
             verified=tuple(Response.from_json(one) for one in data.get("models", ())),

@@ -97,6 +97,7 @@ class Study:
             "recommended": None if design is None else design["recommended"],
             "forced": self.forced,
         }
-        reasons = (self.why_undiagnosed, self.why_none or (design or {}).get("reason", ""))
+        why_no_gain = self.why_none or ("" if self.design is None else self.design.reason or "")
+        reasons = (self.why_undiagnosed, why_no_gain)
         told = " ".join(f"{reason.rstrip('.')}." for reason in reasons if reason)
         return {**result, "reason": told} if told else result
