@@ -81,17 +81,19 @@ def explain(
         else _conflict_text(spec, conflict, models[0].command_unit)
     )
     reason = f"{searched} meets the spec; {text}"
-    closest = _closest(spec, steps)
-    settles = f"settles in {closest.settling_time:.4g} s"
-    if not np.isfinite(closest.settling_time):
-        settles = f"does not settle (up to {100 * closest.band:.3g} % of the step are left)"
     unit = models[0].command_unit
-    reason += (
-        f"; the closest, {spec.free} = {closest.kd:.4g}, {settles}, overshoots by"
-        f" {100 * max(closest.overshoot, 0.0):.3g} % and asks for {closest.voltage_limit:.4g} {unit}"
-    )
-    if nearest:
-        reason += f"; {_offer(nearest[0], spec.free, unit)}"
+    if not nearest:
+        closest = _closest(spec, steps)
+        return (
+            f"{reason}; {spec.free} = {closest.kd:.4g} misses the spec least: it {_does(closest, unit)}",
+            conflict,
+            (),
+        )
+    changed = replace(spec, **dict(nearest[0].changes))
+    step = _step(models, changed, nearest[0].kd)
+    assert step is not None  # noqa: S101 - it meets the changed spec
+    offer = _offer(nearest[0], unit)
+    reason += f"; {offer} can be met: {spec.free} = {nearest[0].kd:.4g} {_does(step, unit)}"
     return reason, conflict, nearest
 
 
@@ -231,11 +233,20 @@ def _told(wish: str, value: float, command_unit: str) -> str:
     return f"{WORDS[wish]} of {value:g} {units.get(wish, 'of the step')}"
 
 
-def _offer(found: Relaxed, gain: str, command_unit: str) -> str:
+def _offer(found: Relaxed, command_unit: str) -> str:
     parts = [
         f"{'an' if wish == 'overshoot' else 'a'} {_told(wish, value, command_unit)}" for wish, value in found.changes
     ]
-    return f"{' with '.join(parts)} can be met ({gain} = {found.kd:.4g})"
+    return " with ".join(parts)
+
+
+def _does(step: _Step, command_unit: str) -> str:
+    """Say what a gain does, as the end of a sentence."""
+    settles = f"settles in {step.settling_time:.4g} s"
+    if not np.isfinite(step.settling_time):
+        settles = f"does not settle (up to {100 * step.band:.3g} % of the step are left)"
+    overshoot = 100 * max(step.overshoot, 0.0)
+    return f"{settles}, overshoots by {overshoot:.3g} % and asks for {step.voltage_limit:.4g} {command_unit}"
 
 
 def _round_up(value: float) -> float:
