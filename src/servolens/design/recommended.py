@@ -18,7 +18,7 @@ from servolens.design.found import Design, Recommended
 from servolens.design.limit_cycle import hunting
 from servolens.design.plant_inverse import tracking
 from servolens.design.scenarios import TOLERANCE, counted, drawn
-from servolens.design.settle import evaluate
+from servolens.design.settle import BETWEEN, evaluate
 from servolens.errors import needed, number_within, whole_number
 from servolens.inputs import as_models, listed
 from servolens.processors import in_parallel
@@ -65,7 +65,8 @@ def recommend(
     gains that meet the spec most often and keep the overshoot's limit, the one is taken that is farthest from where the
     spec breaks: as a ratio, for gains scale, or as a difference where a gain is small beside what the loop notices.
     Gains that go beyond what the records of the models showed are asked only where no other meets the spec in nine of
-    ten scenarios.
+    ten scenarios. Where plants break the spec between the samples of the loop, a gain is taken with which nine in ten
+    keep it there too, if there is one.
 
     Parameters
     ----------
@@ -113,8 +114,8 @@ def recommend(
     limit = overshoot if design.spec.overshoot is None else design.spec.overshoot
     choosing, telling = (np.random.default_rng([seed, which]) for which in (0, 1))
     choice = _chosen(known, design, drawn(known, specs, CHOICE, choosing), limit)
-    tests = drawn(known, specs, scenarios, telling)
-    own = [evaluate(model.plant, design.spec, choice.kd) for model in known]
+    tests = [replace(one, parts=choice.parts) for one in drawn(known, specs, scenarios, telling)]
+    own = [evaluate(model.plant, design.spec, choice.kd, parts=choice.parts) for model in known]
     found = in_parallel(lambda one: one.response(choice.kd), tests)
     least = in_parallel(lambda one: one.response(design.kd or 0.0), tests)
     swings = {**design.hunting, "recommended": hunting([model.plant for model in known], design.spec, choice.kd)}
@@ -125,12 +126,27 @@ def recommend(
 @final
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """A gain, its scenarios that fail, the overshoot limit that no gain keeps, and gains half way to less safe ones."""
+    """A gain to use.
+
+    Attributes
+    ----------
+    kd : float
+        The gain.
+    failures : int
+        How many scenarios fail with it.
+    unkept : float or None
+        The overshoot limit that no gain keeps.
+    halfway : tuple of float
+        Gains half way to those that are less safe.
+    parts : int
+        Into how many each sample was divided at whose ends the axis was seen.
+    """
 
     kd: float
     failures: int
     unkept: float | None
     halfway: tuple[float, float]
+    parts: int = 1
 
 
 @final
@@ -173,16 +189,45 @@ class _Race:
 
 
 def _chosen(models: Sequence[Model], design: Design, scenarios: Sequence[Scenario], limit: float | None) -> Choice:
+    """Return the gain to use: where plants break the spec between the samples with it, one with which few of them do.
+
+    If there is none, the spec is kept at the samples.
+    """
+    choice = _borne_out(models, design, scenarios, limit)
+    closer = [replace(scenario, parts=BETWEEN) for scenario in scenarios]
+    failures = sum(not response.meets for response in in_parallel(lambda one: one.response(choice.kd), closer))
+    if failures <= choice.failures or not _may_keep(models, design):
+        return choice
+    other = _borne_out(models, design, closer, limit)
+    return replace(other, parts=BETWEEN) if other.failures < failures and _is_safe(other, closer) else choice
+
+
+def _may_keep(models: Sequence[Model], design: Design) -> bool:
+    """Tell whether with some gain the models keep the spec between the samples too."""
+    gains = np.concatenate(_grids(design.intervals, _scale(models, design)))
+    spec = design.spec
+    return any(all(evaluate(m.plant, spec, float(kd), parts=BETWEEN).meets for m in models) for kd in gains)
+
+
+def _borne_out(models: Sequence[Model], design: Design, scenarios: Sequence[Scenario], limit: float | None) -> Choice:
     """Return the gain to use, of those that the records bear out; of all where these meet the spec too seldom."""
-    scale = min(gain_scale(model.plant, design.spec) for model in models)
+    scale = _scale(models, design)
     everywhere = _grids(design.intervals, scale)
     for most in (BEYOND, FAR, np.inf):
         intervals = design.intervals if np.isinf(most) else within(models, design.spec, everywhere, most)
         if intervals:
             choice = _watched(_grids(intervals, scale), scale, scenarios, limit)
-            if choice.failures <= (1.0 - NINE_OF_TEN) * len(scenarios):
+            if _is_safe(choice, scenarios):
                 break
     return replace(choice, kd=_short(choice, design, scenarios))
+
+
+def _scale(models: Sequence[Model], design: Design) -> float:
+    return min(gain_scale(model.plant, design.spec) for model in models)
+
+
+def _is_safe(choice: Choice, scenarios: Sequence[Scenario]) -> bool:
+    return choice.failures <= (1.0 - NINE_OF_TEN) * len(scenarios)
 
 
 def _watched(

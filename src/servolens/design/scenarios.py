@@ -97,6 +97,8 @@ class Scenario:
         Which of the models the plant was drawn from, counted from 1.
     noise : SensorNoise or None
         What the loop measures beside the position, as the records showed it.
+    parts : int
+        Into how many each sample is divided at whose ends the axis is seen.
     """
 
     plant: Plant
@@ -105,6 +107,7 @@ class Scenario:
     back: bool
     model: int = 1
     noise: SensorNoise | None = None
+    parts: int = 1
 
     def in_loop(self, spec: PDSpec) -> Scenario:
         """Return the same axis and step in the loop of another spec."""
@@ -113,7 +116,9 @@ class Scenario:
     def response(self, kd: float, duration: float | None = None) -> Response:
         """Return the step with the derivative gain `kd`, which is realised as well as it can be."""
         kd = self.realised * kd
-        return evaluate(self.plant, self.spec, kd, back=self.back, duration=duration, noise=self.noise)
+        return evaluate(
+            self.plant, self.spec, kd, back=self.back, duration=duration, noise=self.noise, parts=self.parts
+        )
 
 
 def drawn(models: Sequence[Model], specs: Sequence[PDSpec], count: int, random: np.random.Generator) -> list[Scenario]:
