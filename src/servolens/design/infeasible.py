@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
@@ -89,7 +89,8 @@ def explain(
             conflict,
             (),
         )
-    changed = replace(spec, **dict(nearest[0].changes))
+    changes: dict[str, Any] = dict(nearest[0].changes)
+    changed = replace(spec, **changes)
     step = _step(models, changed, nearest[0].kd)
     assert step is not None  # noqa: S101 - it meets the changed spec
     offer = _offer(nearest[0], unit)
