@@ -10,6 +10,7 @@ import pytest
 from servolens import lab
 from servolens.design import PDSpec, recommend, trust, tune
 from servolens.design.settle import closed_loop_gain
+from servolens.errors import NumericalError
 from servolens.identification.data_range import data_range
 from servolens.identification.model_error import model_error
 from servolens.model import Model
@@ -98,6 +99,46 @@ def test_a_loop_that_raises_an_unmodelled_resonance_is_not_green():
     assert "the model's error may be" in light.sentence
     assert "log a record with a kd nearer to it (largest so far: 0.5)" in light.sentence
     assert gain_light(known(steps({})), spec).light == "green"
+
+
+def test_a_gain_with_which_an_axis_that_hardly_stops_ringing_runs_away_is_red():
+    """With kd = 7 its resonance just does not ring: the loop answers there with hardly more than that, 1.1 times."""
+    resonance = {"flexible_coupling": {"frequency": 12.0, "damping_ratio": 0.03, "load_ratio": 0.15}}
+    model, spec = known(steps(resonance, gains=((60, 0.0), (100, 7.0)))), PDSpec(kp=100.0, settling_time=0.4)
+    design = recommend(model, tune(MODEL, spec), scenarios=40)
+    light = trust(model, design)[1]
+    assert light.light == "red"
+    assert (
+        "by which it may amplify the error more than 1.5 times; log a record with a kd nearer to it" in light.sentence
+    )
+    truth = lab.Truth(gain=GAIN, damping=DAMPING, effects=resonance)
+    with pytest.raises(NumericalError, match="has run away"):
+        lab.step_record(truth, spec.kp, design.recommended.kd, duration=4.0, encoder=0.0)
+
+
+@pytest.mark.parametrize(
+    ("shown", "asked", "light"),
+    [
+        (0.9, 0.9, "green"),
+        (0.1, 0.6, "green"),
+        (0.1, 0.7, "amber"),
+        (0.1, 0.8, "red"),
+        (0.8, 0.84, "amber"),
+        (0.86, 0.96, "red"),
+        (0.9, 1.1, "red"),
+        (2.0, 2.0, "green"),
+        (2.0, 2.2, "red"),
+    ],
+)
+def test_a_loop_is_judged_by_how_much_more_than_known_it_may_amplify_the_error(shown, asked, light):
+    """|TΔ|/(1 − |TΔ|) may be 2 by the theorem, or what the records showed; half as much again is the most."""
+    spec, frequency = PDSpec(kp=100.0, settling_time=0.4), 20.0
+    records = steps({}, gains=((100, 8.0),))
+    chosen = recommend(MODEL, tune(MODEL, spec), scenarios=40)
+    loop = float(closed_loop_gain(MODEL, spec, chosen.recommended.kd, np.array([frequency]))[0])
+    error = ModelError(frequency=(frequency,), size=(asked / loop,), loop=(loop * shown / asked,))
+    model = Model(plant=MODEL, evidence=Evidence(range=data_range(records), model_error=error))
+    assert trust(model, chosen)[1].light == light
 
 
 def test_a_loop_far_faster_than_what_the_noise_lets_one_see_is_not_green():

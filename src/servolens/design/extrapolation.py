@@ -147,13 +147,16 @@ def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
     """Judge what the loop makes of the model's error at each frequency by what the loops of the records made of it.
 
     Either the records bear it out, whose loops were stable; or the small-gain theorem does, with a reserve of `FAR`.
+    Beyond both the loop counts by how much more it may amplify the error: see :func:`_amplified`.
     """
     error = evidence.model_error
     if error is None:
         return Extrapolation(0.0, "")
     size, loop = np.array(error.size), np.array(error.loop)
     asked = closed_loop_gain(model.plant, spec, gain, np.array(error.frequency)) * size
-    ratios = asked / np.maximum(loop * size, 1.0 / FAR)
+    safe = np.maximum(loop * size, 1.0 / FAR)
+    stronger = asked / safe
+    ratios = np.where(stronger > BEYOND, _amplified(asked, safe), stronger)
     worst = int(np.argmax(ratios))
     share = float(f"{100 * size[worst]:.2g}")
     known = "" if evidence.range.kd is None else f" (largest so far: {evidence.range.kd:.3g})"
@@ -161,10 +164,23 @@ def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
         float(ratios[worst]),
         f"An extrapolation: the records do not show that the loop is stable with {spec.free} = {gain:.3g}: near"
         f" {error.frequency[worst]:.3g} Hz the model's error may be {share:g} %, and the loop answers there"
-        f" {ratios[worst]:.3g} times as strongly as is known to be safe"
-        f"{f' (more than {FAR:g} times)' if ratios[worst] > FAR else ''}; log a record with a {spec.free} nearer to"
-        f" it{known}.",
+        f" {stronger[worst]:.3g} times as strongly as is known to be safe"
+        f"{f', by which it may amplify the error more than {FAR:g} times' if ratios[worst] > FAR else ''}; log a record"
+        f" with a {spec.free} nearer to it{known}.",
     )
+
+
+def _amplified(asked: NDArray[np.float64], safe: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how much more a loop may amplify a model's error Δ than one in which |TΔ| is `safe`.
+
+    The axis answers as the model does times (1 + Δ)/(1 + TΔ), and |1 + TΔ| is at least 1 − |TΔ|: what the loop makes of
+    the error is |TΔ|/(1 − |TΔ|) at most, and from |TΔ| = 1 on it may be unstable.
+    """
+    more = np.full(asked.shape, np.inf)
+    stable = asked < 1.0
+    asked, safe = asked[stable], safe[stable]
+    more[stable] = asked * (1.0 - safe) / (safe * (1.0 - asked))
+    return more
 
 
 def _applied(plant: Plant, response: Response) -> float:
