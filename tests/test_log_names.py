@@ -309,3 +309,11 @@ def test_a_unit_that_is_stated_is_no_question(tmp_path):
     content = "t [min],pos,ref,current [mA]\n" + rows(T / 60, Y, R, U * 1e3, form="%.12g")
     check(read_log(written(tmp_path, content)).record)
     check(read_log(written(tmp_path, "t,pos,ref,u\n" + rows(T * 250, Y, R, U)), units={"time": "4 ms"}).record)
+
+
+@pytest.mark.parametrize("slower", [200.0, 1e-3])
+def test_the_time_of_a_record_file_is_in_seconds(tmp_path, slower):
+    """Its own names assume SI units; a name of other logs would be a question at such steps."""
+    path = written(tmp_path, "# kp = 60\n# kd = 4\ntime,reference,position,voltage\n" + rows(T * slower, R, Y, U))
+    record = read_log(path).record
+    assert record.time == pytest.approx(T * slower)

@@ -68,6 +68,8 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         return "day", f"steps of {interval:.3g}, and values that are dates in days: {1 / (interval * DAY):.4g} Hz"
     fits = [unit for unit, factor in TIMES.items() if low <= interval * factor <= high]
     if fits and 0 < interval < LONGEST_SAMPLE_TIME:
+        if choice.column.name == "time":
+            return None, "seconds, as record files have them"
         fits.append("s")
     if len(fits) > 1:
         readings = " or ".join(f"--unit time={unit}" for unit in fits)
