@@ -51,7 +51,7 @@ WORDS: Mapping[str, str] = {
     "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
     "output": (
-        "u output out op co mv dac stellgroesse stellsignal stellwert ausgang control actuation manipulated "
+        "u output out op co dac stellgroesse stellsignal stellwert ausgang control actuation manipulated "
         "motorcommand"
     ),
     "either": "command cmd commanded",
