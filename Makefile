@@ -49,7 +49,7 @@ layers: $(DEV_STAMP) ## imports go down only
 	@$(BIN)/lint-imports --no-logo
 
 docs: $(DEV_STAMP) ## the documentation, into site/, every link checked
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 	@$(BIN)/python docs/check_links.py
 	@echo "docs: site/index.html"
 
