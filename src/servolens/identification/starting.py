@@ -162,7 +162,8 @@ class Screen:
         seen = self.thinned
         rows = force_rows(effect, seen.time, seen.position, seen.velocity, seen.record, 1)
         largest, push = np.abs(rows).max(axis=1), abs(plant.gain) * seen_in(self.segments, plant).command
-        return _sized(effect, (SLIGHT * push / np.maximum(largest, 1e-300)).tolist(), 1)
+        sizes = np.divide(SLIGHT * push, largest, out=np.zeros(largest.size), where=largest > 0.0)
+        return _sized(effect, sizes.tolist(), 1)
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:
         """Return `effect` and what it proposes itself beside `plant`."""

@@ -51,8 +51,7 @@ WORDS: Mapping[str, str] = {
     "torque": "torque trq tau moment momenten drehmoment drehmomenten effort",
     "force": "force kraft thrust",
     "output": (
-        "u output out op co dac stellgroesse stellsignal stellwert ausgang control actuation manipulated "
-        "motorcommand"
+        "u output out op co dac stellgroesse stellsignal stellwert ausgang control actuation manipulated motorcommand"
     ),
     "either": "command cmd commanded",
     "input": "input eingang",
