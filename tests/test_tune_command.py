@@ -224,12 +224,12 @@ def arm(name, kp, kd):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "cu_rotary_arm").is_dir(), reason="measured data are not here (SERVOLENS_DATA)")
-def test_arm_whose_held_out_runs_are_missed_gets_no_gain():
-    """Without its data sheet the arm's delay passes for friction: runs that were not fitted are 9.5 % off."""
+def test_arm_of_which_much_is_not_explained_gets_no_gain():
+    """A dead zone and a delay leave 3 % of its travel, and runs that were not fitted are up to 5 % of the step off."""
     runs = [arm(name, kp, kd) for name, kp, kd in (("K1_7", 7, 0), ("K1_9", 9, 0), ("k1k3_7", 7, 0.271))]
     held = [arm("K1_8", 8, 0), arm("k1k3_9", 9, 0.377)]
     spec = completed_spec(runs, {"settling_time": 0.6, "band": 0.05})
     found = study_records(runs, spec, heldout=held)
-    assert (found.lights["model"].light, found.lights["gain"].light) == ("red", "red")
+    assert (found.lights["model"].light, found.lights["gain"].light) == ("amber", "red")
     assert found.design is not None
     assert found.design.kd is None
