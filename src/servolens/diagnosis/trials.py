@@ -199,7 +199,8 @@ class Trials:
         for special in cls.generalises:
             plant = plant.without_effect(special)
         try:
-            tried, free = self._proposed(plant, cls), self._free(plant, cls)
+            is_biased = bool(plant.effects) and test.hypothesis.noise.rate > 0.0
+            tried, free = self._proposed(plant, cls, is_biased=is_biased), self._free(plant, cls)
         except (InputError, NumericalError):
             return []
         if self._observed is not None and not plant.effects and test.hypothesis.noise.rate == 0.0:
@@ -214,10 +215,13 @@ class Trials:
             found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))
         return _of_each_shape(sorted(found, key=lambda start: -start.gain))
 
-    def _proposed(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
-        """Return the plants with the effect that the integral equation, or the effect itself, proposes."""
+    def _proposed(self, plant: Plant, cls: type[Effect], *, is_biased: bool = False) -> list[Plant]:
+        """Return the plants with the effect that the integral equation, or the effect itself, proposes.
+
+        What shakes the axis biases that equation, and what it finds to be none may be something.
+        """
         if regressor(cls).sizes:
-            return self._solved(plant, cls)
+            return self._solved(plant, cls, is_biased)
         tried = [plant.with_effect(effect) for effect in self.screen.proposals_of(plant, cls)]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
@@ -284,16 +288,16 @@ class Trials:
             self._proposals[cls.name] = self.screen.thinned.proposals(self.screen.proposals_of(plant, cls))
         return self._proposals[cls.name]
 
-    def _solved(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
+    def _solved(self, plant: Plant, cls: type[Effect], is_biased: bool) -> list[Plant]:
         """Return plants with the likeliest of the proposed forces: beside `plant` as it is, and all solved for.
 
-        A force that the integral equation does not solve for, or finds to be none, is a slight one beside `plant`.
+        One that a biased integral equation does not solve for, or finds to be none, is a slight one beside `plant`.
         """
         proposals, starts = self._proposals_of(plant, cls), []
         solved = self.screen.best(plant.effects, proposals, STARTS)
-        for effect in solved or proposals.effects[:1]:
-            is_found = bool(solved) and not effect.absent
-            starts.append(plant.with_effect(effect if is_found else self.screen.slight(plant, effect)))
+        for effect in solved or proposals.effects[: int(is_biased)]:
+            is_slight = is_biased and (effect.absent or not solved)
+            starts.append(plant.with_effect(self.screen.slight(plant, effect) if is_slight else effect))
             alone = plant.with_effect(effect)
             with suppress(InputError, NumericalError):
                 starts.append(sized(self.screen, alone))
