@@ -29,6 +29,12 @@ def converted(log, campaign):
     return subprocess.run([*command, os.fspath(campaign)], capture_output=True, text=True, check=False)
 
 
+def assert_old_campaign_is_left(done, folder, refused):
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"servolens: error: {folder / refused}: cannot be written (")
+    assert [(path.name, path.read_text(encoding="utf-8")) for path in folder.iterdir()] == [("runs.toml", "old")]
+
+
 @needs_limits
 def test_a_log_that_does_not_fit_is_not_copied_in_part(tmp_path):
     """The part that fitted was left beside the campaign, and was read as a shorter run by the next command."""
@@ -37,9 +43,7 @@ def test_a_log_that_does_not_fit_is_not_copied_in_part(tmp_path):
     folder.mkdir()
     (folder / "runs.toml").write_text("old", encoding="utf-8")
     done = converted(log, folder / "runs.toml")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"servolens: error: {folder / 'run.csv'}: cannot be written (")
-    assert [(path.name, path.read_text(encoding="utf-8")) for path in folder.iterdir()] == [("runs.toml", "old")]
+    assert_old_campaign_is_left(done, folder, "run.csv")
 
 
 @needs_limits
@@ -52,9 +56,7 @@ def test_a_campaign_that_does_not_fit_leaves_the_old_one(tmp_path):
         lab.step_record(lab.NLM1, kp=60, duration=0.08, seed=k).to_csv(logs / f"a rather long name of a run {k}.csv")
     (folder / "runs.toml").write_text("old", encoding="utf-8")
     done = converted(logs, folder / "runs.toml")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"servolens: error: {folder / 'runs.toml'}: cannot be written (")
-    assert [(path.name, path.read_text(encoding="utf-8")) for path in folder.iterdir()] == [("runs.toml", "old")]
+    assert_old_campaign_is_left(done, folder, "runs.toml")
 
 
 @needs_full

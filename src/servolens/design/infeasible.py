@@ -82,19 +82,16 @@ def explain(
     )
     reason = f"{searched} meets the spec; {text}"
     unit = models[0].command_unit
-    if not nearest:
+    step = None
+    if nearest:
+        changes: dict[str, Any] = dict(nearest[0].changes)
+        step = _step(models, replace(spec, **changes), nearest[0].kd)
+    if step is None:
         closest = _closest(spec, steps)
-        return (
-            f"{reason}; {spec.free} = {closest.kd:.4g} misses the spec least: it {_does(closest, unit)}",
-            conflict,
-            (),
-        )
-    changes: dict[str, Any] = dict(nearest[0].changes)
-    changed = replace(spec, **changes)
-    step = _step(models, changed, nearest[0].kd)
-    assert step is not None  # noqa: S101 - it meets the changed spec
-    offer = _offer(nearest[0], unit)
-    reason += f"; {offer} can be met: {spec.free} = {nearest[0].kd:.4g} {_does(step, unit)}"
+        reason += f"; {spec.free} = {closest.kd:.4g} misses the spec least: it {_does(closest, unit)}"
+    else:
+        offer = _offer(nearest[0], unit)
+        reason += f"; {offer} can be met: {spec.free} = {nearest[0].kd:.4g} {_does(step, unit)}"
     return reason, conflict, nearest
 
 

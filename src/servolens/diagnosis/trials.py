@@ -17,7 +17,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
-from servolens.identification.score import FALSE_ALARM
+from servolens.identification.score import FALSE_ALARM, PERTURBED
 from servolens.identification.segments import applied_voltage, motion_segments, moving_parts, parts
 from servolens.identification.smoothing import smooth
 from servolens.identification.starting import Screen, seen_in
@@ -297,7 +297,7 @@ class Trials:
         solved = self.screen.best(plant.effects, proposals, STARTS)
         for effect in solved or proposals.effects[: int(is_biased)]:
             is_slight = is_biased and (effect.absent or not solved)
-            starts.append(plant.with_effect(self.screen.slight(plant, effect) if is_slight else effect))
+            starts.append(plant.with_effect(self.screen.slight(plant, effect, PERTURBED) if is_slight else effect))
             alone = plant.with_effect(effect)
             with suppress(InputError, NumericalError):
                 starts.append(sized(self.screen, alone))

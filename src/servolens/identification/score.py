@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from servolens.identification.restricted import Part
     from servolens.plant import Plant
 
-__all__ = ["FALSE_ALARM", "ScoreTest", "free_of"]
+__all__ = ["FALSE_ALARM", "PERTURBED", "ScoreTest", "free_of"]
 
 FALSE_ALARM = 1e-3
 """Familywise error rate: probability that any of all that is tried enters a model that lacks none."""

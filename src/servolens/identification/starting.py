@@ -33,8 +33,6 @@ __all__ = ["Screen", "seen_in"]
 
 MOST_STARTS, MOST_ACTED = 1600, 200
 """Proposals of an effect that are ranked; sets of actuators behind which the stretches are kept."""
-SLIGHT = 0.01
-"""Share of the motor's force that shows a direction: a score test is the same for any small one."""
 
 
 def seen_in(segments: Sequence[Segment], plant: Plant) -> Seen:
@@ -153,8 +151,8 @@ class Screen:
         """Return the square error that each of the `proposals` leaves beside `others` of a few thousand samples."""
         return self._behind(others)[1].left(others, proposals)
 
-    def slight(self, plant: Plant, effect: Effect) -> Effect:
-        """Return the force `effect` with sizes that are each a hundredth of what the motor of `plant` can do.
+    def slight(self, plant: Plant, effect: Effect, share: float) -> Effect:
+        """Return the force `effect` with sizes that are each a `share` of what the motor of `plant` can do.
 
         Where the integral equation has it at its bound, as large as nothing, its bias may have the wrong sign; and
         nothing has no direction in which it could be told how much the effect explains.
@@ -162,7 +160,7 @@ class Screen:
         seen = self.thinned
         rows = force_rows(effect, seen.time, seen.position, seen.velocity, seen.record, 1)
         largest, push = np.abs(rows).max(axis=1), abs(plant.gain) * seen_in(self.segments, plant).command
-        sizes = np.divide(SLIGHT * push, largest, out=np.zeros(largest.size), where=largest > 0.0)
+        sizes = np.divide(share * push, largest, out=np.zeros(largest.size), where=largest > 0.0)
         return _sized(effect, sizes.tolist(), 1)
 
     def proposals(self, plant: Plant, effect: Effect) -> list[Effect]:

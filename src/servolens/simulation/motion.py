@@ -83,9 +83,8 @@ def decays(x: float) -> tuple[float, float]:
     if x < 0.125:
         fourth = TWENTYFOURTH - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5040.0)))
         return SIXTH - x * fourth, fourth
-    inverse = 1.0 / x
-    third = (HALF - (1.0 - (1.0 - exponential(-x)) * inverse) * inverse) * inverse
-    return third, (SIXTH - third) * inverse
+    _, _, third, fourth = averages(x)
+    return third, fourth
 
 
 @njit(**OPTIONS)
