@@ -139,6 +139,11 @@ def test_what_is_no_record_is_refused_with_a_sentence(given, settings, said):
         as_records(given, settings)
 
 
+def test_an_argument_of_another_function_is_not_offered_again():
+    with pytest.raises(InputError, match=r"'driven' is no argument .*; did you mean 'voltage_driven'"):
+        simulate(PLANT, RECORD, driven="voltage")
+
+
 @pytest.mark.parametrize(
     ("written", "meant"),
     [("modle", "'model'"), ("Kp", "'kp'"), ("prior", "'priors'"), ("efort", "'effort'"), ("held_out", "'heldout'")],

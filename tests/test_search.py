@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from servolens import Plant, diagnose, lab
+from servolens import Plant, diagnose, lab, simulate
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT, shared, work_for
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, delays, parted, with_lag_for_damping, with_twins
+from servolens.diagnosis.ordering import beside_shaking, delays, parted, with_lag_for_damping, with_twins, without
 from servolens.diagnosis.search import search
-from servolens.diagnosis.trials import Trials
+from servolens.diagnosis.trials import Trials, starts_to_fit
 from servolens.effects import (
     CATALOGUE,
     ActuatorLag,
@@ -29,7 +29,10 @@ from servolens.effects import (
     catalogue,
 )
 from servolens.identification.hypothesis import Hypothesis
+from servolens.identification.likelihood import FEW
+from servolens.identification.lowest import lowest
 from servolens.identification.noise import NoiseModel
+from servolens.identification.noise_search import shaken
 from servolens.identification.score import ScoreTest
 
 HUNG = Seen(
@@ -154,6 +157,55 @@ def test_a_spring_behind_a_dead_zone_is_found_in_slow_noise(sprung):
     assert (found.verdict, {c.effect for c in found.causes}) == ("explained", {"dead_zone", "return_spring"})
     width = found.model.quantities["dead_zone.width"]
     assert abs(width.value - 2.335) < 3.5 * width.stderr < 0.05
+
+
+def test_axis_that_hunts_in_a_play_is_found_at_the_lowest_of_many_minima():
+    """Each bounce multiplies a difference: a simulation is no guide, and another cause was named for what it left."""
+    campaign = lab.hidden_campaign(700204, effects=("backlash",))
+    trials, true = Trials(campaign.records, {}, len(catalogue())), campaign.truth.effects["backlash"]
+    play = CATALOGUE["backlash"](gap=2.0 * true["gap"], load_share=0.6)
+    near = trials.likelihood.judged(trials.base().plant.with_effect(play))
+    found = lowest(trials.likelihood, near, 6e7)
+    assert found.total < near.total - 100.0
+
+    def away(hypothesis):
+        (effect,) = hypothesis.plant.effects
+        return abs(effect.load_share / true["load_share"] - 1.0)
+
+    assert away(found) < 0.03 < away(near)
+
+
+def test_starts_of_an_effect_are_followed_one_after_the_other_where_effort_is_short():
+    campaign = lab.hidden_campaign(700203, effects=("backlash",))
+    trials = Trials(campaign.records, {}, len(catalogue())).unshaken()
+    base = trials.base()
+    starts = starts_to_fit(trials.starts(ScoreTest(trials.likelihood, base), "backlash"))
+    assert len(starts) > 1
+    allowance = 2.0 * work_for(trials.likelihood, starts[0].plant, 1)
+    before = trials.likelihood.work
+    found = trials.begun(starts, base, allowance)
+    assert trials.likelihood.work - before < 2.0 * allowance
+    alone = trials.likelihood.tried(starts[0].plant, base.noise, FEW, like=base, allowance=allowance)
+    assert found.total == alone.total < base.total - 1e5
+
+
+def test_observer_that_follows_an_axis_loosely_follows_it():
+    _, power = shaken(NoiseModel.white(1e-5), loops=30.0).shaking(1e-3)
+    assert power > 0.0
+
+
+def test_without_a_drive_its_loop_is_gain_and_damping():
+    servo = SpeedServo(speed_per_volt=0.1, proportional=8.0, integral=0.0)
+    plant = Plant(gain=1.0, damping=0.5).with_effect(CoulombFriction(level=0.1)).with_effect(servo)
+    bare = without(plant, "speed_servo")
+    assert (bare.gain, bare.damping, bare.effects) == (servo.gain, 8.5, (CoulombFriction(level=0.1),))
+    assert without(plant, "coulomb_friction") == plant.without_effect("coulomb_friction")
+    record = lab.step_record(lab.NLM1, 60, seed=1)
+    moved = [
+        simulate(p, record).position
+        for p in (without(bare, "coulomb_friction"), plant.without_effect("coulomb_friction"))
+    ]
+    np.testing.assert_allclose(*moved, atol=1e-9)
 
 
 def test_work_goes_where_it_is_needed():

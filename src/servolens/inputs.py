@@ -278,7 +278,7 @@ def _settings(given: Mapping[str, Any] | None) -> dict[str, Any]:
     settings = as_settings(given)
     for key in settings:
         if key not in KEYS:
-            offer = names_like(key, (*KEYS, *ARGUMENTS), "")
+            offer = names_like(key, (*KEYS, *(name for name in ARGUMENTS if name != key)), "")
             offer = offer if offer.endswith("?") else f"settings are {', '.join(KEYS)}"
             raise InputError(f"{key[:40]!r} is no argument and no setting of a record; {offer}")
     return {key: value for key, value in settings.items() if value is not None}

@@ -24,6 +24,7 @@ from servolens.diagnosis.ordering import (
     united,
     with_lag_for_damping,
     with_twins,
+    without,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
 from servolens.diagnosis.replacements import kin, last_resorts
@@ -32,6 +33,7 @@ from servolens.effects import Drive, DryFriction, Transmission, catalogue, effec
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
 from servolens.identification.likelihood import FEW, FULL, SOME
+from servolens.identification.lowest import lowest
 from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
 from servolens.identification.rounding import dominates
@@ -84,6 +86,7 @@ class Explorer:
         self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
         self._freed_in_vain: set[tuple[frozenset[str], float, int, float]] = set()
+        self._sunk: set[frozenset[str]] = set()
         self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
     def grant(self, share: float) -> None:
@@ -261,7 +264,7 @@ class Explorer:
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
 
         begun = self.budget.shared_among(
-            lambda starts, share: self._begun(starts, hypothesis, share),
+            lambda starts, share: trials.begun(starts, hypothesis, share),
             [starts_to_fit(starts) for starts in chosen],
             lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
             told,
@@ -280,21 +283,6 @@ class Explorer:
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
-
-    def _begun(self, tried: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
-        """Return where the best starts of one effect beside `hypothesis` lead in a few iterations."""
-        led = [
-            self.likelihood.tried(
-                s.plant,
-                hypothesis.noise,
-                FEW,
-                like=hypothesis,
-                unpowered=hypothesis.unpowered,
-                allowance=allowance / len(tried),
-            )
-            for s in tried
-        ]
-        return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
@@ -333,7 +321,7 @@ class Explorer:
         What was fitted beside a noise like this, beginning from something as likely, is not fitted again.
         """
         noise = hypothesis.noise
-        plants = [hypothesis.plant.without_effect(name) for name in hypothesis.causes]
+        plants = [without(hypothesis.plant, name) for name in hypothesis.causes]
         keys = [(frozenset(e.name for e in plant.effects), noise.rate, noise.order) for plant in plants]
         least = hypothesis.total + NO_BETTER
         new = [p for key, p in zip(keys, plants, strict=True) if self._simpler.get(key, (np.inf,))[0] > least]
@@ -365,8 +353,9 @@ class Explorer:
         What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
         nothing seems left: then it is freed in any case. What gets likelier goes on; what did not is not tried again.
         """
+        hypothesis = hypothesis if self._is_plain(hypothesis) else self._lowest(hypothesis)
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
-        if not plants or (noise.rate == 0.0 and noise.order == 0 and self.is_enough(hypothesis)):
+        if not plants or self._is_plain(hypothesis):
             return hypothesis
         key = frozenset(hypothesis.causes), noise.rate, noise.order, hypothesis.total
         if key in self._freed_in_vain:
@@ -378,6 +367,20 @@ class Explorer:
             hypothesis = further[0]
             further = self.fitted([(hypothesis.plant, hypothesis)]) if self.budget.left > 0.0 else []
         return hypothesis
+
+    def _lowest(self, hypothesis: Hypothesis) -> Hypothesis:
+        """Return `hypothesis` or what lies lower beside an observer, where contacts part minima; asked once of each."""
+        causes = frozenset(hypothesis.causes)
+        if not hypothesis.plant.has_contacts or self.likelihood.simulates or causes in self._sunk:
+            return hypothesis
+        self._sunk.add(causes)
+        found = [h for h in [lowest(self.likelihood, hypothesis, self.budget.allowance(1))] if h]
+        self.judged += found
+        return min([hypothesis, *found], key=by_total)
+
+    def _is_plain(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether nothing but white noise is left, which no observer follows."""
+        return hypothesis.noise.rate == 0.0 and hypothesis.noise.order == 0 and self.is_enough(hypothesis)
 
     def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
         """Yield the plant with a cause replaced by one that explained about as much while it was alone."""

@@ -41,6 +41,7 @@ __all__ = [
     "united",
     "with_lag_for_damping",
     "with_twins",
+    "without",
 ]
 
 
@@ -92,6 +93,12 @@ def specialised(plant: Plant, motion: Screen) -> Iterator[Plant]:
             others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
             with suppress(InputError):
                 yield others.with_effect(special(**values))
+
+
+def without(plant: Plant, name: str) -> Plant:
+    """Return `plant` without the effect `name`; what the loop of a drive did at once is gain and damping then."""
+    effect, bare = plant.effect(name), plant.without_effect(name)
+    return replace(bare, damping=bare.damping + effect.damping) if isinstance(effect, Drive) else bare
 
 
 def simplified(plant: Plant, seen: Seen) -> Iterator[Plant]:

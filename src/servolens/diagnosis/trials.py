@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.diagnosis.effort import work_for
 from servolens.diagnosis.integral_pairs import beside_a_force, best_pairs, needed, shapes, sized
 from servolens.diagnosis.ordering import by_total
 from servolens.effects import CoulombFriction, Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError, NumericalError
-from servolens.identification.likelihood import Likelihood
+from servolens.identification.hypothesis import NO_BETTER
+from servolens.identification.likelihood import FEW, Likelihood
 from servolens.identification.options import FitOptions
 from servolens.identification.regressors import regressor
 from servolens.identification.score import FALSE_ALARM, PERTURBED
@@ -214,6 +216,20 @@ class Trials:
             same = plant.with_effect(general)
             found.append(Start(same, test.gain_of_sizes(same, regressor(cls).sizes)))
         return _of_each_shape(sorted(found, key=lambda start: -start.gain))
+
+    def begun(self, starts: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
+        """Return where the best `starts` of one effect beside `hypothesis` lead in a few iterations; None if nowhere.
+
+        The likeliest first, each with what those before it have left: a descent that is cut short says nothing.
+        """
+        led, likelihood, end = [], self.likelihood, self.likelihood.work + allowance
+        noise, unpowered = hypothesis.noise, hypothesis.unpowered
+        for place, start in enumerate(starts):
+            left = end - likelihood.work
+            if not place or left >= work_for(likelihood, start.plant, 1):
+                args = start.plant, noise, FEW
+                led.append(likelihood.tried(*args, like=hypothesis, unpowered=unpowered, allowance=left))
+        return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 
     def _proposed(self, plant: Plant, cls: type[Effect], *, is_biased: bool = False) -> list[Plant]:
         """Return the plants with the effect that the integral equation, or the effect itself, proposes.

@@ -105,6 +105,11 @@ class Drive(Effect):
     def gain(self) -> float:
         """Acceleration per unit of command, from rest: what the plant's `gain` then is."""
 
+    @property
+    def damping(self) -> float:
+        """Force per speed that its loop adds to the plant's damping [1/s], before it has summed any error."""
+        return 0.0
+
 
 class MotorForce(Effect):
     """What the motor makes of the force asked of it, back-EMF included."""

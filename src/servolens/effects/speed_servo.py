@@ -69,6 +69,11 @@ class SpeedServo(Drive):
         """See :meth:`servolens.effects.kinds.Drive.gain`."""
         return self.proportional * self.speed_per_volt
 
+    @property
+    def damping(self) -> float:
+        """See :meth:`servolens.effects.kinds.Drive.damping`."""
+        return self.proportional
+
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[SpeedServo]:
         """See :meth:`servolens.effects.base.Effect.starts`."""

@@ -10,6 +10,7 @@ import numpy as np
 from servolens.errors import InputError, NumericalError
 from servolens.identification.fitting import INERTIAS, of_other_inertias
 from servolens.identification.likelihood import FEW
+from servolens.identification.noise_search import shaken
 from servolens.identification.refine import DOWN_TO_NOISE, followed
 from servolens.identification.regressors import regressor
 from servolens.simulation.rates import substeps_for
@@ -147,7 +148,7 @@ class Candidates:
         likelihood = self._likelihood
         if likelihood.is_too_stiff(plant):
             return float(np.inf)
-        noise = replace(likelihood.white, rate=likelihood.rate)
+        noise = shaken(likelihood.white, likelihood.rate)
         try:
             missed = [
                 run.missed(plant, run.start, substeps_for(plant, run.sample_time)) for run in likelihood.runs(noise)

@@ -82,7 +82,7 @@ class Likelihood:
         are_phases_own: bool = True,
     ) -> None:
         self.records, self._options = tuple(records), options
-        self._rates, self._are_phases_own = tuple(rates), are_phases_own and len(self.records) > 1
+        self.rates, self._are_phases_own = tuple(rates), are_phases_own and len(self.records) > 1
         self._asks_white = True  # whether what seems shaken is also fitted as if it were not
         self._price, self.is_admissible = price, is_admissible
         self.floor = float(np.sqrt(np.mean([noise_level(record) ** 2 for record in records])))
@@ -122,7 +122,7 @@ class Likelihood:
     def unshaken(self) -> Likelihood:
         """Return the likelihood of an axis that nothing shakes: no observer follows what a model lacks."""
         other = copy(self)
-        other._rates, other.tally = (), Tally()
+        other.rates, other.tally = (), Tally()
         return other
 
     def shaken(self) -> Likelihood:
@@ -372,7 +372,7 @@ class Likelihood:
             closed = all(s.record.has_loop for s in self.signals)
             trials.look(trials.first if closed else trials.shaken(trials.first, SLOW_RATE))
         else:
-            trials.search(trials.first, () if is_screened else self._rates)
+            trials.search(trials.first, () if is_screened else self.rates)
         return trials.best
 
     def whitened_well(self, hypothesis: Hypothesis) -> Hypothesis:

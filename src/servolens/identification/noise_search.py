@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
 
-__all__ = ["NoiseTrials"]
+__all__ = ["NoiseTrials", "shaken"]
 
 CORNER, CORNERS = 4.0, (0.05, 64.0)
 """Corner of what shakes the axis with which rates are compared first, and its range, in units of the loops' rate."""
@@ -32,6 +32,11 @@ MOST_MOVES, FEW_MOVES = 16, 2
 """Steps from one model of what shakes the axis to a likelier one, and where the plant is fitted in turn."""
 REACH, FINEST = 4.0, 0.25
 """How far one goes, in widths of what is looked at around it; least width, in octaves."""
+
+
+def shaken(noise: NoiseModel, loops: float, rate: float = 1.0) -> NoiseModel:
+    """Return `noise` of an axis that is shaken, at a `rate` in units of that of the `loops` [rad/s]."""
+    return replace(noise, rate=rate * loops, corner=CORNER * loops)
 
 
 @final
@@ -69,7 +74,7 @@ class NoiseTrials:
 
     def shaken(self, noise: NoiseModel, rate: float) -> NoiseModel:
         """Return `noise` of an axis that is shaken, at a `rate` in units of the loops' own."""
-        return replace(noise, rate=rate * self.likelihood.rate, corner=CORNER * self.likelihood.rate)
+        return shaken(noise, self.likelihood.rate, rate)
 
     def search(self, noise: NoiseModel, rates: Sequence[float]) -> None:
         """Look at a simulation beside `noise`, at the jitter that its residual shows, and at `rates` of shaking.
