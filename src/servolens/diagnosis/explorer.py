@@ -86,7 +86,7 @@ class Explorer:
         self._scored: tuple[ScoreTest, list[list[Start]]] | None = None
         self._seen: set[tuple[frozenset[str], bool]] = set()
         self._freed_in_vain: set[tuple[frozenset[str], float, int, float]] = set()
-        self._sunk: set[frozenset[str]] = set()
+        self._lowered: set[frozenset[str]] = set()
         self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
     def grant(self, share: float) -> None:
@@ -370,10 +370,10 @@ class Explorer:
 
     def _lowest(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what lies lower beside an observer, where contacts part minima; asked once of each."""
-        causes = frozenset(hypothesis.causes)
-        if not hypothesis.plant.has_contacts or self.likelihood.simulates or causes in self._sunk:
+        causes, has_play = frozenset(hypothesis.causes), hypothesis.plant.has_contacts
+        if not has_play or self.likelihood.simulates or causes in self._lowered or self.budget.left <= 0.0:
             return hypothesis
-        self._sunk.add(causes)
+        self._lowered.add(causes)
         found = [h for h in [lowest(self.likelihood, hypothesis, self.budget.allowance(1))] if h]
         self.judged += found
         return min([hypothesis, *found], key=by_total)

@@ -220,15 +220,16 @@ class Trials:
     def begun(self, starts: Sequence[Start], hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where the best `starts` of one effect beside `hypothesis` lead in a few iterations; None if nowhere.
 
-        The likeliest first, each with what those before it have left: a descent that is cut short says nothing.
+        The likeliest first, each with what it may need of what is left: a descent that is cut short says nothing.
         """
-        led, likelihood, end = [], self.likelihood, self.likelihood.work + allowance
+        led, likelihood, left = [], self.likelihood, allowance
         noise, unpowered = hypothesis.noise, hypothesis.unpowered
         for place, start in enumerate(starts):
-            left = end - likelihood.work
-            if not place or left >= work_for(likelihood, start.plant, 1):
-                args = start.plant, noise, FEW
-                led.append(likelihood.tried(*args, like=hypothesis, unpowered=unpowered, allowance=left))
+            if place and left < work_for(likelihood, start.plant, 1):
+                break
+            share = min(work_for(likelihood, start.plant, FEW), left)
+            led.append(likelihood.tried(start.plant, noise, FEW, like=hypothesis, unpowered=unpowered, allowance=share))
+            left -= share
         return min((h for h in led if h), key=lambda h: round(h.total / NO_BETTER), default=None)  # of equals the first
 
     def _proposed(self, plant: Plant, cls: type[Effect], *, is_biased: bool = False) -> list[Plant]:

@@ -43,6 +43,7 @@ def lowest(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float) -> 
     problem.allowance, problem.most_substeps = allowance, likelihood.most_substeps
     try:
         point = problem.start(hypothesis.starts, hypothesis.local)
+        problem.weigh_priors(point)
         point, _ = lowest_minimum(problem, point, SOME, converged=True)
     except (InputError, NumericalError):
         return None
