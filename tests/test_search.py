@@ -189,7 +189,7 @@ def test_starts_of_an_effect_are_followed_one_after_the_other_where_effort_is_sh
     assert found.total == alone.total < base.total - 1e5
 
 
-def test_observer_that_follows_an_axis_loosely_follows_it():
+def test_noise_of_a_shaken_axis_has_a_power_for_an_observer_to_follow():
     _, power = shaken(NoiseModel.white(1e-5), loops=30.0).shaking(1e-3)
     assert power > 0.0
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 __all__ = ["lowest"]
 
 FORGETS = 2.0
-"""Rate of the observer, in units of the loops' own: as fast as they are, it forgets one bounce before the next."""
+"""Rate of the observer, in units of the loops' own: somewhat faster ones tell the parameters less, slower ones leave
+minima everywhere. Chosen on axes of the laboratory."""
 
 
 def lowest(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
@@ -35,7 +36,7 @@ def lowest(likelihood: Likelihood, hypothesis: Hypothesis, allowance: float) -> 
     hypothesis : Hypothesis
         Of a plant with contacts.
     allowance : float
-        Work after which no descent goes on, of the search and of the fit from where that leads each.
+        Work after which no descent goes on; the search may take so much, and the fit that follows it as much again.
     """
     plant, noise = hypothesis.plant, shaken(likelihood.white, likelihood.rate, FORGETS)
     runs = likelihood.runs(noise, unpowered=hypothesis.unpowered)
