@@ -9,12 +9,14 @@ from scipy.stats import beta
 
 import servolens
 from servolens import lab
-from servolens.effects import CoulombFriction
+from servolens.effects import ActuatorLag, AsymmetricFriction, CoulombFriction
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
 from servolens.identification.repeats import common_share, repeats, spread_of
+from servolens.identification.shaken import shaken
+from servolens.prediction import prediction_residual
 from servolens.simulation.loop import simulate
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
@@ -180,3 +182,43 @@ def test_slow_noise_as_large_as_an_encoder_step_is_no_rounding(deviation):
     missed = [error for draw in drawn_loop_errors([CART] * 2, records, found.noise) for error in draw]
     still = [simulate(CART, record).position - record.position for record in records]
     assert np.std(np.concatenate(missed)) == pytest.approx(np.std(np.concatenate(still)), rel=0.25)
+
+
+@pytest.mark.parametrize("unpowered", [True, False])
+def test_a_draw_begins_as_its_record_does_where_the_record_begins_with_its_step(unpowered):
+    axis = CART.with_effect(ActuatorLag(time_constant=0.02))
+    time = np.arange(1500) * H
+    begun = servolens.Record(
+        time=time,
+        position=0.0 * time,
+        reference=np.full(time.size, 0.1),
+        controller=servolens.Controller(kp=60.0),
+        voltage_before=0.0 if unpowered else None,
+    )
+    moved = simulate(axis, begun)
+    record = replace(begun, position=moved.position, voltage=moved.voltage, voltage_before=None)
+    likelihood = Likelihood([record], axis, FitOptions())
+    noise = replace(WHITE, rate=20.0, corner=3.0)
+    (run,) = likelihood.runs(noise, unpowered=unpowered)
+    (draws,) = shaken([run], [axis], [run.start])
+    assert draws.shape[0] == time.size
+    assert np.sqrt(np.mean(draws[:30] ** 2)) < 2.0
+
+
+@pytest.mark.parametrize("first", [0.0, 1.0, 2.0])
+def test_the_noise_of_the_first_sample_where_friction_holds_an_axis_is_no_structure(first):
+    axis = CART.with_effect(AsymmetricFriction(level_positive=0.3, level_negative=0.6))
+    records, errors = [], []
+    for way, kp in ((1.0, 60.0), (-1.0, 200.0)):
+        time, stream = np.arange(2500) * H, np.random.default_rng(int(kp))
+        waits = servolens.Record(
+            time=time,
+            position=0.0 * time,
+            reference=np.where(time >= 0.3, 0.1, 0.0),
+            controller=servolens.Controller(kp=kp),
+        )
+        noise = WHITE.spread * stream.standard_normal(time.size)
+        noise[0] = way * first * WHITE.spread  # a simulation begins there, and friction holds it there
+        records.append(replace(waits, position=simulate(axis, waits).position + noise))
+        errors.append(prediction_residual(axis, records[-1]))
+    assert not loop_error([axis, axis], records, errors, WHITE, 15.0).depends

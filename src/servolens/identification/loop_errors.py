@@ -124,7 +124,7 @@ def loop_error(
     draws = drawn_loop_errors(plants, records, noise, ripples, unrounded)
     if len(draws) < DRAWS // 2:
         return NO_LOOP
-    shares = _Shares(plants, records, rate)
+    shares = _Shares(plants, records, rate, is_shaken=noise.rate > 0.0)
     asked = slice(None) if noise.rate > 0.0 else slice(1)
     drawn = np.array([shares.of(draw)[asked] for draw in draws])
     limits = np.array([share_limit(column, FALSE_ALARM / drawn.shape[1]) for column in drawn.T])
@@ -207,15 +207,17 @@ class _Shares:
     plants, measured : sequence of Plant, of Record
     rate : float
         Of the loops [rad/s].
+    is_shaken : bool
+        Whether something shakes the axis.
     """
 
-    def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float) -> None:
+    def __init__(self, plants: Sequence[Plant], measured: Sequence[Record], rate: float, *, is_shaken: bool) -> None:
         # in an encoder's steps no small change of a parameter is seen
         records = [replace(record, encoder_resolution=None) for record in measured]
         begun = [beginning(plant, record) for plant, record in zip(plants, records, strict=True)]
         runs = [start.simulated(plant) for plant, start in zip(plants, begun, strict=True)]
         shown = [run.shown(plant) for run, plant in zip(runs, plants, strict=True)]
-        self._own = _spanned(_sensitivities(plants, begun, shown))
+        self._own = _spanned(_sensitivities(plants, begun, shown, is_shaken=is_shaken))
         columns, activity = [], []
         for run, record in zip(runs, records, strict=True):
             reference = np.asarray(record.reference)
@@ -299,10 +301,15 @@ def _shown(plants: Sequence[Plant], begun: Sequence[Beginning]) -> list[NDArray[
     return [start.simulated(plant).shown(plant) for plant, start in zip(plants, begun, strict=True)]
 
 
-def _sensitivities(plants: Sequence[Plant], begun: Sequence[Beginning], shown: Errors) -> NDArray[np.float64]:
+def _sensitivities(
+    plants: Sequence[Plant], begun: Sequence[Beginning], shown: Errors, *, is_shaken: bool
+) -> NDArray[np.float64]:
     """Return how the loops answer to a change of each parameter and of how they begin, shape (n, k).
 
-    The columns of velocities exist for records that begin in motion alone, those of places for axes with backlash.
+    A simulation begins at the first sample, which the sensor's noise has moved: where dry friction holds the axis it
+    stays there. A draw begins at the same place, so that it does not tell of that. (What shakes an axis moves it
+    farther.) The columns of velocities exist for records that begin in motion alone, those of places for axes with
+    backlash.
     """
     values = plants[0].named
     columns = []
@@ -317,13 +324,15 @@ def _sensitivities(plants: Sequence[Plant], begun: Sequence[Beginning], shown: E
     for i, (plant, start) in enumerate(zip(plants, begun, strict=True)):
         inwards = -float(np.copysign(PARAMETER_STEP, start.place))
         changes = {"velocity": PARAMETER_STEP * start.velocity, "place": inwards if plant.play else 0.0}
-        for what, change in changes.items():
-            if change == 0.0:
-                continue
-            moved = [np.zeros(position.size) for position in shown]
+        begins = [replace(start, **{k: getattr(start, k) + change}) for k, change in changes.items() if change != 0.0]
+        if not is_shaken:
+            position = start.record.position
+            higher = position + PARAMETER_STEP * np.ptp(position)
+            begins.append(replace(start, record=replace(start.record, position=higher)))
+        for other in begins:
+            moved = [np.zeros(one.size) for one in shown]
             with suppress(ServolensError):
-                (other,) = _shown([plant], [replace(start, **{what: getattr(start, what) + change})])
-                moved[i] = other - shown[i]
+                moved[i] = _shown([plant], [other])[0] - shown[i]
                 columns.append(np.concatenate(moved))
     return np.column_stack([np.empty((sum(map(len, shown)), 0)), *columns])
 

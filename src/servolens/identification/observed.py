@@ -136,6 +136,11 @@ class Signals:
         is_unknown = begins_with_its_step(record)
         return cls(record, ticks, voltage, position, index, corrects, initial, is_unknown, speed, kicks)
 
+    def unpowered(self) -> Signals:
+        """Return the same record as one before which nothing was applied, where it does not say what was."""
+        is_open = self.record.voltage_before is None
+        return replace(self, record=replace(self.record, voltage_before=0.0)) if is_open else self
+
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
         other = replace(self.record, position=position, voltage=voltage)
@@ -251,6 +256,7 @@ class ObservedRun:
     """
 
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
+        signals = signals.unpowered() if unpowered else signals
         self.group, self.signals, self.noise = group, signals, noise
         instants = (signals.time, signals.speed_on_grid, signals.voltage)
         self._observer = observer_of(noise, *instants, signals.corrects, signals.mistimed)
@@ -266,8 +272,6 @@ class ObservedRun:
         duration = max(float(signals.time[-1] - signals.time[0]), 1e-3)
         self.shifts = (travel, travel / duration, MOVED_IN_GAP)
         self._before = applied_before(signals.record)
-        if unpowered and self._before is None:
-            self._before = 0.0
 
     def missed(
         self,
@@ -345,12 +349,13 @@ class SimulatedRun:
     """
 
     def __init__(self, signals: Signals, group: int, noise: NoiseModel, *, unpowered: bool = False) -> None:
+        signals = signals.unpowered() if unpowered else signals
         self.group, self.signals, self.noise = group, signals, noise
         record = signals.record
         self.whiten = Whitener(record.position, np.zeros(len(record)), noise, time=record.time)
         self.samples = self.simulated = len(record)
         self.instants = record.time
-        self._loop = ClosedLoop(record, 0.0 if unpowered and applied_before(record) is None else None)
+        self._loop = ClosedLoop(record)
         self.sample_time = self._loop.sample_time
         self.start: NDArray[np.float64] = np.empty(0)
         self.shifts: tuple[float, ...] = ()

@@ -187,18 +187,16 @@ class ClosedLoop:
     ----------
     record : Record
         With reference and controller.
-    before : float, optional
-        Voltage applied before it; what the record itself says when None.
     """
 
-    def __init__(self, record: Record, before: float | None = None) -> None:
+    def __init__(self, record: Record) -> None:
         assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - callers see to it
         self.record, self.controller = record, record.controller
         self._ticks = record.loop_ticks()
         self.time = self._ticks.time
         self._reference = self._ticks.set_point(record.reference)
         self._added = None if record.feedforward is None else self._ticks.command(record.feedforward)
-        self._before = applied_before(record) if before is None else before
+        self._before = applied_before(record)
         self.sample_time = float(np.max(np.diff(self.time)))
 
     def simulated(
