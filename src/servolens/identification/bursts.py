@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.structure import BLOCKS, FEWEST_BLOCKS, TESTS, first_samples, standing
+from servolens.identification.structure import BLOCKS, TESTS, first_samples, standing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from servolens.identification.score import ScoreTest
 
 __all__ = ["Burst", "burst_of"]
+
+NORMAL_FROM = 20
+"""Blocks from which on the transformed kurtosis is about normal (Anscombe and Glynn 1983)."""
 
 
 @final
@@ -31,27 +34,27 @@ def burst_of(test: ScoreTest) -> Burst | None:
     """Return the strongest burst of what shakes the axis; None where it is as strong all the time.
 
     Knocks, a friction that comes and goes, and counts that an encoder loses leave innovations most of which are small
-    and a few large. Compared is the kurtosis of the sums over blocks of samples, which is 3 for steady noise (Anscombe
-    and Glynn 1983, doi:10.1093/biomet/70.1.227), with that of draws of the same loop: there as well an axis that sticks
-    is shaken less while it rests.
+    and a few large. Compared is the kurtosis of the sums over blocks of samples, which is 3 for steady noise, as the
+    normal variable that Anscombe and Glynn make of it (1983, doi:10.1093/biomet/70.1.227), with that of draws of the
+    same loop: there as well an axis that sticks is shaken less while it rests.
 
     Parameters
     ----------
     test : ScoreTest
         Of an axis that is shaken.
     """
-    from scipy.stats import t
+    from scipy.stats import kurtosistest, t
 
     level = FALSE_ALARM / TESTS / len(BLOCKS)
     samples = [run.samples for run in test.runs]
     found: list[tuple[float, int]] = []
     for size in BLOCKS:
         firsts = np.concatenate(first_samples(samples, size))
-        if firsts.size < FEWEST_BLOCKS:
+        if firsts.size < NORMAL_FROM:
             continue
         sums = _sums(test.left, firsts, size)
-        drawn = np.array([_tailedness(_sums(one, firsts, size)) for one in test.drawn.T])
-        chance = float(t.sf(standing(_tailedness(sums), drawn), drawn.size - 1))
+        drawn = np.array([kurtosistest(_sums(one, firsts, size)).statistic for one in test.drawn.T])
+        chance = float(t.sf(standing(float(kurtosistest(sums).statistic), drawn), drawn.size - 1))
         if chance < level:
             found.append((chance, int(firsts[np.argmax(np.abs(sums))])))
     if not found:
@@ -65,8 +68,3 @@ def burst_of(test: ScoreTest) -> Burst | None:
 
 def _sums(residual: NDArray[np.float64], firsts: NDArray[np.intp], size: int) -> NDArray[np.float64]:
     return np.asarray(np.sum(residual[firsts[:, None] + np.arange(size)], axis=1))
-
-
-def _tailedness(sums: NDArray[np.float64]) -> float:
-    """Return −1/kurtosis, which grows with it, and is distributed about normally, unlike the kurtosis itself."""
-    return -(float(np.mean(sums**2)) ** 2) / max(float(np.mean(sums**4)), 1e-300)
