@@ -218,3 +218,12 @@ def test_hidden_axis_tried_again_does_what_was_logged(hidden):
     run = campaign.tried(record.controller, [level], samples * h, h)
     missed = run.position - (record.position[first : first + samples] - record.position[:1].mean())
     assert np.sqrt(np.mean(missed**2)) < 5.0 * campaign.floor + 0.01 * abs(level)
+
+
+@pytest.mark.parametrize("seed", [913293, 913294, 913295])
+def test_friction_does_not_hold_the_axis_off_a_stop_that_is_hidden_beside_it(seed):
+    campaign = lab.hidden_campaign(seed, effects=["end_stop", "coulomb_friction"])
+    stop = campaign.truth.effects["end_stop"]
+    low = min(record.position.min() for record in campaign.records)
+    high = max(record.position.max() for record in campaign.records)
+    assert low < stop["low"] + campaign.floor or high > stop["high"] - campaign.floor

@@ -60,18 +60,32 @@ class SizeSearch:
         self._scene, self._key, self._closed = scene, key, closed
 
     def hide(self, names: Sequence[str], wanted: Sequence[float]) -> Found | None:
-        """Return the scene with the effects as visible as wanted, or as near as it gets; None if it is no use."""
+        """Return the scene with the effects as visible as wanted, or as near as it gets; None if it is no use.
+
+        Nor is one on which the others keep an effect from showing at all.
+        """
         looks = [self._turn(name, target) for name, target in zip(names, wanted, strict=True)]
         good = [look for look in looks if look is not None]
         if len(good) < len(names):
             return None
         sizes = {name: size for look in good for name, size in look.sizes.items()}
         joint = good[0] if len(names) == 1 else self._look(sizes)
-        if joint is None:
+        if joint is None or not all(self._shows(name, joint) for name in names if len(names) > 1):
             return None
         distances = [abs(_gap(look, target)) for look, target in zip(good, wanted, strict=True)]
         shares = {name: look.visibility for name, look in zip(names, good, strict=True)}
         return Found(joint, shares, max(distances, default=0.0))
+
+    def _shows(self, name: str, joint: Look) -> bool:
+        """Tell whether the axis moves otherwise without one of several effects, by more than a healthy one misses.
+
+        Friction may hold an axis off a stop that it reaches without.
+        """
+        without = self._look({other: size for other, size in joint.sizes.items() if other != name})
+        if without is None:
+            return True
+        moved = [one.position - other.position for one, other in zip(joint.runs, without.runs, strict=True)]
+        return float(np.sqrt(np.mean(np.concatenate(moved) ** 2))) > self._scene.floor
 
     def _turn(self, name: str, target: float) -> Look | None:
         """Return the size at which an effect is as visible as wanted, or nearest to it; None if the loop bears none."""
