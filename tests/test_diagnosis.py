@@ -28,6 +28,7 @@ from servolens.effects import (
     CoulombFriction,
     DeadZone,
     EndStop,
+    FlexibleCoupling,
     PendulumGravity,
     Presliding,
     Saturation,
@@ -188,6 +189,27 @@ def test_advice_on_what_shakes_the_axis_is_given_where_it_matters(shaking, says)
     (told,) = [finding.message for finding in diagnosis.findings if finding.code == "shaken_axis"]
     assert told.endswith(says)
     assert ("sensor's noise" in told) == (diagnosis.remainder.rms < diagnosis.noise_floor)
+
+
+def test_a_resonance_is_found_on_an_axis_that_takes_seconds():
+    time, stream = np.arange(3000) * 0.01, np.random.default_rng(0)
+    axis = Plant(
+        gain=0.02, damping=0.3, effects=(FlexibleCoupling(frequency=1.2, damping_ratio=0.03, load_ratio=0.35),)
+    )
+    records = []
+    for kp in (6.0, 12.0, 20.0):
+        asked = Record(
+            time=time,
+            position=0.0 * time,
+            reference=np.where(time >= 1.5, 0.1, 0.0),
+            controller=Controller(kp=kp, kd=0.02 * kp),
+        )
+        run = simulate(axis, asked, sensor_error=3e-5 * stream.standard_normal(time.size))
+        records.append(replace(asked, position=run.measured, voltage=run.voltage, name=f"kp {kp:g}"))
+    found = diagnose(records[:2], heldout=records[2:], effort="quick")
+    assert found.verdict == "explained"
+    assert [cause.effect for cause in found.causes] == ["flexible_coupling"]
+    assert found.causes[0].quantities["frequency"].value == pytest.approx(1.2, rel=0.01)
 
 
 @pytest.mark.parametrize(

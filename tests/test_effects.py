@@ -452,6 +452,15 @@ def test_pitches_and_frequencies_are_close_enough_to_lock_on():
     assert rates[-1] == pytest.approx(0.1 / TYPICAL.sample_time)
 
 
+@pytest.mark.parametrize("times", [1e-2, 1.0, 1e2])
+def test_a_resonance_is_sought_from_as_slow_as_the_axis_moves_to_what_a_log_shows(times):
+    seen = replace(TYPICAL, speed=times * TYPICAL.speed, sample_time=TYPICAL.sample_time / times)
+    found = np.array([effect.frequency for effect in CATALOGUE["flexible_coupling"].starts(seen)])
+    assert found[0] <= max(0.25 * times, 0.1)  # 1.5 of the travel in a second
+    assert found[-1] == pytest.approx(400.0 * times)
+    assert np.all(found[1:] < 1.5 * found[:-1])
+
+
 def test_no_pitch_is_sought_in_the_noise():
     noisy = replace(TYPICAL, noise=0.01)
     assert min(effect.pitch for effect in CATALOGUE["cogging"].starts(noisy)) >= 0.06

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import ceil, log2, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
+
+from numpy import geomspace
 
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from servolens.effects.base import Axis, Seen
 
 __all__ = ["FlexibleCoupling"]
+
+PER_OCTAVE, SHOWN = 2, 0.4
+"""Starts per octave; frequency times the sample time up to which a log shows how a coupling rings."""
 
 
 @final
@@ -71,7 +76,8 @@ class FlexibleCoupling(Transmission):
 
     @classmethod
     def starts(cls, seen: Seen) -> Iterator[FlexibleCoupling]:
-        """See :meth:`servolens.effects.base.Effect.starts`."""
-        for frequency in (8.0, 15.0, 30.0, 60.0, 120.0):
-            for load in (0.3, 0.6):
-                yield within(cls, frequency=frequency, damping_ratio=0.03, load_ratio=load)
+        """See :meth:`servolens.effects.base.Effect.starts`. From as slow as the axis moves, to what a log shows."""
+        lowest, highest = max(seen.speed, 1e-9) / seen.travel / (2 * pi), SHOWN / max(seen.sample_time, 1e-9)
+        octaves = log2(max(highest / lowest, 1.0))
+        for frequency in geomspace(highest / 2.0**octaves, highest, 1 + ceil(PER_OCTAVE * octaves)):
+            yield within(cls, frequency=frequency, damping_ratio=0.03, load_ratio=0.4)
