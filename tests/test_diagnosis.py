@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from servolens import Plant, Prior, diagnose, lab
 from servolens.diagnosis.case import Case
@@ -975,3 +976,44 @@ def test_a_model_misses_less_only_where_it_was_fitted_and_where_not():
         name: Gains((), (), ((large,), (trained,)), ((large,), (held,)), 0.1) for name, (trained, held) in pairs.items()
     }
     assert {name for name, pair in gains.items() if pair.misses_less(-1, 0)} == {"both"}
+
+
+def gain_over_travel(kp, kd, levels, seed):
+    """Return a record of an axis whose gain grows by 12 % a radian, which nothing in the catalogue does."""
+    step, pieces, stream = 2e-3, 20, np.random.default_rng(seed)
+    time = np.arange(2500) * step
+    reference = np.zeros(time.size)
+    for start, level in levels:
+        reference[time >= start] = level
+    error = lfilter([1e-4 * np.sqrt(1.0 - 0.9**2)], [1.0, -0.9], stream.standard_normal(time.size))
+    y = v = 0.0
+    position, voltage = np.empty(time.size), np.empty(time.size)
+    for k in range(time.size):
+        position[k] = y + error[k]
+        slope = (position[k] - position[k - 1]) / step if k else 0.0
+        voltage[k] = kp * (reference[k] - position[k]) - kd * slope
+        for _ in range(pieces):
+            v += step / pieces * (30.0 * (1.0 + 0.12 * y) * voltage[k] - 10.0 * v)
+            y += step / pieces * v
+    return Record(
+        time=time,
+        position=position,
+        reference=reference,
+        voltage=voltage,
+        controller=Controller(kp=kp, kd=kd),
+        length_unit="rad",
+        name=f"kp {kp:g}",
+    )
+
+
+def test_a_cause_that_may_be_of_no_size_is_no_part_of_an_explanation():
+    training = [
+        gain_over_travel(8.0, 0.3, ((0.05, 0.7), (1.6, -0.4), (3.2, 0.9)), 1),
+        gain_over_travel(5.0, 0.1, ((0.05, 1.0), (2.5, 0.0)), 2),
+    ]
+    heldout = gain_over_travel(6.0, 0.2, ((0.05, -0.8), (2.0, 0.5)), 3)
+    found = diagnose(training, heldout=heldout, effort="quick")
+    assert found.verdict in ("unexplained", "partly_explained")
+    assert "not_confirmed" in codes(found)
+    for cause in found.causes:
+        assert any(q.interval is None or q.interval[0] > 0.0 or q.interval[1] < 0.0 for q in cause.quantities.values())

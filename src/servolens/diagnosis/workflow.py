@@ -180,9 +180,10 @@ def _as_far_as_shown(
 ) -> tuple[list[Hypothesis], list[Fitted], list[Finding]]:
     """Return `path`, its first and its last fitted, without last causes that may be nothing, and a note on these.
 
-    The 95 % intervals of their sizes include nothing, and what is left without them does not depend on the inputs
-    either. The likelihood of contacts is ragged: that it is higher beside a further cause may be for another optimum of
-    those before.
+    The 95 % intervals of their sizes include nothing, and they are not what leaves nothing that depends on the inputs.
+    The likelihood of contacts is ragged: that it is higher beside a further cause may be for another optimum of those
+    before. A model that is not the axis has wide intervals, and a cause that they do not tell from none explains
+    nothing.
     """
     path, told = list(path), list[Finding]()
     base = fitted(case.likelihood, counting_followed(case.likelihood, path[0]), work)
@@ -190,9 +191,11 @@ def _as_far_as_shown(
         fit = fitted(case.likelihood, counting_followed(case.likelihood, path[-1]), work)
         added = [name for name in path[-1].causes if name not in path[-2].causes]
         is_shown = any(not may_be_nothing(path[-1].plant, name, own_quantities(fit, name)) for name in added)
-        if not added or is_shown or not case.explains(path[-2]):
+        is_rest_enough = case.explains(path[-2])
+        if not added or is_shown or (case.explains(path[-1]) and not is_rest_enough):
             return path, [base, fit], told
-        message = f"{', '.join(added)} may be of no size at all; the rest explains the records, so it is left out."
+        why = "the rest explains the records, so it is left out" if is_rest_enough else "it is left out"
+        message = f"{', '.join(added)} may be of no size at all; {why}."
         told.append(Finding(code="not_confirmed", severity="note", message=message))
         path.pop()
     return path, [base], told
