@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.score import FALSE_ALARM
-from servolens.identification.structure import BLOCKS, TESTS, first_samples, standing
+from servolens.identification.structure import BLOCKS, FEWEST_BLOCKS, TESTS, first_samples, standing
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from servolens.identification.score import ScoreTest
 
 __all__ = ["Burst", "burst_of"]
-
-NORMAL_FROM = 20
-"""Blocks from which on the transformed kurtosis is about normal (Anscombe and Glynn 1983)."""
 
 
 @final
@@ -50,7 +47,7 @@ def burst_of(test: ScoreTest) -> Burst | None:
     found: list[tuple[float, int]] = []
     for size in BLOCKS:
         firsts = np.concatenate(first_samples(samples, size))
-        if firsts.size < NORMAL_FROM:
+        if firsts.size < FEWEST_BLOCKS:
             continue
         sums = _sums(test.left, firsts, size)
         drawn = np.array([kurtosistest(_sums(one, firsts, size)).statistic for one in test.drawn.T])
