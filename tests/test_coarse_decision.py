@@ -12,8 +12,8 @@ from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun, Signals
 from servolens.identification.rounding import is_coarse, own_spectra
-from servolens.identification.score import ScoreTest
-from servolens.identification.structure import statistics
+from servolens.identification.score import FALSE_ALARM, ScoreTest
+from servolens.identification.structure import TESTS, answers
 
 STEP = 1e-4
 
@@ -48,8 +48,8 @@ def test_an_instrument_like_a_parameter_of_the_model_is_not_its_feedback_noise()
     records, plant = hung_on_a_spring(2)
     case = Case(tuple(records), (), {}, len(catalogue()))
     found = case.likelihood.whitened_well(case.likelihood.judged(plant))
-    for explained, limit in statistics(ScoreTest(case.likelihood, found)):
-        assert explained < limit
+    for answer in answers(ScoreTest(case.likelihood, found)):
+        assert answer.chance > FALSE_ALARM / TESTS
 
 
 def test_a_missing_spring_still_shows_beside_a_coarse_encoder():

@@ -17,7 +17,7 @@ from servolens.identification.rounding import (
     dominates,
     drawn_noise,
     is_rounded,
-    limit_of,
+    law_of_squares,
     own_spectra,
     parted,
     rounded,
@@ -44,13 +44,13 @@ def draws_of(run, plant, start):
     return rounded(*of, own_spectra(*of))
 
 
-def test_limit_of_a_multiple_of_chi_square_is_its_quantile():
+def test_law_of_a_multiple_of_chi_square_has_its_quantile():
     draws = 3.0 * np.random.default_rng(5).chisquare(7, 40_000)
-    assert limit_of(draws, 1e-3) == pytest.approx(3.0 * chi2.isf(1e-3, 7), rel=0.03)
+    assert law_of_squares(draws).isf(1e-3) == pytest.approx(3.0 * chi2.isf(1e-3, 7), rel=0.03)
 
 
-def test_limit_of_nothing_is_nothing():
-    assert limit_of(np.zeros(10), 1e-3) == pytest.approx(0.0, abs=1e-200)
+def test_nothing_has_the_law_of_nothing():
+    assert law_of_squares(np.zeros(10)).isf(1e-3) == pytest.approx(0.0, abs=1e-200)
 
 
 def test_rounding_at_rest_is_one_error_all_along():

@@ -5,17 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import norm
 
 import servolens
 from servolens import lab
+from servolens.diagnosis.case import Case
 from servolens.effects import CoulombFriction, SensorLag
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors
 from servolens.identification.noise import NoiseModel, Whitener, burg
 from servolens.identification.options import FitOptions
-from servolens.identification.score import ScoreTest
+from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.identification.shaken import shaken, shaking
-from servolens.identification.structure import depends_on_inputs, statistics
+from servolens.identification.structure import TESTS, Answer, answers, depends_on_inputs, joint_chance
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
 CART = servolens.Plant(gain=GAIN, damping=DAMPING)
@@ -109,23 +111,35 @@ def hidden_force(kind, run, time):
     return 0.0 * time
 
 
+def shaken_record(kind, seed):
+    """Return a record of a loop that is shaken, and moved by a hidden force."""
+    clean, stream = loop(CART, (0.0, 0.1, 0.0, 0.08, -0.05, 0.0)), np.random.default_rng(seed)
+    noise = replace(NoiseModel.white(2e-6), gain=GAIN, damping=DAMPING, rate=60.0, corner=60.0)
+    shake = shaking(noise, clean, stream)[:, 0]
+    force = hidden_force(kind, servolens.simulate(CART, clean), clean.time)
+    run = servolens.simulate(CART, clean, acceleration=shake + force)
+    return replace(clean, position=run.position + 2e-6 * stream.standard_normal(len(clean)), voltage=run.voltage)
+
+
 @pytest.mark.parametrize(
     ("kind", "asked"),
     [("nothing", None), ("friction that grows", 0), ("damping that changes", 0), ("a mode that rings", 2)],
 )
 def test_a_shaken_loop_shows_a_force_to_the_instrument_that_is_made_for_it(kind, asked):
-    clean, stream = loop(CART, (0.0, 0.1, 0.0, 0.08, -0.05, 0.0)), np.random.default_rng(8)
-    noise = replace(NoiseModel.white(2e-6), gain=GAIN, damping=DAMPING, rate=60.0, corner=60.0)
-    shake = shaking(noise, clean, stream)[:, 0]
-    without = servolens.simulate(CART, clean)
-    force = hidden_force(kind, without, clean.time)
-    run = servolens.simulate(CART, clean, acceleration=shake + force)
-    record = replace(clean, position=run.position + 2e-6 * stream.standard_normal(len(clean)), voltage=run.voltage)
-    likelihood = Likelihood([record], CART, FitOptions())
+    likelihood = Likelihood([shaken_record(kind, 8)], CART, FitOptions())
     test = ScoreTest(likelihood, likelihood.judged(CART))
-    exceeded = {place // 2 for place, (explained, limit) in enumerate(statistics(test)) if explained > limit}
+    exceeded = {place // 2 for place, answer in enumerate(answers(test)) if answer.chance < FALSE_ALARM / TESTS}
     assert exceeded == set() if asked is None else asked in exceeded
     assert depends_on_inputs(test) == (asked is not None)
+
+
+@pytest.mark.parametrize(("kind", "is_enough"), [("nothing", True), ("damping that changes", False)])
+def test_records_held_out_are_asked_as_well_of_an_axis_that_is_shaken(kind, is_enough):
+    fitted, other = (shaken_record(*of) for of in (("nothing", 8), (kind, 9)))
+    case = Case((fitted,), (other,), {}, 1)
+    assert case.is_enough(case.base)
+    case.ask_heldout(case.base)
+    assert case.is_enough(case.base) == is_enough
 
 
 @pytest.mark.parametrize(
@@ -144,6 +158,23 @@ def test_a_law_of_no_effect_is_not_taken_for_shaking(law, seed):
     assert found.verdict in ("unexplained", "partly_explained")
     assert found.remainder.depends_on_inputs
     assert "shaken_axis" not in {finding.code for finding in found.findings}
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.7])
+def test_answers_that_each_fall_a_little_short_count_together_by_what_chance_makes_of_them(shared):
+    """Of tests that share a part of what they ask; against the share of far more draws than the answers have."""
+    stream = np.random.default_rng(12)
+
+    def drawn(count):
+        common = np.sqrt(shared) * stream.standard_normal(count)
+        return norm.sf(common + np.sqrt(1.0 - shared) * stream.standard_normal((6, count)))
+
+    given, others = drawn(2000), drawn(2000)
+    chance = joint_chance([Answer(1e-3, one) for one in given])
+    assert chance < FALSE_ALARM / TESTS if shared == 0.0 else chance > FALSE_ALARM / TESTS
+    likely = np.array([joint_chance([Answer(p, one) for p, one in zip(row, given, strict=True)]) for row in others.T])
+    assert np.mean(likely < 0.01) == pytest.approx(0.01, abs=0.01)
+    assert joint_chance([Answer(1e-9)] * 3) == 1.0
 
 
 @pytest.mark.parametrize("closed", [False, True])

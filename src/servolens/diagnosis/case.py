@@ -18,7 +18,7 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
-from servolens.identification.observed import clock_error
+from servolens.identification.observed import clock_error, least_missed
 from servolens.identification.phases import own_phases
 from servolens.identification.ripple import Ripple, mains_lines, ripple_in
 from servolens.identification.rounding import dominates, is_coarse
@@ -175,6 +175,28 @@ class Case:
         if self.likelihood.simulates:
             return False
         return not _once(self._dependent, hypothesis, self._depends)
+
+    def ask_heldout(self, hypothesis: Hypothesis) -> None:
+        """Ask the records held out as well whether what `hypothesis` leaves depends on the inputs.
+
+        Together with those that were fitted, for each may show a little. Where the noise is white it hides nothing, and
+        they are not asked; nor is a wave, which has another phase in each.
+        """
+        noise = hypothesis.noise
+        is_white = noise.rate == 0.0 and noise.order == 0
+        if not self.heldout or is_white or own_phases(hypothesis.plant) or not self.is_enough(hypothesis):
+            return
+        every = copy(self)
+        every.records = (*self.records, *self.heldout)
+        every.likelihood = self.likelihood.on(every.records)
+        every._dependent, every._ripples = {}, {}
+        held = self._on_heldout()
+        runs = held.runs(noise, unpowered=hypothesis.unpowered)
+        starts = (*hypothesis.starts, *(least_missed(run, hypothesis.plant, 0)[1] for run in runs))
+        found = every.likelihood.judged(hypothesis.plant, replace(hypothesis, starts=starts), SOME, allowance=REFITTED)
+        self.likelihood.tally.add(every.likelihood.work)
+        if found is None or not every.is_enough(found):
+            self._dependent[id(hypothesis)] = hypothesis, True
 
     def explains(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves is the noise that it claims: steady, and independent of the inputs."""

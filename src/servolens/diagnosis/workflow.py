@@ -124,6 +124,7 @@ def _diagnosed(
     progress("Comparing errors with and without the causes", 90, 100)
     path, fits, sizeless = _as_far_as_shown(case, decision.path, work := SPENT * EFFORT[effort].work)
     found = replace(found, path=tuple(path)) if sizeless else found
+    case.ask_heldout(path[-1])
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)

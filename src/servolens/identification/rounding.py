@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -39,7 +39,7 @@ __all__ = [
     "has_mean",
     "is_coarse",
     "is_rounded",
-    "limit_of",
+    "law_of_squares",
     "own_spectra",
     "parted",
     "rounded",
@@ -340,13 +340,13 @@ def _power(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.interp(np.linspace(0.0, found.size - 1.0, FREQUENCIES + 1), np.arange(found.size), found))
 
 
-def limit_of(draws: NDArray[np.float64], level: float) -> float:
-    """Return what a sum of squares, of which there are `draws`, exceeds with probability `level`.
+def law_of_squares(draws: NDArray[np.float64]) -> Any:  # a frozen distribution of SciPy, which has no types
+    """Return the distribution of a sum of squares, of which there are `draws`.
 
-    Of a multiple of χ² with their mean and variance (Satterthwaite 1946, doi:10.2307/3002019).
+    A multiple of χ² with their mean and variance (Satterthwaite 1946, doi:10.2307/3002019).
     """
     from scipy.stats import chi2
 
     mean, variance = float(np.mean(draws)), float(np.var(draws))
     scale = max(variance / (2.0 * mean), 1e-300) if mean > 0.0 else 1e-300
-    return scale * float(chi2.isf(level, max(mean / scale, 1e-3)))
+    return chi2(max(mean / scale, 1e-3), scale=scale)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.instruments import instruments, noise_free, noise_free_run
 from servolens.identification.loop_errors import loop_error
-from servolens.identification.rounding import is_coarse, limit_of
+from servolens.identification.rounding import is_coarse, law_of_squares
 from servolens.identification.score import FALSE_ALARM, ScoreTest, free_of
 from servolens.model_evidence import MATERIAL
 from servolens.prediction import from_beginning
@@ -27,20 +28,35 @@ __all__ = [
     "BLOCKS",
     "FEWEST_BLOCKS",
     "TESTS",
+    "Answer",
+    "answers",
     "depends_on_inputs",
     "first_samples",
     "is_chance",
     "is_shaking",
+    "joint_chance",
     "standing",
 ]
 
 TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
-TESTS = 14
+TESTS = 15
 """Among which the familywise error rate is shared: six kinds of instruments, of each all together and the strongest;
-rest against motion; bursts."""
+rest against motion; all of these jointly; bursts."""
 BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
 """Samples of a block: a few, as many as a fast loop remembers, and a slow one; blocks of a third that is compared."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Of one test: the probability of as much by chance, and those of draws of the residual, shape (draws,).
+
+    A test that asks again what another has asked has no draws: it is not counted twice.
+    """
+
+    chance: float
+    drawn: NDArray[np.float64] | None = None
 
 
 def depends_on_inputs(test: ScoreTest) -> bool:
@@ -53,14 +69,32 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     damping and gain that act for a part of a record alone. The sum of squares that all of a kind explain is χ², beyond
     what a structure of the tolerated size adds to it, or what draws of the noise explain, if that is more. What one
     instrument alone explains is compared with chance as well: one force that is missing is lost among so many. Then
-    motion is compared with rest.
+    motion is compared with rest. At last the answers are taken together, as each may fall a little short.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11): without a reference products are left out.
     What the hypothesis itself explains is told of the measured signals. Of an instrument that is like one of its own
     parameters, as a force over the velocity is like damping, nothing but the noise in these would be left: so the
     instruments are at right angles to what its parameters do along the noise-free signals, first.
     """
-    return any(statistic > limit for statistic, limit in statistics(test)) or _differs_in_motion(test)
+    given = []
+    for answer in answers(test):
+        if answer.chance < FALSE_ALARM / TESTS:
+            return True
+        given.append(answer)
+    return joint_chance(given) < FALSE_ALARM / TESTS
+
+
+def joint_chance(given: Sequence[Answer]) -> float:
+    """Return the probability of such answers together by chance.
+
+    Of the sum of the logarithms of their probabilities (Fisher), by draws of it, for they are not independent (Brown
+    1975, doi:10.2307/2529826).
+    """
+    asked = [np.append(answer.drawn, answer.chance) for answer in given if answer.drawn is not None]
+    if len(asked) < 2:
+        return 1.0
+    *drawn, found = -2.0 * np.sum(np.log(np.maximum(asked, 1e-300)), axis=0)
+    return float(law_of_squares(np.array(drawn)).sf(found))
 
 
 def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
@@ -84,52 +118,53 @@ def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
     return loop_error(plants, likelihood.records, errors, hypothesis.noise, likelihood.rate).is_noise
 
 
-def statistics(test: ScoreTest) -> Iterator[tuple[float, float]]:
-    """Yield what instruments explain of the residual, with limits: of each kind all together, then the strongest."""
+def answers(test: ScoreTest) -> Iterator[Answer]:
+    """Yield what tests say: of each kind of instruments all together, then the strongest; and motion against rest."""
     own = test.own_along([noise_free_run(run, test.hypothesis.plant_of(i)) for i, run in enumerate(test.runs)])
     for columns in instruments(test):
         directions = _unit(test.free_of_own(free_of(own, columns)), columns)
         if directions.shape[1]:
             yield _of_all(test, directions)
             yield _of_strongest(test, directions)
+    yield from _in_motion(test)
 
 
-def _of_all(test: ScoreTest, directions: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the sum of squares that the `directions` explain, and its limit.
+def _of_all(test: ScoreTest, directions: NDArray[np.float64]) -> Answer:
+    """Ask the sum of squares that the `directions` explain.
 
     An observer that follows a shaken axis follows what a simulation is not exact enough for as well.
     """
-    from scipy.stats import ncx2
+    from scipy.stats import chi2, ncx2
 
     basis = _basis(directions)
     tolerated = TOLERATED**2 * test.left.size if test.hypothesis.noise.rate == 0.0 else 0.0
-    limit = float(ncx2.isf(FALSE_ALARM / TESTS, basis.shape[1], tolerated))
-    if test.is_drawn:
-        drawn = basis.T @ test.drawn
-        limit = max(limit, tolerated + limit_of(np.sum(drawn**2, axis=0), FALSE_ALARM / TESTS))
-    along = basis.T @ test.left
-    return float(along @ along), limit
+    found, drawn = float(np.sum((basis.T @ test.left) ** 2)), np.sum((basis.T @ test.drawn) ** 2, axis=0)
+    chance = float(ncx2.sf(found, basis.shape[1], tolerated))
+    if not test.is_drawn:
+        return Answer(chance, chi2.sf(drawn, basis.shape[1]))
+    law = law_of_squares(drawn)
+    return Answer(max(chance, float(law.sf(found - tolerated))), law.sf(drawn))
 
 
-def _of_strongest(test: ScoreTest, directions: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the largest square that one of the `directions` explains, by what chance explains of it, and its limit.
+def _of_strongest(test: ScoreTest, directions: NDArray[np.float64]) -> Answer:
+    """Ask the largest square that one of the `directions` explains, by what chance explains of it.
 
     Of so many (Bonferroni); by Student's t where draws tell what chance explains. It needs no tolerance: in as many
     samples as are compared it sees nothing much smaller than the tolerated structure.
     """
     from scipy.stats import norm, t
 
-    level, spread = 0.5 * FALSE_ALARM / TESTS / directions.shape[1], np.ones(directions.shape[1])
-    limit = float(norm.isf(level))
+    found = np.abs(directions.T @ test.left)
     if test.is_drawn:
-        drawn = directions.T @ test.drawn
-        spread = np.maximum(np.sqrt(np.mean(drawn**2, axis=1)), 1.0)
-        limit = float(t.isf(level, drawn.shape[1]))
-    return float(np.max((directions.T @ test.left / spread) ** 2)), limit**2
+        spread = np.sqrt(np.mean((directions.T @ test.drawn) ** 2, axis=1))
+        chance = t.sf(np.max(found / np.maximum(spread, 1.0)), test.drawn.shape[1])
+    else:
+        chance = norm.sf(np.max(found))
+    return Answer(2.0 * found.size * float(chance))
 
 
-def _differs_in_motion(test: ScoreTest) -> bool:
-    """Tell whether the whitened residual goes on from sample to sample otherwise in motion than at rest.
+def _in_motion(test: ScoreTest) -> Iterator[Answer]:
+    """Ask whether the whitened residual goes on from sample to sample otherwise in motion than at rest.
 
     Noise of a sensor, ripple and shaking are the same at rest; what a model lacks shows in motion. Compared are the
     mean squares of block means, in units of the squared differences within the blocks (which a jittering clock
@@ -142,30 +177,30 @@ def _differs_in_motion(test: ScoreTest) -> bool:
 
     noise = test.hypothesis.noise
     if is_coarse(noise, test.unrounded):
-        return False
+        return
     fast = [np.abs(noise_free(test, i)[1]) for i in range(len(test.runs))]
     fast = [v if run.signals.index is None else v[run.signals.index] for run, v in zip(test.runs, fast, strict=True)]
-    level = FALSE_ALARM / TESTS / len(BLOCKS)
+    every = []
     for size in BLOCKS:
         blocks = _Blocks(fast, [run.samples for run in test.runs], size)
         if blocks.count < FEWEST_BLOCKS:
             continue
-        ratio = blocks.ratio(test.left)
+        ratios = np.array([blocks.ratio(one) for one in (test.left, *test.drawn.T)])
         if noise.rate == 0.0:
-            usual = float(np.mean([blocks.ratio(one) for one in test.drawn.T])) if test.is_drawn else 1.0
-            if f.sf(ratio / usual, blocks.count, blocks.count) < level:
-                return True
-            continue
-        away = standing(float(np.log(ratio)), np.log([blocks.ratio(one) for one in test.drawn.T]))
-        if 2.0 * t.sf(abs(away), test.drawn.shape[1] - 1) < level:
-            return True
-    return False
+            usual = float(np.mean(ratios[1:])) if test.is_drawn else 1.0
+            every.append(f.sf(ratios / usual, blocks.count, blocks.count))
+        else:
+            away = standing(np.log(ratios), np.log(ratios[1:]))
+            every.append(2.0 * t.sf(np.abs(away), ratios.size - 2))
+    if every:
+        least = np.minimum(len(BLOCKS) * np.min(every, axis=0), 1.0)
+        yield Answer(float(least[0]), least[1:])
 
 
-def standing(value: float, drawn: NDArray[np.float64]) -> float:
+def standing(value: float | NDArray[np.float64], drawn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return Student's t of one further draw: how far `value` is from the mean of those `drawn`, by their spread."""
     spread = float(np.std(drawn, ddof=1)) * np.sqrt(1.0 + 1.0 / drawn.size)
-    return (value - float(np.mean(drawn))) / max(float(spread), 1e-300)
+    return np.asarray((value - np.mean(drawn)) / max(float(spread), 1e-300))
 
 
 def first_samples(samples: Sequence[int], size: int) -> list[NDArray[np.intp]]:
