@@ -84,6 +84,7 @@ class Case:
         self.base = self.trials.base()
         self._held: Likelihood | None = None
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
+        self._everywhere: dict[int, tuple[Hypothesis, bool]] = {}
         self._bursts: dict[int, tuple[Hypothesis, Burst | None]] = {}
         self._loop_noise: dict[int, tuple[Hypothesis, float]] = {}
         self._ripples: dict[int, tuple[Hypothesis, Ripple]] = {}
@@ -177,7 +178,7 @@ class Case:
         return not _once(self._dependent, hypothesis, self._depends)
 
     def ask_heldout(self, hypothesis: Hypothesis) -> None:
-        """Ask the records held out as well whether what `hypothesis` leaves depends on the inputs.
+        """Ask the records held out as well whether what `hypothesis` leaves depends on the inputs; once.
 
         Together with those that were fitted, for each may show a little. Where the noise is white it hides nothing, and
         they are not asked; nor is a wave, which has another phase in each.
@@ -186,17 +187,21 @@ class Case:
         is_white = noise.rate == 0.0 and noise.order == 0
         if not self.heldout or is_white or own_phases(hypothesis.plant) or not self.is_enough(hypothesis):
             return
+        if not _once(self._everywhere, hypothesis, self._is_enough_everywhere):
+            self._dependent[id(hypothesis)] = hypothesis, True
+
+    def _is_enough_everywhere(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether what `hypothesis`, fitted to all records, leaves of them does not depend on the inputs."""
         every = copy(self)
         every.records = (*self.records, *self.heldout)
         every.likelihood = self.likelihood.on(every.records)
         every._dependent, every._ripples = {}, {}
-        held = self._on_heldout()
-        runs = held.runs(noise, unpowered=hypothesis.unpowered)
+        runs = self._on_heldout().runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         starts = (*hypothesis.starts, *(least_missed(run, hypothesis.plant, 0)[1] for run in runs))
-        found = every.likelihood.judged(hypothesis.plant, replace(hypothesis, starts=starts), SOME, allowance=REFITTED)
+        like = replace(hypothesis, starts=starts)
+        found = every.likelihood.judged(hypothesis.plant, like, SOME, allowance=REFITTED)
         self.likelihood.tally.add(every.likelihood.work)
-        if found is None or not every.is_enough(found):
-            self._dependent[id(hypothesis)] = hypothesis, True
+        return found is not None and every.is_enough(found)
 
     def explains(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves is the noise that it claims: steady, and independent of the inputs."""

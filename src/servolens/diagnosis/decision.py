@@ -104,13 +104,17 @@ def _explaining(case: Case, found: Search) -> Decision | None:
 def _simplest(case: Case, found: Search) -> Search:
     """Return `found` with what leaves nothing that depends on the inputs, of those that are about as likely.
 
-    Of several the one with the fewest parameters; as it is where there is none.
+    Of several the one with the fewest parameters; as it is where there is none. The records held out are asked as well.
     """
     chosen = found.chosen
+    case.ask_heldout(chosen)
     rivals = [h for h in found.judged if h.total <= chosen.total + AS_WELL and h is not chosen]
     for rival in sorted(rivals, key=lambda h: h.plant.unusual):
         is_simpler = rival.plant.unusual < chosen.plant.unusual
-        if (is_simpler or not case.is_enough(chosen)) and case.is_enough(rival):
+        if not (is_simpler or not case.is_enough(chosen)):
+            continue
+        case.ask_heldout(rival)
+        if case.is_enough(rival):
             before = [h for h in found.path if set(h.causes) < set(rival.causes)]
             return replace(found, path=(*before, rival))
     return found

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["shaken", "shaking"]
 
+LEAST_OCTAVE = 8
+"""Frequencies of the shortest record's spectrum below which octaves are not told apart: of so many, in as many draws as
+there are, the power is known to a tenth."""
 RUNS_AWAY = 1e6
 """Standard deviations of an innovation beyond which loop or observer of a draw is unstable, and no draw."""
 
@@ -46,7 +49,7 @@ def shaken(
         The plant of each run and its initial state.
     """
     stream = np.random.default_rng(4)
-    return [_of_run(run, plant, start, stream) for run, plant, start in zip(runs, plants, starts, strict=True)]
+    return _at_least_white([_of_run(*of, stream) for of in zip(runs, plants, starts, strict=True)])
 
 
 def _of_run(
@@ -68,6 +71,30 @@ def _of_run(
         return missed if np.abs(missed).max() < RUNS_AWAY else white[:, k]
 
     return np.column_stack(in_processes(one, range(DRAWS)))
+
+
+def _at_least_white(draws: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+    """Return draws of each run, shape (n, draws), in each octave no weaker than white noise of variance 1.
+
+    The observer that finds the shaking is linear: of an axis that sticks part of the time it finds less than there is.
+    Draws of so little are too weak where they are slow; what the shaking itself leaves is white.
+    """
+    octaves = [np.log2(np.arange(1, one.shape[0] // 2 + 1) / (one.shape[0] // 2)) for one in draws]
+    lowest = np.log2(LEAST_OCTAVE / min(octave.size for octave in octaves))
+    centres = np.arange(min(int(lowest), 0), 1) - 0.5
+    total, count = np.zeros(centres.size), np.zeros(centres.size)
+    for one, octave in zip(draws, octaves, strict=True):
+        power = np.mean(np.abs(np.fft.rfft(one, axis=0)[1:]) ** 2, axis=1) / one.shape[0]
+        number = np.clip(np.floor(octave - centres[0] + 0.5).astype(int), 0, centres.size - 1)
+        total += np.bincount(number, power, centres.size)
+        count += np.bincount(number, minlength=centres.size)
+    gains = np.log(np.minimum(total / np.maximum(count, 1.0), 1.0) + (count == 0.0))
+    stronger = []
+    for one, octave in zip(draws, octaves, strict=True):
+        gain = np.exp(-0.5 * np.interp(octave, centres, gains))
+        waves = np.fft.rfft(one, axis=0) * np.append(gain[:1], gain)[:, None]
+        stronger.append(np.fft.irfft(waves, one.shape[0], axis=0))
+    return stronger
 
 
 def _measured(plant: Plant, begun: Beginning, disturbed: Disturbed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
