@@ -278,18 +278,20 @@ class Walk:
                 pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             is_answered = any(self.is_enough(h) for h in pairs)
-            general = [] if hidden or is_answered else self._last_resort_alone(found[:1])
+            general = [] if hidden or is_answered else self._general(found[:1])
             if hidden or found[0].total >= path[-1].total or is_answered or general:
                 found = sorted([*found, *pairs, *general], key=by_total)
         return found, pairs
 
-    def _last_resort_alone(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return a last resort in the place of the likeliest single cause, if that leaves nothing: one fit more.
+    def _general(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return a last resort in the place of the likeliest single cause, or of one of a pair, if that leaves nothing.
 
-        Where no pair does, three causes or an observer would be tried first, which take ten times the work.
+        Where no pair does, three causes or an observer would be tried first, which take ten times the work of two fits.
         """
-        resorts = [(plant, like) for like in singles for plant in last_resorts(self.trials, like)]
-        return [h for h in self.explorer.fitted(resorts)[:1] if self.is_enough(h)]
+        pairs = [h for h in best_of_each(self.explorer.judged) if len(h.causes) == 2]
+        likeliest = (*singles, *pairs[:1])
+        found = self.explorer.fitted([(plant, like) for like in likeliest for plant in last_resorts(self.trials, like)])
+        return [h for h in found if self.is_enough(h)][:1]
 
     def _beside_likeliest(self, base: Hypothesis, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return the likeliest single cause with a second one if that leaves nothing: cheaper than all other pairs.
