@@ -170,9 +170,11 @@ def test_answers_that_each_fall_a_little_short_count_together_by_what_chance_mak
         return norm.sf(common + np.sqrt(1.0 - shared) * stream.standard_normal((6, count)))
 
     given, others = drawn(2000), drawn(2000)
-    chance = joint_chance([Answer(1e-3, one) for one in given])
+    chance = joint_chance([Answer(1e-3, np.append(one, 1e-3)) for one in given])
     assert chance < FALSE_ALARM / TESTS if shared == 0.0 else chance > FALSE_ALARM / TESTS
-    likely = np.array([joint_chance([Answer(p, one) for p, one in zip(row, given, strict=True)]) for row in others.T])
+    likely = np.array(
+        [joint_chance([Answer(p, np.append(one, p)) for p, one in zip(row, given, strict=True)]) for row in others.T]
+    )
     assert np.mean(likely < 0.01) == pytest.approx(0.01, abs=0.01)
     assert joint_chance([Answer(1e-9)] * 3) == 1.0
 

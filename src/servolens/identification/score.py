@@ -14,7 +14,7 @@ from servolens.identification.observed import WIDE
 from servolens.identification.phases import own_phases
 from servolens.identification.restricted import parts_of
 from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectra, parted, rounded
-from servolens.identification.shaken import shaken
+from servolens.identification.shaken import at_least_white, shaken
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -57,7 +57,8 @@ class ScoreTest:
         The whitened residual at right angles to the hypothesis' own directions, less the draws' mean.
     """
 
-    def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis) -> None:
+    def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis, *, is_mild: bool = False) -> None:
+        self._is_mild = is_mild
         self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.tally.add
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
@@ -91,7 +92,19 @@ class ScoreTest:
     @property
     def drawn(self) -> NDArray[np.float64]:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
-        return self._mean_and_rest[1]
+        return self.strong if self._is_mild else self._mean_and_rest[1]
+
+    @cached_property
+    def strong(self) -> NDArray[np.float64]:
+        """The draws, of a shaken axis no weaker than white noise in any octave, shape (n, draws).
+
+        An observer finds less shaking than there is where friction holds the axis part of the time: then draws of it
+        are weak where they are slow.
+        """
+        drawn = self._mean_and_rest[1]
+        if self.hypothesis.noise.rate == 0.0:
+            return drawn
+        return self.free_of_own(np.concatenate(at_least_white(np.split(drawn, self._ends[1:-1]))))
 
     @property
     def _mean_and_rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

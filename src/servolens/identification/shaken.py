@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from servolens.prediction import Beginning, Disturbed
     from servolens.record import Record
 
-__all__ = ["shaken", "shaking"]
+__all__ = ["at_least_white", "shaken", "shaking"]
 
 LEAST_OCTAVE = 8
 """Frequencies of the shortest record's spectrum below which octaves are not told apart: of so many, in as many draws as
@@ -49,7 +49,7 @@ def shaken(
         The plant of each run and its initial state.
     """
     stream = np.random.default_rng(4)
-    return _at_least_white([_of_run(*of, stream) for of in zip(runs, plants, starts, strict=True)])
+    return [_of_run(run, plant, start, stream) for run, plant, start in zip(runs, plants, starts, strict=True)]
 
 
 def _of_run(
@@ -73,11 +73,11 @@ def _of_run(
     return np.column_stack(in_processes(one, range(DRAWS)))
 
 
-def _at_least_white(draws: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+def at_least_white(draws: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
     """Return draws of each run, shape (n, draws), in each octave no weaker than white noise of variance 1.
 
-    The observer that finds the shaking is linear: of an axis that sticks part of the time it finds less than there is.
-    Draws of so little are too weak where they are slow; what the shaking itself leaves is white.
+    What the shaking of an axis that nothing holds leaves is white. The observer that finds it is linear: of an axis
+    that sticks part of the time it finds less than there is.
     """
     octaves = [np.log2(np.arange(1, one.shape[0] // 2 + 1) / (one.shape[0] // 2)) for one in draws]
     lowest = np.log2(LEAST_OCTAVE / min(octave.size for octave in octaves))

@@ -50,13 +50,19 @@ BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
 @final
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Of one test: the probability of as much by chance, and those of draws of the residual, shape (draws,).
+    """Of one test.
 
-    A test that asks again what another has asked has no draws: it is not counted twice.
+    Attributes
+    ----------
+    chance : float
+        Probability of as much by chance.
+    together : ndarray, shape (draws + 1,), optional
+        The same of draws and, at the end, of the residual, to be taken together with those of other tests. None of a
+        test that asks again what another has asked.
     """
 
     chance: float
-    drawn: NDArray[np.float64] | None = None
+    together: NDArray[np.float64] | None = None
 
 
 def depends_on_inputs(test: ScoreTest) -> bool:
@@ -88,9 +94,10 @@ def joint_chance(given: Sequence[Answer]) -> float:
     """Return the probability of such answers together by chance.
 
     Of the sum of the logarithms of their probabilities (Fisher), by draws of it, for they are not independent (Brown
-    1975, doi:10.2307/2529826).
+    1975, doi:10.2307/2529826). Draws of a shaken axis that are too weak make each test a little strict; in all together
+    that would add up, so there they are no weaker than white noise.
     """
-    asked = [np.append(answer.drawn, answer.chance) for answer in given if answer.drawn is not None]
+    asked = [answer.together for answer in given if answer.together is not None]
     if len(asked) < 2:
         return 1.0
     *drawn, found = -2.0 * np.sum(np.log(np.maximum(asked, 1e-300)), axis=0)
@@ -138,12 +145,13 @@ def _of_all(test: ScoreTest, directions: NDArray[np.float64]) -> Answer:
 
     basis = _basis(directions)
     tolerated = TOLERATED**2 * test.left.size if test.hypothesis.noise.rate == 0.0 else 0.0
-    found, drawn = float(np.sum((basis.T @ test.left) ** 2)), np.sum((basis.T @ test.drawn) ** 2, axis=0)
+    found, drawn, strong = (np.sum((basis.T @ one) ** 2, axis=0) for one in (test.left, test.drawn, test.strong))
     chance = float(ncx2.sf(found, basis.shape[1], tolerated))
     if not test.is_drawn:
-        return Answer(chance, chi2.sf(drawn, basis.shape[1]))
-    law = law_of_squares(drawn)
-    return Answer(max(chance, float(law.sf(found - tolerated))), law.sf(drawn))
+        return Answer(chance, np.append(chi2.sf(drawn, basis.shape[1]), chance))
+    weak, law = law_of_squares(drawn), law_of_squares(strong)
+    together = np.append(law.sf(strong), max(chance, float(law.sf(found - tolerated))))
+    return Answer(max(chance, float(weak.sf(found - tolerated))), together)
 
 
 def _of_strongest(test: ScoreTest, directions: NDArray[np.float64]) -> Answer:
@@ -194,7 +202,7 @@ def _in_motion(test: ScoreTest) -> Iterator[Answer]:
             every.append(2.0 * t.sf(np.abs(away), ratios.size - 2))
     if every:
         least = np.minimum(len(BLOCKS) * np.min(every, axis=0), 1.0)
-        yield Answer(float(least[0]), least[1:])
+        yield Answer(float(least[0]), np.append(least[1:], least[0]))
 
 
 def standing(value: float | NDArray[np.float64], drawn: NDArray[np.float64]) -> NDArray[np.float64]:
