@@ -392,6 +392,13 @@ def test_friction_map_is_no_wave_of_friction_beside_cogging():
 
 
 @pytest.mark.slow
+def test_friction_map_is_found_before_the_effort_is_spent_on_three_causes():
+    campaign = lab.hidden_campaign(901296, effects=["friction_map"], world="repeated")
+    diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
+    assert (diagnosis.verdict, [cause.effect for cause in diagnosis.causes]) == ("explained", ["friction_map"])
+
+
+@pytest.mark.slow
 def test_held_out_record_that_begins_at_its_step_does_not_refute_a_lag():
     campaign = lab.hidden_campaign(900010, effects=["actuator_lag"], world="coloured")
     diagnosis = diagnose(campaign.records, heldout=campaign.heldout)
