@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import lfilter, welch
 from scipy.stats import norm
 
 import servolens
@@ -16,7 +16,7 @@ from servolens.identification.loop_errors import drawn_loop_errors
 from servolens.identification.noise import NoiseModel, Whitener, burg
 from servolens.identification.options import FitOptions
 from servolens.identification.score import FALSE_ALARM, ScoreTest
-from servolens.identification.shaken import shaken, shaking
+from servolens.identification.shaken import at_least_white, shaken, shaking
 from servolens.identification.structure import TESTS, Answer, answers, depends_on_inputs, joint_chance
 
 GAIN, DAMPING, H = 2.0, 8.0, 1e-3
@@ -158,6 +158,23 @@ def test_a_law_of_no_effect_is_not_taken_for_shaking(law, seed):
     assert found.verdict in ("unexplained", "partly_explained")
     assert found.remainder.depends_on_inputs
     assert "shaken_axis" not in {finding.code for finding in found.findings}
+
+
+def test_draws_that_are_weak_where_they_are_slow_become_as_strong_as_white_noise():
+    """By Welch's method; what is stronger stays as it is."""
+    stream = np.random.default_rng(2)
+    white = [stream.standard_normal((size, 40)) for size in (3000, 2000)]
+    weak = [lfilter([1.0, -0.9], [1.0], one, axis=0) for one in white]  # from a tenth to nearly twice as strong
+    found = [np.mean(welch(one, nperseg=256, axis=0)[1][2:], axis=1) / 2.0 for one in at_least_white(weak)]
+    before = [np.mean(welch(one, nperseg=256, axis=0)[1][2:], axis=1) / 2.0 for one in weak]
+    slow, fast = slice(0, 12), slice(80, 120)
+    for now, then in zip(found, before, strict=True):
+        assert np.all(then[slow] < 0.35)
+        assert np.mean(now[slow]) == pytest.approx(1.0, rel=0.25)
+        np.testing.assert_allclose(now[fast], then[fast], rtol=0.1)
+    for one, same in zip(white, at_least_white(white), strict=True):
+        assert np.std(same - one) < 0.05
+    assert [one.shape for one in at_least_white([white[0][:1]])] == [(1, 40)]
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.7])

@@ -50,6 +50,8 @@ class ScoreTest:
         Of the records.
     hypothesis : Hypothesis
         The null, at its optimum.
+    is_mild : bool
+        Whether draws of a shaken axis are made no weaker than white noise (:attr:`strong`).
 
     Attributes
     ----------

@@ -80,7 +80,7 @@ def at_least_white(draws: Sequence[NDArray[np.float64]]) -> list[NDArray[np.floa
     that sticks part of the time it finds less than there is.
     """
     octaves = [np.log2(np.arange(1, one.shape[0] // 2 + 1) / (one.shape[0] // 2)) for one in draws]
-    lowest = np.log2(LEAST_OCTAVE / min(octave.size for octave in octaves))
+    lowest = np.log2(LEAST_OCTAVE / max(min(octave.size for octave in octaves), 1))
     centres = np.arange(min(int(lowest), 0), 1) - 0.5
     total, count = np.zeros(centres.size), np.zeros(centres.size)
     for one, octave in zip(draws, octaves, strict=True):
