@@ -47,7 +47,7 @@ __all__ = ["Case"]
 T = TypeVar("T")
 
 REFITTED = 5e6
-"""Work that a refit without one record may do: it begins at the optimum of all."""
+"""Work that a refit without one record may do, or with those held out: it begins at the optimum of the others."""
 
 
 @final
@@ -57,7 +57,7 @@ class Case:
     Parameters
     ----------
     records, heldout : tuple of Record
-        For training, and for the test alone.
+        For training, and for the test.
     priors : mapping of str to Prior
         Knowledge from elsewhere.
     candidates : int
@@ -83,7 +83,7 @@ class Case:
         self.likelihood = self.trials.likelihood
         self.base = self.trials.base()
         self._held: Likelihood | None = None
-        self._is_mild = False
+        self._with_strong_draws = False
         self._dependent: dict[int, tuple[Hypothesis, bool]] = {}
         self._everywhere: dict[int, tuple[Hypothesis, bool]] = {}
         self._bursts: dict[int, tuple[Hypothesis, Burst | None]] = {}
@@ -108,7 +108,7 @@ class Case:
         other.likelihood = other.trials.likelihood
         other.base = other.trials.base()
         other._dependent, other._bursts, other._loop_noise = {}, {}, {}
-        other._left_out, other._ripples, other._held = {}, {}, None
+        other._left_out, other._ripples, other._everywhere, other._held = {}, {}, {}, None
         self._simulating = other
         return other
 
@@ -156,7 +156,7 @@ class Case:
         if new:
             self.likelihood.white = replace(white, lines=tuple(sorted({*white.lines, *new})))
             self.base = self.trials.base()
-            self._dependent, self._ripples = {}, {}
+            self._dependent, self._ripples, self._everywhere = {}, {}, {}
         return bool(new)
 
     def _lines_beside(self, hypothesis: Hypothesis) -> tuple[float, ...]:
@@ -178,32 +178,38 @@ class Case:
             return False
         return not _once(self._dependent, hypothesis, self._depends)
 
-    def ask_heldout(self, hypothesis: Hypothesis) -> None:
-        """Ask the records held out as well whether what `hypothesis` leaves depends on the inputs; once.
+    def is_enough_everywhere(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether what `hypothesis` leaves of all records, those held out as well, does not depend on the inputs.
 
-        Together with those that were fitted, for each may show a little, and by draws that are not too weak: what makes
-        a test of few records a little strict makes one of more records fail. Where the noise is white it hides nothing,
-        and they are not asked; nor is a wave, which has another phase in each.
+        What they say counts from then on (:meth:`is_enough`). They are asked together with those that were fitted, for
+        each may show a little, and by strong draws: those with too little power make a test too strict, and more so the
+        more records there are. Where the noise is white it hides nothing, and they are not asked; nor of a wave, which
+        has another phase in each; nor those that have no loop to simulate where the others have.
         """
         noise = hypothesis.noise
         is_white = noise.rate == 0.0 and noise.order == 0
-        if not self.heldout or is_white or own_phases(hypothesis.plant) or not self.is_enough(hypothesis):
-            return
-        if not _once(self._everywhere, hypothesis, self._is_enough_everywhere):
-            self._dependent[id(hypothesis)] = hypothesis, True
+        closed = all(record.has_loop for record in self.records)
+        others = tuple(record for record in self.heldout if record.has_loop or not closed)
+        is_asked = bool(others) and not is_white and not own_phases(hypothesis.plant)
+        if is_asked and self.is_enough(hypothesis):
+            holds = _once(self._everywhere, hypothesis, lambda h: self._beside(h, others))
+            if not holds:
+                self._dependent[id(hypothesis)] = hypothesis, True
+        return self.is_enough(hypothesis)
 
-    def _is_enough_everywhere(self, hypothesis: Hypothesis) -> bool:
-        """Tell whether what `hypothesis`, fitted to all records, leaves of them does not depend on the inputs."""
-        every = copy(self)
-        every.records, every._is_mild = (*self.records, *self.heldout), True
+    def _beside(self, hypothesis: Hypothesis, others: tuple[Record, ...]) -> bool:
+        """Tell whether `hypothesis`, fitted to the `others` too, leaves nothing of all that depends on the inputs."""
+        every, held = copy(self), self.likelihood.on(others)
+        every.records, every._with_strong_draws = (*self.records, *others), True
         every.likelihood = self.likelihood.on(every.records)
         every._dependent, every._ripples = {}, {}
-        runs = self._on_heldout().runs(hypothesis.noise, unpowered=hypothesis.unpowered)
+        runs = held.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         starts = (*hypothesis.starts, *(least_missed(run, hypothesis.plant, 0)[1] for run in runs))
         like = replace(hypothesis, starts=starts)
-        found = every.likelihood.judged(hypothesis.plant, like, SOME, allowance=REFITTED)
+        found = every.likelihood.judged(hypothesis.plant, like, SOME, allowance=REFITTED) or like
+        holds = every.is_enough(found)
         self.likelihood.tally.add(every.likelihood.work)
-        return found is not None and every.is_enough(found)
+        return holds
 
     def explains(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves is the noise that it claims: steady, and independent of the inputs."""
@@ -239,7 +245,7 @@ class Case:
         is_rough = noise.rate > 0.0 or dominates(self.likelihood.white)
         asked = self.likelihood.whitened_well(hypothesis) if is_rough else hypothesis
         try:
-            test = ScoreTest(self.likelihood, asked, is_mild=self._is_mild)
+            test = ScoreTest(self.likelihood, asked, with_strong_draws=self._with_strong_draws)
             if noise.is_model_error or depends_on_inputs(test):
                 return True
         except NumericalError:  # what cannot be asked is not shown

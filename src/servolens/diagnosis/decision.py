@@ -97,7 +97,7 @@ def _explaining(case: Case, found: Search) -> Decision | None:
     if not case.is_enough(found.chosen):
         return None
     first = _confirmed(case, found)
-    is_final = case.is_enough(first.path[-1]) and not _is_stand_in(case, first.path[-1])
+    is_final = case.is_enough_everywhere(first.path[-1]) and not _is_stand_in(case, first.path[-1])
     return first if is_final else None
 
 
@@ -107,14 +107,11 @@ def _simplest(case: Case, found: Search) -> Search:
     Of several the one with the fewest parameters; as it is where there is none. The records held out are asked as well.
     """
     chosen = found.chosen
-    case.ask_heldout(chosen)
+    is_enough = case.is_enough_everywhere(chosen)
     rivals = [h for h in found.judged if h.total <= chosen.total + AS_WELL and h is not chosen]
     for rival in sorted(rivals, key=lambda h: h.plant.unusual):
         is_simpler = rival.plant.unusual < chosen.plant.unusual
-        if not (is_simpler or not case.is_enough(chosen)):
-            continue
-        case.ask_heldout(rival)
-        if case.is_enough(rival):
+        if (is_simpler or not is_enough) and case.is_enough_everywhere(rival):
             before = [h for h in found.path if set(h.causes) < set(rival.causes)]
             return replace(found, path=(*before, rival))
     return found
@@ -201,10 +198,10 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
     other = _cross_validated(simulating, other)
     work = SECOND * effort.work
     again = _refitted(case, other.path, SPENT * work)
-    explains = bool(again) and again[-1].total < chosen.total and case.is_enough(again[-1])
+    explains = bool(again) and again[-1].total < chosen.total and case.is_enough_everywhere(again[-1])
     if explains and not _is_stand_in(case, again[-1]):
         refitted = improved_path(case.trials, found, again, replace(effort, work=SPENT * work), case.is_enough)
-        if case.is_enough(refitted.chosen) and not _is_stand_in(case, refitted.chosen):
+        if case.is_enough_everywhere(refitted.chosen) and not _is_stand_in(case, refitted.chosen):
             return Decision(case, refitted, refitted.path, ())
         return Decision(case, replace(found, path=again), again, ())
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):

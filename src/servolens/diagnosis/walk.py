@@ -278,15 +278,17 @@ class Walk:
                 pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             is_answered = any(self.is_enough(h) for h in pairs)
-            general = [] if hidden or is_answered else self._general(found[:1])
-            if hidden or found[0].total >= path[-1].total or is_answered or general:
-                found = sorted([*found, *pairs, *general], key=by_total)
+            if not (hidden or is_answered):
+                found = sorted([*found, *self._general(found[:1])], key=by_total)
+            if hidden or found[0].total >= path[-1].total or is_answered:
+                found = sorted([*found, *pairs], key=by_total)
         return found, pairs
 
     def _general(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return a last resort in the place of the likeliest single cause, or of one of a pair, if that leaves nothing.
+        """Return a last resort in the place of a cause of the likeliest single or pair, if it leaves nothing.
 
-        Where no pair does, three causes or an observer would be tried first, which take ten times the work of two fits.
+        Three causes or an observer, which would be tried first, take ten times the work of these two fits. They are
+        made of the effort that is kept for fits to their optimum.
         """
         pairs = [h for h in best_of_each(self.explorer.judged) if len(h.causes) == 2]
         likeliest = (*singles, *pairs[:1])

@@ -124,7 +124,6 @@ def _diagnosed(
     progress("Comparing errors with and without the causes", 90, 100)
     path, fits, sizeless = _as_far_as_shown(case, decision.path, work := SPENT * EFFORT[effort].work)
     found = replace(found, path=tuple(path)) if sizeless else found
-    case.ask_heldout(path[-1])
     gains = case.gains(path, [fit.plant for fit in fits])
     powerless = [*_powerless([fit.model for fit in fits])]
     verdict = "unexplained" if decision.contradiction or powerless else _verdict(case, path, gains)
@@ -192,7 +191,7 @@ def _as_far_as_shown(
         fit = fitted(case.likelihood, counting_followed(case.likelihood, path[-1]), work)
         added = [name for name in path[-1].causes if name not in path[-2].causes]
         is_shown = any(not may_be_nothing(path[-1].plant, name, own_quantities(fit, name)) for name in added)
-        is_rest_enough = case.explains(path[-2])
+        is_rest_enough = case.is_enough_everywhere(path[-2]) and case.explains(path[-2])
         if not added or is_shown or (case.explains(path[-1]) and not is_rest_enough):
             return path, [base, fit], told
         why = "the rest explains the records, so it is left out" if is_rest_enough else "it is left out"
@@ -255,7 +254,7 @@ def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:
     chosen = path[-1]
     is_far = any(missed_by_far(case, chosen, gains))
     fails = is_far and pooled(held_errors(case, chosen, gains)) > MATERIAL * case.travel
-    if case.explains(chosen) and not fails:
+    if case.is_enough_everywhere(chosen) and case.explains(chosen) and not fails:
         return "explained" if chosen.causes else "healthy"
     return "partly_explained" if chosen.causes else "unexplained"
 

@@ -50,7 +50,7 @@ class ScoreTest:
         Of the records.
     hypothesis : Hypothesis
         The null, at its optimum.
-    is_mild : bool
+    with_strong_draws : bool
         Whether draws of a shaken axis are made no weaker than white noise (:attr:`strong`).
 
     Attributes
@@ -59,8 +59,8 @@ class ScoreTest:
         The whitened residual at right angles to the hypothesis' own directions, less the draws' mean.
     """
 
-    def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis, *, is_mild: bool = False) -> None:
-        self._is_mild = is_mild
+    def __init__(self, likelihood: Likelihood, hypothesis: Hypothesis, *, with_strong_draws: bool = False) -> None:
+        self._with_strong_draws = with_strong_draws
         self.hypothesis, self.rate, self._count = hypothesis, likelihood.rate, likelihood.tally.add
         self.runs = likelihood.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
         self._ends = np.cumsum([0, *(run.samples for run in self.runs)])
@@ -68,7 +68,7 @@ class ScoreTest:
         parts = self._linearised(self.runs)
         self.residual = np.concatenate([part.left for part in parts])
         self._own = _basis(parts)
-        self._draws: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._draws: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None = None
         self.left = self._less_mean(self.residual)  # now: jobs that share a test shall not wait for its draws
 
     def _linearised(self, runs: Sequence[ObservedRun | SimulatedRun]) -> list[Part]:
@@ -94,32 +94,29 @@ class ScoreTest:
     @property
     def drawn(self) -> NDArray[np.float64]:
         """Draws of the whitened residual if the hypothesis is the axis, as :attr:`left` is, shape (n, draws)."""
-        return self.strong if self._is_mild else self._mean_and_rest[1]
+        return self.strong if self._with_strong_draws else self._parts_of_draws[1]
 
-    @cached_property
+    @property
     def strong(self) -> NDArray[np.float64]:
         """The draws, of a shaken axis no weaker than white noise in any octave, shape (n, draws).
 
         An observer finds less shaking than there is where friction holds the axis part of the time: then draws of it
-        are weak where they are slow.
+        have too little power at low frequencies.
         """
-        drawn = self._mean_and_rest[1]
-        if self.hypothesis.noise.rate == 0.0:
-            return drawn
-        return self.free_of_own(np.concatenate(at_least_white(np.split(drawn, self._ends[1:-1]))))
+        return self._parts_of_draws[2]
 
     @property
-    def _mean_and_rest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _parts_of_draws(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         if self._draws is None:
             self._draws = self._drawn()
         return self._draws
 
-    def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the draws' mean, shape (n,), 0 where they have none, and what else is in each, shape (n, draws)."""
+    def _drawn(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return the draws' mean, shape (n,), 0 where they have none, what else is in each, and that made strong."""
         noise, starts = self.hypothesis.noise, self.hypothesis.starts
         if not self.is_drawn:
-            white = np.random.default_rng(4).standard_normal((self.residual.size, DRAWS))
-            return np.zeros(self.residual.size), self.free_of_own(white)
+            white = self.free_of_own(np.random.default_rng(4).standard_normal((self.residual.size, DRAWS)))
+            return np.zeros(self.residual.size), white, white
         plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
         if self.unrounded is not None:
             drawn = rounded(self.runs, plants, starts, self.unrounded)
@@ -129,11 +126,14 @@ class ScoreTest:
         if has_mean(self.runs):
             means, drawn = map(list, zip(*map(parted, self.runs, drawn), strict=True))
         self._count(self.residual.size * (LOOPS if is_rounded(noise) else 2 * DRAWS))  # a loop, and an observer of it
-        return self.free_of_own(np.concatenate(means)), self.free_of_own(np.concatenate(drawn))
+        mean, rest = (self.free_of_own(np.concatenate(parts)) for parts in (means, drawn))
+        if noise.rate == 0.0:
+            return mean, rest, rest
+        return mean, rest, self.free_of_own(np.concatenate([at_least_white(draws) for draws in drawn]))
 
     def _less_mean(self, residual: NDArray[np.float64]) -> NDArray[np.float64]:
         free = self.free_of_own(residual)
-        return free - self._mean_and_rest[0] if has_mean(self.runs) else free
+        return free - self._parts_of_draws[0] if has_mean(self.runs) else free
 
     def free_of_own(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return `columns`, shape (n,) or (n, k), without what the hypothesis' own parameters explain."""

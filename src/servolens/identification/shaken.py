@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 __all__ = ["at_least_white", "shaken", "shaking"]
 
 LEAST_OCTAVE = 8
-"""Frequencies of the shortest record's spectrum below which octaves are not told apart: of so many, in as many draws as
-there are, the power is known to a tenth."""
+"""Frequencies of a record's spectrum below which octaves are not told apart: of so many, in as many draws as there are,
+the power is known to a tenth."""
 RUNS_AWAY = 1e6
 """Standard deviations of an innovation beyond which loop or observer of a draw is unstable, and no draw."""
 
@@ -73,28 +73,24 @@ def _of_run(
     return np.column_stack(in_processes(one, range(DRAWS)))
 
 
-def at_least_white(draws: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
-    """Return draws of each run, shape (n, draws), in each octave no weaker than white noise of variance 1.
+def at_least_white(draws: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return draws of a run, shape (n, draws), in each octave no weaker than white noise of variance 1.
 
     What the shaking of an axis that nothing holds leaves is white. The observer that finds it is linear: of an axis
     that sticks part of the time it finds less than there is.
     """
-    octaves = [np.log2(np.arange(1, one.shape[0] // 2 + 1) / (one.shape[0] // 2)) for one in draws]
-    lowest = np.log2(LEAST_OCTAVE / max(min(octave.size for octave in octaves), 1))
-    centres = np.arange(min(int(lowest), 0), 1) - 0.5
-    total, count = np.zeros(centres.size), np.zeros(centres.size)
-    for one, octave in zip(draws, octaves, strict=True):
-        power = np.mean(np.abs(np.fft.rfft(one, axis=0)[1:]) ** 2, axis=1) / one.shape[0]
-        number = np.clip(np.floor(octave - centres[0] + 0.5).astype(int), 0, centres.size - 1)
-        total += np.bincount(number, power, centres.size)
-        count += np.bincount(number, minlength=centres.size)
-    gains = np.log(np.minimum(total / np.maximum(count, 1.0), 1.0) + (count == 0.0))
-    stronger = []
-    for one, octave in zip(draws, octaves, strict=True):
-        gain = np.exp(-0.5 * np.interp(octave, centres, gains))
-        waves = np.fft.rfft(one, axis=0) * np.append(gain[:1], gain)[:, None]
-        stronger.append(np.fft.irfft(waves, one.shape[0], axis=0))
-    return stronger
+    size = draws.shape[0] // 2
+    if size == 0:
+        return draws
+    octaves = np.log2(np.arange(1, size + 1) / size)
+    centres = np.arange(min(int(np.log2(LEAST_OCTAVE / size)), 0), 1) - 0.5
+    number = np.clip(np.floor(octaves - centres[0] + 0.5).astype(int), 0, centres.size - 1)
+    waves = np.fft.rfft(draws, axis=0)
+    power = np.bincount(number, np.mean(np.abs(waves[1:]) ** 2, axis=1) / draws.shape[0], centres.size)
+    count = np.bincount(number, minlength=centres.size)
+    weak = np.where(count > 0, np.minimum(power / np.maximum(count, 1), 1.0), 1.0)
+    gain = np.exp(-0.5 * np.interp(octaves, centres, np.log(np.maximum(weak, 1e-300))))
+    return np.asarray(np.fft.irfft(waves * np.append(gain[:1], gain)[:, None], draws.shape[0], axis=0))
 
 
 def _measured(plant: Plant, begun: Beginning, disturbed: Disturbed) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -42,13 +42,13 @@ TOLERATED = 0.05
 """Size of a structure, in standard deviations of the innovation, that no simulation is exact enough to judge."""
 TESTS = 15
 """Among which the familywise error rate is shared: six kinds of instruments, of each all together and the strongest;
-rest against motion; all of these jointly; bursts."""
+rest against motion; the kinds and that together; bursts."""
 BLOCKS, FEWEST_BLOCKS = (8, 32, 128), 10
 """Samples of a block: a few, as many as a fast loop remembers, and a slow one; blocks of a third that is compared."""
 
 
 @final
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """Of one test.
 
@@ -75,7 +75,8 @@ def depends_on_inputs(test: ScoreTest) -> bool:
     damping and gain that act for a part of a record alone. The sum of squares that all of a kind explain is χ², beyond
     what a structure of the tolerated size adds to it, or what draws of the noise explain, if that is more. What one
     instrument alone explains is compared with chance as well: one force that is missing is lost among so many. Then
-    motion is compared with rest. At last the answers are taken together, as each may fall a little short.
+    motion is compared with rest. At last what each kind explains, and motion against rest, are taken together, as each
+    may fall a little short.
     Measured position and voltage are no instruments, for feedback carries the noise into them (Ljung 1999, section
     16.6, and model error modelling; Söderström and Stoica 1989, chapter 11): without a reference products are left out.
     What the hypothesis itself explains is told of the measured signals. Of an instrument that is like one of its own
@@ -93,15 +94,17 @@ def depends_on_inputs(test: ScoreTest) -> bool:
 def joint_chance(given: Sequence[Answer]) -> float:
     """Return the probability of such answers together by chance.
 
-    Of the sum of the logarithms of their probabilities (Fisher), by draws of it, for they are not independent (Brown
-    1975, doi:10.2307/2529826). Draws of a shaken axis that are too weak make each test a little strict; in all together
-    that would add up, so there they are no weaker than white noise.
+    Of the sum of the logarithms of their probabilities, which of independent ones is χ² (Fisher). These are not, so
+    that it spreads farther, as draws of it show (Brown 1975, doi:10.2307/2529826). Draws that have too little power
+    make each test a little strict; in the sum that would add up, so there they are the strong ones.
     """
+    from scipy.stats import chi2
+
     asked = [answer.together for answer in given if answer.together is not None]
     if len(asked) < 2:
         return 1.0
     *drawn, found = -2.0 * np.sum(np.log(np.maximum(asked, 1e-300)), axis=0)
-    return float(law_of_squares(np.array(drawn)).sf(found))
+    return max(float(law_of_squares(np.array(drawn)).sf(found)), float(chi2.sf(found, 2 * len(asked))))
 
 
 def is_shaking(likelihood: Likelihood, hypothesis: Hypothesis) -> bool:
@@ -168,7 +171,7 @@ def _of_strongest(test: ScoreTest, directions: NDArray[np.float64]) -> Answer:
         chance = t.sf(np.max(found / np.maximum(spread, 1.0)), test.drawn.shape[1])
     else:
         chance = norm.sf(np.max(found))
-    return Answer(2.0 * found.size * float(chance))
+    return Answer(min(2.0 * found.size * float(chance), 1.0))
 
 
 def _in_motion(test: ScoreTest) -> Iterator[Answer]:
