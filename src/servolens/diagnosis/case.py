@@ -198,14 +198,20 @@ class Case:
         return self.is_enough(hypothesis)
 
     def _beside(self, hypothesis: Hypothesis, others: tuple[Record, ...]) -> bool:
-        """Tell whether `hypothesis`, fitted to the `others` too, leaves nothing of all that depends on the inputs."""
+        """Tell whether `hypothesis`, fitted to the `others` too, leaves nothing of all that depends on the inputs.
+
+        Others that it cannot simulate say nothing of that.
+        """
         every, held = copy(self), self.likelihood.on(others)
         every.records, every._with_strong_draws = (*self.records, *others), True
         every.likelihood = self.likelihood.on(every.records)
         every._dependent, every._ripples = {}, {}
         runs = held.runs(hypothesis.noise, unpowered=hypothesis.unpowered)
-        starts = (*hypothesis.starts, *(least_missed(run, hypothesis.plant, 0)[1] for run in runs))
-        like = replace(hypothesis, starts=starts)
+        try:
+            begun = [least_missed(run, hypothesis.plant, 0)[1] for run in runs]
+        except (InputError, NumericalError):
+            return True
+        like = replace(hypothesis, starts=(*hypothesis.starts, *begun))
         found = every.likelihood.judged(hypothesis.plant, like, SOME, allowance=REFITTED) or like
         holds = every.is_enough(found)
         self.likelihood.tally.add(every.likelihood.work)
