@@ -181,10 +181,10 @@ class Case:
     def is_enough_everywhere(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what `hypothesis` leaves of all records, those held out as well, does not depend on the inputs.
 
-        What they say counts from then on (:meth:`is_enough`). They are asked together with those that were fitted, for
-        each may show a little, and by strong draws: those with too little power make a test too strict, and more so the
-        more records there are. Where the noise is white it hides nothing, and they are not asked; nor of a wave, which
-        has another phase in each; nor those that have no loop to simulate where the others have.
+        A second family of tests, at the rate of the first; its answer counts from then on. All records are asked
+        together, for each may show a little, by strong draws: weak ones make a test too strict, and more so the more
+        records there are. Where the noise is white it hides nothing, and they are not asked; nor of a wave, which has
+        another phase in each; nor those that have no loop to simulate where the others have.
         """
         noise = hypothesis.noise
         is_white = noise.rate == 0.0 and noise.order == 0

@@ -287,8 +287,8 @@ class Walk:
     def _general(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return a last resort in the place of a cause of the likeliest single or pair, if it leaves nothing.
 
-        Three causes or an observer, which would be tried first, take ten times the work of these two fits. They are
-        made of the effort that is kept for fits to their optimum.
+        Three causes or an observer, which would be tried first, take far more work than these two fits. They take of
+        the effort that is kept for fits to their optimum.
         """
         pairs = [h for h in best_of_each(self.explorer.judged) if len(h.causes) == 2]
         likeliest = (*singles, *pairs[:1])

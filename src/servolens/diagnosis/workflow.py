@@ -191,8 +191,10 @@ def _as_far_as_shown(
         fit = fitted(case.likelihood, counting_followed(case.likelihood, path[-1]), work)
         added = [name for name in path[-1].causes if name not in path[-2].causes]
         is_shown = any(not may_be_nothing(path[-1].plant, name, own_quantities(fit, name)) for name in added)
+        if not added or is_shown:
+            return path, [base, fit], told
         is_rest_enough = case.is_enough_everywhere(path[-2]) and case.explains(path[-2])
-        if not added or is_shown or (case.explains(path[-1]) and not is_rest_enough):
+        if case.explains(path[-1]) and not is_rest_enough:
             return path, [base, fit], told
         why = "the rest explains the records, so it is left out" if is_rest_enough else "it is left out"
         message = f"{', '.join(added)} may be of no size at all; {why}."

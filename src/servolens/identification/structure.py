@@ -96,7 +96,7 @@ def joint_chance(given: Sequence[Answer]) -> float:
 
     Of the sum of the logarithms of their probabilities, which of independent ones is χ² (Fisher). These are not, so
     that it spreads farther, as draws of it show (Brown 1975, doi:10.2307/2529826). Draws that have too little power
-    make each test a little strict; in the sum that would add up, so there they are the strong ones.
+    make each test a little strict; in the sum that would add up, so there those of the instruments are strong.
     """
     from scipy.stats import chi2
 
