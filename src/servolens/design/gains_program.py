@@ -18,7 +18,7 @@ from servolens.design.margins import POINTS, frequencies, plant_responses
 from servolens.design.program import Loop
 from servolens.design.rest import NOT_HELD, held_by
 from servolens.effects import DryFriction
-from servolens.simulation.rates import damping_of, substeps_for
+from servolens.simulation.rates import fixed_substeps_for
 from servolens.solving import NonlinearProgram, minimise
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def local_gains(
 def _grid(plant: Plant, spec: PDSpec) -> tuple[int, int, bool]:
     """Return substeps, whole samples of delay, and whether it ends within a sample."""
     late, due = divmod(plant.delay / spec.sample_time, 1.0)
-    return min(substeps_for(plant, spec.sample_time, damping_of(plant)), SLOWEST), int(late), due > 0.0
+    return min(fixed_substeps_for(plant, spec.sample_time), SLOWEST), int(late), due > 0.0
 
 
 def _bounds(

@@ -11,7 +11,7 @@ import numpy as np
 from servolens.design.rest import NOT_HELD, held_by
 from servolens.design.settle import horizon
 from servolens.dynamics import dynamics, ideal_pd
-from servolens.simulation.rates import damping_of, substeps_for
+from servolens.simulation.rates import fixed_substeps_for
 from servolens.solving import NonlinearProgram, minimise
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     first = int(np.ceil(spec.settling_time / spec.sample_time * (1 - 1e-9)))
     stride = max((samples - first) // MOST_INSTANTS, 1)
     plant = replace(plant, effects=tuple(effect for effect in plant.effects if not effect.absent))
-    substeps = min(substeps_for(plant, spec.sample_time, damping_of(plant)), 16)
+    substeps = min(fixed_substeps_for(plant, spec.sample_time), 16)
     late, due = divmod(plant.delay / spec.sample_time, 1.0)
     program = _program(
         plant.structure,

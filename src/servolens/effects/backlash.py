@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
-from servolens.effects._contact import contact_damping, contact_force, contact_frequency, other_contacts
+from servolens.effects._contact import CONTACT_RATE, contact_damping, contact_force, contact_frequency, other_contacts
 from servolens.effects._grids import within
 from servolens.effects.base import State, parameter
 from servolens.effects.kinds import Transmission
@@ -32,6 +32,7 @@ class Backlash(Transmission):
     name = "backlash"
     sentence = "Between motor and measured load there is play; they touch only at its ends."
     latex = r"\max(0,\ k\delta + d\dot\delta)\,\operatorname{sgn}(x - y),\ \delta = |x - y| - g/2"
+    contact_rate = CONTACT_RATE
     states = (State("position", "{x}"), State("velocity", "{x}/s"))
     typical: ClassVar[dict[str, float]] = {"gap": 0.0012, "load_share": 0.35}
     looks_like = (

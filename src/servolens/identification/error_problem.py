@@ -369,7 +369,7 @@ class Problem:
             for k, row in zip(those, rows, strict=True):
                 found[k] = row if np.isfinite(row).all() else None
 
-        work = sum(work_of(self.runs[i].simulated, self.substeps[i]) for i, _ in trials)
+        work = sum(work_of(self.plant, self.runs[i].simulated, self.substeps[i]) for i, _ in trials)
         self.simulated += work
         in_parallel(several, jobs, 1 if work < WORTH_THREADS else None)
         return found

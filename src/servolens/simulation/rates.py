@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 from math import ceil, isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["MOST_SUBSTEPS", "damping_of", "rate_of", "rate_within", "substeps_for", "work_of"]
+__all__ = ["MOST_SUBSTEPS", "fixed_substeps_for", "rate_of", "rate_within", "substeps_for", "work_of"]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -29,17 +29,37 @@ STAMP_ROUNDING = 1e-9
 """Of a substep: what rounding makes of differences between the instants of a log asks for no further one."""
 MOST_SUBSTEPS = 400
 """What needs more is simulated with as many, and no longer exactly."""
-BESIDE_SUBSTEPS = 2
-"""Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it: measured
-over diagnoses, 28 ns each beside 56 ns."""
+BESIDE_SUBSTEPS, IN_CONTACTS = 2, 6
+"""Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it, and as
+a sample whose step contacts split: measured over diagnoses, 28 ns a substep, 56 and 170 ns."""
 SPEEDS = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.0, 1.0, 0.0))
 PROBES = (*SPEEDS, (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
 """Positions, speeds and values of the states at which the rates are looked at, SI; first those of one place."""
 
 
+class _Rates(NamedTuple):
+    """Fastest rates, outside contacts and with closed ones too, and largest damping of an axis [1/s]."""
+
+    free: float
+    closed: float
+    damping: float
+
+
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
-    """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own."""
-    rate = rate_of(plant) + extra
+    """Return how many substeps a sample of `step` seconds needs; `extra` [1/s] is a rate beside the plant's own.
+
+    Contacts ask for none: where one closes, a step is split, and is halved until it is short enough for the contact.
+    """
+    return _substeps(step, rate_of(plant) + extra)
+
+
+def fixed_substeps_for(plant: Plant, step: float) -> int:
+    """Return how many substeps it takes where none is split, and damping is no matter of the step's formula."""
+    rates = _rates(plant.structure)(plant.values)
+    return _substeps(step, rates.closed + rates.damping)
+
+
+def _substeps(step: float, rate: float) -> int:
     if not isfinite(step * rate):
         return MOST_SUBSTEPS
     fine, coarse = (ceil(step * rate / most - STAMP_ROUNDING) for most in (STEP_TIMES_RATE, STIFF_STEP_TIMES_RATE))
@@ -51,24 +71,28 @@ def rate_within(substeps: float, step: float) -> float:
     return substeps * STIFF_STEP_TIMES_RATE / step
 
 
-def work_of(samples: int, substeps: int) -> int:
+def work_of(plant: Plant, samples: int, substeps: int) -> int:
     """Return the cost of simulating and comparing samples; 1 is a sample with one substep."""
-    return samples * (BESIDE_SUBSTEPS + substeps) // (BESIDE_SUBSTEPS + 1)
+    steps = max(substeps, IN_CONTACTS) if _has_contacts(plant.structure) else substeps
+    return samples * (BESIDE_SUBSTEPS + steps) // (BESIDE_SUBSTEPS + 1)
 
 
 def rate_of(plant: Plant) -> float:
-    """Return the fastest rate [1/s] of what a step of a plant does not solve exactly, or one beyond it."""
-    return _rates(plant.structure)(plant.values)[0]
+    """Return the fastest rate [1/s] of what a step of a plant does not solve exactly, or one beyond it.
 
-
-def damping_of(plant: Plant) -> float:
-    """Return the largest damping of a plant [1/s]: a step solves it exactly, a method of Runge and Kutta does not."""
-    return _rates(plant.structure)(plant.values)[1]
+    Outside contacts.
+    """
+    return _rates(plant.structure)(plant.values).free
 
 
 @lru_cache(maxsize=256)
-def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], tuple[float, float]]:
-    """Return a function of the parameters: fastest rate and largest damping [1/s] of the axis in a few conditions."""
+def _has_contacts(structure: tuple[type[Effect], ...]) -> bool:
+    return any(cls.contact_rate > 0.0 for cls in structure)
+
+
+@lru_cache(maxsize=256)
+def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]], _Rates]:
+    """Return a function of the parameters: the rates of the axis."""
     from servolens.simulation.native import native
 
     code = native(structure)
@@ -83,16 +107,20 @@ def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]],
         code.slopes(x.ctypes.data, p.ctypes.data, out.ctypes.data)
         return out.reshape(n, n).T
 
-    @lru_cache(maxsize=1024)
-    def rates(values: tuple[float, ...]) -> tuple[float, float]:
-        p = np.array(values)
-        slopes = np.array([jacobian(probe, p) for probe in probes])
+    def fastest(slopes: NDArray[np.float64]) -> float:
         damping = np.maximum(-slopes[: len(SPEEDS), 1, 1], 0.0)
-        slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
         known = damping[np.isfinite(damping)]
         differs = float(np.ptp(known)) if known.size else 0.0
-        rate = max(contact, differs, _rate(slopes, exact, quick=contact == 0.0))
-        return rate, float(np.max(-slopes[:, 1, 1], initial=0.0))
+        return max(differs, _rate(slopes[np.isfinite(slopes).all(axis=(1, 2))], exact, quick=contact == 0.0))
+
+    @lru_cache(maxsize=1024)
+    def rates(values: tuple[float, ...]) -> _Rates:
+        p = np.array(values)
+        slopes = np.array([jacobian(probe, p) for probe in probes])
+        closed = fastest(slopes)
+        free = closed if contact == 0.0 else fastest(slopes[: len(SPEEDS)])
+        finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+        return _Rates(free, max(closed, contact), float(np.max(-finite[:, 1, 1], initial=0.0)))
 
     return rates
 
