@@ -21,7 +21,7 @@ from servolens.simulation.rates import substeps_for
 from servolens.simulation.trial import Trial, observed_trial
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -43,6 +43,9 @@ MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 MOVED_IN_GAP = 1e-2
 """Step of the unknown of a place within a gap for its sensitivity; the unknown is -1 and 1 at the ends."""
+STEPS, NEGLIGIBLE = 3, 1e-4
+"""Towards the best initial state of a record of which nothing else is fitted; share of its squared residual that is not
+worth a further one: of some thousand samples, less than one standard deviation."""
 
 
 @final
@@ -397,23 +400,47 @@ class SimulatedRun:
 def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:
     """Return the squared residual of `run` from sample `begin` on, from its best initial state, and that."""
     substeps, starts = substeps_for(plant, run.sample_time), begun(run, plant)
+
+    def residual(start: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        try:
+            return run.residual(plant, start, substeps)[begin:]
+        except (InputError, NumericalError):
+            return None
+
     if len(starts) > 1:
         tried = run.residuals([plant] * len(starts), starts, substeps)[:, begin:]
         starts = [starts[int(np.argmin(np.nan_to_num(np.sum(tried**2, axis=1), nan=np.inf)))]]
-    start = best = starts[0]
-    least = np.inf
-    for _ in range(3):
-        try:
-            found = run.residual(plant, start, substeps)
-        except (InputError, NumericalError):
+    start, found = starts[0], residual(starts[0])
+    for _ in range(STEPS if start.size else 0):
+        lower = found is not None and _lower_start(residual, start, found, run.shifts)
+        if not lower:
             break
-        size = float(found[begin:] @ found[begin:])
-        if not size < least:
-            break
-        least, best = size, start
-        if not start.size:
-            break
-        moves = [h * unit for h, unit in zip(run.shifts, np.eye(start.size), strict=False)]
-        slopes = np.column_stack([(run.residual(plant, start + m, substeps) - found) / m.sum() for m in moves])
-        start = moved_start(start, within_reach(-np.linalg.lstsq(slopes, found, rcond=None)[0]))
-    return least, best
+        start, found = lower
+    return np.inf if found is None else float(found @ found), start
+
+
+def _lower_start(
+    residual: Callable[[NDArray[np.float64]], NDArray[np.float64] | None],
+    start: NDArray[np.float64],
+    found: NDArray[np.float64],
+    shifts: Sequence[float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return an initial state that misses less than `start`, which misses `found`, and by what; None if none is seen.
+
+    From rest dry friction swallows a small change of the velocity, so that its slope promises too much of far too long
+    a step: that is shortened until it keeps something, or promises nothing any more.
+    """
+    moves = [shift * unit for shift, unit in zip(shifts, np.eye(start.size), strict=False)]
+    moved = [other for other in (residual(start + move) for move in moves) if other is not None]
+    if len(moved) < len(moves):
+        return None
+    slopes = np.column_stack([(other - found) / move.sum() for other, move in zip(moved, moves, strict=True)])
+    step, size = -np.linalg.lstsq(slopes, found, rcond=None)[0], float(found @ found)
+    gain = size - float(np.sum((found + slopes @ step) ** 2))
+    while gain > NEGLIGIBLE * size:
+        trial = moved_start(start, within_reach(step))
+        other = residual(trial)
+        if other is not None and float(other @ other) < size:
+            return trial, other
+        step, gain = 0.5 * step, 0.5 * gain
+    return None
