@@ -9,7 +9,8 @@ from scipy.stats import beta
 
 import servolens
 from servolens import lab
-from servolens.effects import ActuatorLag, AsymmetricFriction, CoulombFriction
+from servolens.effects import ActuatorLag, AsymmetricFriction, CoulombFriction, Delay
+from servolens.identification.hypothesis import Hypothesis
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
 from servolens.identification.noise import NoiseModel
@@ -203,6 +204,30 @@ def test_a_draw_begins_as_its_record_does_where_the_record_begins_with_its_step(
     (draws,) = shaken([run], [axis], [run.start])
     assert draws.shape[0] == time.size
     assert np.sqrt(np.mean(draws[:30] ** 2)) < 2.0
+
+
+def test_what_was_applied_before_a_record_matters_no_more_than_its_initial_velocity_where_friction_acts():
+    """From rest dry friction swallows the small change by which the sensitivity to that velocity is measured."""
+    friction = AsymmetricFriction(level_positive=0.003, level_negative=0.024)
+    axis = servolens.Plant(gain=0.5, damping=18.0, effects=(friction, Delay(time=0.0005)))
+    time = np.arange(2000) * H
+    begun = servolens.Record(
+        time=time,
+        position=0.0 * time,
+        reference=np.full(time.size, 0.06),
+        controller=servolens.Controller(kp=2770.0, kd=35.0),
+    )
+    moved = simulate(axis, begun)
+    noise = 3e-6 * np.random.default_rng(1).standard_normal(time.size)
+    record = replace(begun, position=moved.position + noise, voltage=moved.voltage)
+    likelihood = Likelihood([record], axis, FitOptions())
+    likelihood.knows_beginning = True
+    beside = NoiseModel.white(3e-6)
+    missed = [
+        likelihood.misfit(Hypothesis(axis, beside, (), 0.0, 0.0, unpowered=unpowered, local={}), [axis])
+        for unpowered in (False, True)
+    ]
+    assert missed[1] == pytest.approx(missed[0], abs=30.0)
 
 
 @pytest.mark.parametrize("first", [0.0, 1.0, 2.0])
