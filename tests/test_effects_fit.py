@@ -23,6 +23,7 @@ from servolens.effects import (
     CoulombFriction,
     Delay,
     EndStop,
+    FlexibleCoupling,
     Force,
     PendulumGravity,
     PeriodicDisturbance,
@@ -1151,11 +1152,12 @@ def test_start_that_cannot_be_simulated_is_a_numerical_failure():
 
 
 def test_start_that_is_not_worth_its_time_is_a_numerical_failure():
-    play = Plant(gain=GAIN, damping=DAMPING, effects=(Backlash(gap=1e-6, load_share=0.3),))
-    likelihood = Likelihood([logged(LM1, 60.0)], play, FitOptions())
+    stiff = FlexibleCoupling(frequency=300.0, damping_ratio=0.1, load_ratio=0.3)
+    plant = Plant(gain=GAIN, damping=DAMPING, effects=(stiff,))
+    likelihood = Likelihood([logged(LM1, 60.0)], plant, FitOptions())
     likelihood.most_substeps = 1.0
     with pytest.raises(NumericalError, match="the plant to start from cannot be simulated on these records"):
-        likelihood.led(play, likelihood.white, 1)
+        likelihood.led(plant, likelihood.white, 1)
 
 
 # --- coverage

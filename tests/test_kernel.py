@@ -402,16 +402,16 @@ def test_more_substeps_for_faster_plants() -> None:
 @pytest.mark.parametrize(
     "contact", [Backlash(gap=1.2e-3, load_share=0.35), EndStop(low=-0.05, high=0.08), EndStop(low=-0.05, high=0.095)]
 )
-def test_contacts_ask_for_no_substeps_for_a_step_is_halved_where_one_closes(contact: Effect) -> None:
-    """The largest error on a step of 0.1 m is below 100 nm, a hundredth of the noise of a good encoder's record."""
+def test_contacts_ask_for_few_substeps_for_a_step_is_halved_where_one_closes(contact: Effect) -> None:
+    """The largest error on a step of 0.1 m is below 20 nm, of a contact whose rate is twice the inverse sample time."""
     plant, time = plant_with(contact), H * np.arange(2500)
     reference = np.where(time < 0.05, 0.0, np.where(time < 1.3, 0.1, 0.0))
     run, exact = (
         simulate_loop(plant, Controller(kp=80.0, kd=4.0), time, reference, substeps=steps).position
         for steps in (None, 512)
     )
-    assert substeps_for(plant, H) == 1
-    assert np.abs(run - exact).max() < 1e-7
+    assert substeps_for(plant, H) == substeps_for(plant, 4.0 * H) == 4
+    assert np.abs(run - exact).max() < 2e-8
 
 
 def test_what_rounding_makes_of_the_sample_time_asks_for_no_further_substep() -> None:

@@ -361,9 +361,9 @@ def test_lag_begins_at_what_was_applied_before():
 def test_axis_with_play_that_rests_on_a_flank_needs_no_more_steps_than_one_in_motion(monkeypatch):
     """It is on either side of the contact by rounding alone, which is no reason to split steps."""
     loose = Plant(gain=1.8, damping=6.0, effects=(Backlash(gap=1e-3, load_share=0.3),))
-    time, steps = 1e-3 * np.arange(5001), 8  # so many that none of the motion is split for the contact's stiffness
-    monkeypatch.setattr(simulation_loop, "ANY_NUMBER", 1.2 * steps * time.size)
-    run = simulate_loop(loose, Controller(kp=100.0, kd=11.2), time, np.full(time.size, 0.1), substeps=steps)
+    time = 1e-3 * np.arange(5001)
+    monkeypatch.setattr(simulation_loop, "ANY_NUMBER", 1.2 * substeps_for(loose, 1e-3) * time.size)
+    run = simulate_loop(loose, Controller(kp=100.0, kd=11.2), time, np.full(time.size, 0.1))
     assert abs(run.position[-1] - 0.1) < 1e-12
 
 

@@ -93,9 +93,7 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
 
 
 def _explaining(case: Case, found: Search) -> Decision | None:
-    """Return what leaves nothing that depends on the inputs, and is confirmed by records held out; else None."""
-    if not case.is_enough(found.chosen):
-        return None
+    """Return what records held out confirm, if it leaves nothing that depends on the inputs; else None."""
     first = _confirmed(case, found)
     is_final = case.is_enough_everywhere(first.path[-1]) and not _is_stand_in(case, first.path[-1])
     return first if is_final else None
