@@ -87,6 +87,7 @@ class Explorer:
         self._seen: set[tuple[frozenset[str], bool]] = set()
         self._freed_in_vain: set[tuple[frozenset[str], float, int, float]] = set()
         self._lowered: set[frozenset[str]] = set()
+        self._exchanged: set[tuple[frozenset[str], frozenset[str]]] = set()
         self._simpler: dict[tuple[frozenset[str], float, int], tuple[float, Hypothesis]] = {}
 
     def grant(self, share: float) -> None:
@@ -333,17 +334,21 @@ class Explorer:
         """Return `hypothesis` or the best with a cause replaced: by one that did as well alone, by kin, twin or parts.
 
         What cannot be told apart while another cause is missing often can beside it. So can a lag and damping, which
-        are the same exchanged for each other where nothing nonlinear stands between them.
+        are the same exchanged for each other where nothing nonlinear stands between them. What ended less likely from
+        elsewhere is begun once more from here.
         """
-        known = {frozenset(h.causes) for h in self.judged}
+        own = frozenset(hypothesis.causes)
+        reached = {frozenset(h.causes): h.total for h in sorted(self.judged, key=by_total, reverse=True)}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
             plants += [*self._as_good_alone(hypothesis), *kin(self.trials, hypothesis), *with_twins(hypothesis.plant)]
         others = {
             causes: plant
             for plant in plants
-            if (causes := frozenset(effect.name for effect in plant.effects)) not in known
+            if reached.get(causes := frozenset(effect.name for effect in plant.effects), np.inf) > hypothesis.total
+            and (own, causes) not in self._exchanged
         }
+        self._exchanged |= {(own, causes) for causes in others}
         jobs = [*others.values(), *with_lag_for_damping(hypothesis.plant)]
         return min([hypothesis, *self.fitted([(plant, hypothesis) for plant in jobs])], key=by_total)
 
