@@ -26,6 +26,7 @@ from servolens.effects import (
     EndStop,
     FlexibleCoupling,
     ForceLimit,
+    HardeningSpring,
     PeriodicDisturbance,
     PositionFriction,
     Presliding,
@@ -38,7 +39,7 @@ from servolens.errors import InputError, NumericalError, ServolensError
 from servolens.plant import Plant
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate, simulate_loop, simulate_many, simulate_voltage
-from servolens.simulation.rates import rate_of, substeps_for
+from servolens.simulation.rates import fixed_substeps_for, rate_of, substeps_for
 from servolens.simulation.trial import closed_trial
 
 if TYPE_CHECKING:
@@ -403,19 +404,37 @@ def test_more_substeps_for_faster_plants() -> None:
     "contact", [Backlash(gap=1.2e-3, load_share=0.35), EndStop(low=-0.05, high=0.08), EndStop(low=-0.05, high=0.095)]
 )
 def test_contacts_ask_for_few_substeps_for_a_step_is_halved_where_one_closes(contact: Effect) -> None:
-    """The largest error on a step of 0.1 m is below 20 nm, of a contact whose rate is twice the inverse sample time."""
+    """The largest error on a step of 0.1 m is below 20 nm, with a load of a third."""
     plant, time = plant_with(contact), H * np.arange(2500)
     reference = np.where(time < 0.05, 0.0, np.where(time < 1.3, 0.1, 0.0))
     run, exact = (
         simulate_loop(plant, Controller(kp=80.0, kd=4.0), time, reference, substeps=steps).position
         for steps in (None, 512)
     )
-    assert substeps_for(plant, H) == substeps_for(plant, 4.0 * H) == 4
+    assert substeps_for(plant, H) == 4
     assert np.abs(run - exact).max() < 2e-8
 
 
+def test_contacts_ask_for_as_many_substeps_wherever_they_are_and_hide_no_other_effect() -> None:
+    spring, play = HardeningSpring(cubic_stiffness=1e6), Backlash(gap=1e-3, load_share=0.3)
+    assert substeps_for(plant_with(EndStop(low=1e-4, high=0.2)), H) == 4
+    assert substeps_for(plant_with(play), 10.0 * H) == 20  # none longer than the contact takes to open
+    assert rate_of(plant_with(spring, EndStop(low=-100.0, high=100.0))) == rate_of(plant_with(spring)) > 100.0
+    assert fixed_substeps_for(plant_with(play), H) > substeps_for(plant_with(play), H) == 4
+
+
+@pytest.mark.parametrize("damping", [0.05, 20.0])
+@pytest.mark.parametrize("share", [0.05, 0.7])
+def test_the_hardest_and_deadest_contact_that_a_fit_may_try_can_be_simulated(share: float, damping: float) -> None:
+    play = Backlash(gap=1e-3, load_share=share, contact_frequency=2000.0, contact_damping=damping)
+    time = H * np.arange(1000)
+    trial = closed_trial(Controller(kp=80.0, kd=4.0), time, np.where(time % 0.5 < 0.05, 0.0, 0.1))
+    plant = plant_with(play)
+    assert np.isfinite(trial.measured([plant], [(0.0, 0.0, 0.0)], substeps_for(plant, H))).all()
+
+
 def test_what_rounding_makes_of_the_sample_time_asks_for_no_further_substep() -> None:
-    plant = plant_with(Backlash(gap=1e-3, load_share=0.4))
+    plant = plant_with(FlexibleCoupling(frequency=200.0, damping_ratio=0.03, load_ratio=0.4))
     step = 10 * 0.25 / rate_of(plant)  # ten substeps, just so
     assert substeps_for(plant, step * (1.0 + 1e-12)) == substeps_for(plant, step * (1.0 - 1e-12)) == 10
     assert substeps_for(plant, step * (1.0 + 1e-6)) == 11

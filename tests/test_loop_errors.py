@@ -14,6 +14,7 @@ from servolens.identification.hypothesis import Hypothesis
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error, share_limit
 from servolens.identification.noise import NoiseModel
+from servolens.identification.observed import least_missed
 from servolens.identification.options import FitOptions
 from servolens.identification.repeats import common_share, repeats, spread_of
 from servolens.identification.shaken import shaken
@@ -228,6 +229,17 @@ def test_what_was_applied_before_a_record_matters_no_more_than_its_initial_veloc
         for unpowered in (False, True)
     ]
     assert missed[1] == pytest.approx(missed[0], abs=30.0)
+
+
+def test_an_initial_state_is_that_of_the_whole_record_also_where_its_end_alone_is_judged():
+    """Else a wrong model explains the end by an absurd beginning."""
+    record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=3)
+    likelihood = Likelihood([record], CART, FitOptions())
+    (run,) = likelihood.runs(NoiseModel.white(1e-5))
+    whole, start = least_missed(run, CART, 0)
+    end, same = least_missed(run, CART, record.time.size // 2)
+    np.testing.assert_array_equal(start, same)
+    assert 0.0 < end < whole
 
 
 @pytest.mark.parametrize("first", [0.0, 1.0, 2.0])

@@ -80,7 +80,8 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
         again = replace(effort, work=left)
         found = search(case.trials, case.base, again, first, is_enough=case.is_enough, begun=found.path[1:])
     found = _simplest(case, found)
-    explaining = _explaining(case, found)
+    confirmed = _confirmed(case, found)
+    explaining = confirmed if _explains(case, confirmed.path[-1]) else None
     several = case.base.plant.unusual * len(case.records)
     if explaining is None or explaining.path[-1].plant.unusual > several:
         contradiction = case.contradiction()
@@ -89,14 +90,12 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
             return Decision(case, alone, (case.base,), (), contradiction)
     if explaining is not None:
         return explaining
-    return _simulated(case, found, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
+    return _simulated(case, confirmed, effort, lambda what, share: tell(what, FIRST + (1.0 - FIRST) * share))
 
 
-def _explaining(case: Case, found: Search) -> Decision | None:
-    """Return what records held out confirm, if it leaves nothing that depends on the inputs; else None."""
-    first = _confirmed(case, found)
-    is_final = case.is_enough_everywhere(first.path[-1]) and not _is_stand_in(case, first.path[-1])
-    return first if is_final else None
+def _explains(case: Case, hypothesis: Hypothesis) -> bool:
+    """Tell whether a `hypothesis` leaves nothing that depends on the inputs, and does not only help an observer."""
+    return case.is_enough_everywhere(hypothesis) and not _is_stand_in(case, hypothesis)
 
 
 def _simplest(case: Case, found: Search) -> Search:
@@ -143,7 +142,7 @@ def objection(case: Case, path: Sequence[Hypothesis]) -> str:
         "explains the training records only, not those held out",
         "predicts records from sample to sample only, and simulations of them miss more with it",
     )
-    if case.difference(richer, simpler) > INDISTINCT:
+    if _differ(case, richer, simpler):
         # at the end of a record, where an axis rests, noise that whitens what a simpler model lacks predicts best
         is_end = not case.heldout and any(case.cuts) and richer.noise.rate == simpler.noise.rate
         beside = replace(simpler, noise=richer.noise) if is_end else simpler
@@ -166,19 +165,28 @@ def objection(case: Case, path: Sequence[Hypothesis]) -> str:
     return ""
 
 
+def _differ(case: Case, one: Hypothesis, other: Hypothesis) -> bool:
+    """Tell whether records that were not fitted can tell two hypotheses apart, or one of them cannot simulate these."""
+    try:
+        return case.difference(one, other) > INDISTINCT
+    except NumericalError:
+        return True
+
+
 def _misses_more(case: Case, simpler: Hypothesis, richer: Hypothesis) -> bool:
     """Tell whether simulations of records that were not fitted miss more with the `richer` hypothesis."""
     missed = [pooled(held_errors(case, h, case.gains([h]))) for h in (simpler, richer)]
     return missed[1] > missed[0]
 
 
-def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
+def _simulated(case: Case, confirmed: Decision, effort: Effort, tell: Callable[[str, float], None]) -> Decision:
     """Return what a search by simulations finds instead, where that predicts records better that were not fitted.
 
     A model that is not the axis predicts the next sample best by one set of parameters, and a whole step by another;
     who tunes wants the step. What the first search has found is where the second one begins: in closed loop effects
     hide each other, such as friction that damps and a delay that does the contrary.
     """
+    found = confirmed.found
     chosen = found.chosen
     try:
         simulating = case.simulating()
@@ -192,18 +200,17 @@ def _simulated(case: Case, found: Search, effort: Effort, tell: Callable[[str, f
         known = simulating.fitted_to_simulations(list(begun.values()), SPENT * effort.work)
         other = search(simulating.trials, base, replace(effort, work=(1.0 - SPENT) * effort.work), tell, known)
     except NumericalError:
-        return _confirmed(case, found)
+        return confirmed
     other = _cross_validated(simulating, other)
     work = SECOND * effort.work
     again = _refitted(case, other.path, SPENT * work)
-    explains = bool(again) and again[-1].total < chosen.total and case.is_enough_everywhere(again[-1])
-    if explains and not _is_stand_in(case, again[-1]):
+    if again and again[-1].total < chosen.total and _explains(case, again[-1]):
         refitted = improved_path(case.trials, found, again, replace(effort, work=SPENT * work), case.is_enough)
-        if case.is_enough_everywhere(refitted.chosen) and not _is_stand_in(case, refitted.chosen):
+        if _explains(case, refitted.chosen):
             return Decision(case, refitted, refitted.path, ())
         return Decision(case, replace(found, path=again), again, ())
     if case.gains([chosen]).tested(-1) <= simulating.gains(other.path[-1:]).tested(-1):
-        return _confirmed(case, found)
+        return confirmed
     return Decision(simulating, other, other.path, ())
 
 

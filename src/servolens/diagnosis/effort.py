@@ -118,7 +118,7 @@ class Budget:
 def shared(work: float, needs: Sequence[float]) -> list[float]:
     """Return how much of the `work` each job may do: what it needs, or else an equal part of what the others leave.
 
-    A backlash takes ten to twenty times the work of a spring, an end stop up to sixty. Needs are estimates: where there
+    A backlash takes some six times the work of a spring. Needs are estimates: where there
     is more work than that, it is shared in proportion.
 
     Examples

@@ -94,6 +94,7 @@ class Explorer:
         """Let the search take this share of the effort."""
         self.budget.share = share
         self._freed_in_vain.clear()  # with more effort it may be worth while
+        self._exchanged.clear()
 
     @property
     def has_pairs(self) -> bool:

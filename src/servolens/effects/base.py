@@ -208,7 +208,7 @@ class Effect(ABC):
     passes_for_damping : bool
         Whether it is a lag whose time constant a linear axis may have shown as the inverse of its damping.
     contact_rate : float
-        Rate [1/s] of a contact that it closes somewhere along the travel, with the moving mass.
+        Rate [1/s] of the usual contact that it closes; 0 if it closes none.
     looks_like, remedy, for_the_gain : str
         In plain words: how it shows on the machine, what to do about it, what it means for the PD gain.
     """

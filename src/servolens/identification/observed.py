@@ -45,7 +45,7 @@ MOVED_IN_GAP = 1e-2
 """Step of the unknown of a place within a gap for its sensitivity; the unknown is -1 and 1 at the ends."""
 STEPS, NEGLIGIBLE = 3, 1e-4
 """Towards the best initial state of a record of which nothing else is fitted; share of its squared residual that is not
-worth a further one: of some thousand samples, less than one standard deviation."""
+worth a further one: of N samples N/10000 of −2 log-likelihood."""
 
 
 @final
@@ -398,12 +398,12 @@ class SimulatedRun:
 
 
 def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> tuple[float, NDArray[np.float64]]:
-    """Return the squared residual of `run` from sample `begin` on, from its best initial state, and that."""
+    """Return the squared residual of `run` from sample `begin` on, from the best initial state of all, and that."""
     substeps, starts = substeps_for(plant, run.sample_time), begun(run, plant)
 
     def residual(start: NDArray[np.float64]) -> NDArray[np.float64] | None:
         try:
-            return run.residual(plant, start, substeps)[begin:]
+            return run.residual(plant, start, substeps)
         except (InputError, NumericalError):
             return None
 
@@ -416,7 +416,8 @@ def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> t
         if not lower:
             break
         start, found = lower
-    return np.inf if found is None else float(found @ found), start
+    least = np.inf if found is None else float(found[begin:] @ found[begin:])
+    return least if np.isfinite(least) else np.inf, start
 
 
 def _lower_start(

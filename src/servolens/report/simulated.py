@@ -17,6 +17,7 @@ from servolens.simulation.rates import (
     STAMP_ROUNDING,
     STEP_TIMES_RATE,
     STIFF_STEP_TIMES_RATE,
+    least_substeps,
     rate_of,
     substeps_for,
 )
@@ -96,6 +97,7 @@ def axis_json(name: str, plant: Plant, spec: PDSpec, gain: float, scenario: Scen
         "delay": plant.delay,
         "limit": saturation.limit if isinstance(saturation, Saturation) else None,
         "rate": rate_of(plant) if spec.control == "continuous" else 0.0,
+        "least": least_substeps(plant, spec.sample_time),
         "substeps": substeps_for(plant, spec.sample_time),
         "realised": realised,
         "back": back,

@@ -41,7 +41,7 @@ const servolensSimulator = (rule, plants) => {
     const extra = Math.sqrt(Math.abs(axis.gain * realised * gains.kp)) + Math.abs(axis.gain * realised * gains.free);
     const span = design.sample * (axis.rate + extra), rules = design.substeps;
     const fine = Math.ceil(span / rules.fine - rules.rounding), coarse = Math.ceil(span / rules.coarse - rules.rounding);
-    return Math.min(Math.max(Math.min(fine, rules.few), coarse, 1), rules.most);
+    return Math.min(Math.max(Math.min(fine, rules.few), coarse, axis.least), rules.most);
   };
 
   /* servolens.design.rest.rest_of: where the axis rests; what is applied, and the integral, are written into the loop */

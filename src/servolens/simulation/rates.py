@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     from servolens.effects import Effect
     from servolens.plant import Plant
 
-__all__ = ["MOST_SUBSTEPS", "fixed_substeps_for", "rate_of", "rate_within", "substeps_for", "work_of"]
+__all__ = [
+    "MOST_SUBSTEPS",
+    "contact_rate",
+    "fixed_substeps_for",
+    "least_substeps",
+    "rate_of",
+    "rate_within",
+    "substeps_for",
+    "work_of",
+]
 
 STEP_TIMES_RATE = 0.02
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
@@ -30,21 +39,22 @@ STAMP_ROUNDING = 1e-9
 MOST_SUBSTEPS = 400
 """What needs more is simulated with as many, and no longer exactly."""
 CONTACT_SUBSTEPS = 4
-"""Of a sample in which contacts may close: where one does, steps are halved as well. About 20 nm on a 0.1 m step; an
-axis that hunts in its gap multiplies that, however many there are: measured."""
-BESIDE_SUBSTEPS, IN_CONTACTS = 2, 2
-"""Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it, and as
-one that contacts may split: measured over diagnoses, 28 ns a substep, 56 and 60 ns."""
+"""Of a sample in which contacts may close, at least; where one does, steps are halved as well. Within 20 nm on a 0.1 m
+step with a load of a third, a micrometre with a light one; an axis that hunts in its gap multiplies that."""
+BESIDE_SUBSTEPS = 2
+"""Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it: measured
+over diagnoses, 28 ns each beside 56 ns."""
+IN_CONTACTS = 2
+"""A substep that contacts may split takes as long as so many others: 60 ns."""
 SPEEDS = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.0, 1.0, 0.0))
 PROBES = (*SPEEDS, (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
 """Positions, speeds and values of the states at which the rates are looked at, SI; first those of one place."""
 
 
 class _Rates(NamedTuple):
-    """Fastest rates, outside contacts and with closed ones too, and largest damping of an axis [1/s]."""
+    """Fastest rate, with closed contacts, and largest damping of an axis [1/s]."""
 
-    free: float
-    closed: float
+    fastest: float
     damping: float
 
 
@@ -53,14 +63,19 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
 
     Contacts ask for a few: where one closes, a step is split, and is halved until it is short enough for the contact.
     """
-    least = CONTACT_SUBSTEPS if _has_contacts(plant.structure) else 1
-    return max(_substeps(step, rate_of(plant) + extra), least)
+    return min(max(_substeps(step, rate_of(plant) + extra), least_substeps(plant, step)), MOST_SUBSTEPS)
+
+
+def least_substeps(plant: Plant, step: float) -> int:
+    """Return how many substeps contacts ask for: none is longer than they take to open; 1 if there are none."""
+    rate = contact_rate(plant.structure)
+    return max(CONTACT_SUBSTEPS, ceil(step * rate - STAMP_ROUNDING)) if rate > 0.0 else 1
 
 
 def fixed_substeps_for(plant: Plant, step: float) -> int:
     """Return how many substeps it takes where none is split, and damping is no matter of the step's formula."""
     rates = _rates(plant.structure)(plant.values)
-    return _substeps(step, rates.closed + rates.damping)
+    return _substeps(step, max(rates.fastest, contact_rate(plant.structure)) + rates.damping)
 
 
 def _substeps(step: float, rate: float) -> int:
@@ -77,21 +92,43 @@ def rate_within(substeps: float, step: float) -> float:
 
 def work_of(plant: Plant, samples: int, substeps: int) -> int:
     """Return the cost of simulating and comparing samples; 1 is a sample with one substep."""
-    steps = IN_CONTACTS * substeps if _has_contacts(plant.structure) else substeps
+    steps = IN_CONTACTS * substeps if contact_rate(plant.structure) > 0.0 else substeps
     return samples * (BESIDE_SUBSTEPS + steps) // (BESIDE_SUBSTEPS + 1)
 
 
 def rate_of(plant: Plant) -> float:
-    """Return the fastest rate [1/s] of what a step of a plant does not solve exactly, or one beyond it.
+    """Return the fastest rate [1/s] of what a step of a plant does not solve exactly or split, or one beyond it.
 
-    Outside contacts.
+    That is the rate without its contacts.
     """
-    return _rates(plant.structure)(plant.values).free
+    structure, places = _without_contacts(plant.structure)
+    return _rates(structure)(tuple(plant.values[i] for i in places) if places else plant.values).fastest
 
 
 @lru_cache(maxsize=256)
-def _has_contacts(structure: tuple[type[Effect], ...]) -> bool:
-    return any(cls.contact_rate > 0.0 for cls in structure)
+def contact_rate(structure: tuple[type[Effect], ...]) -> float:
+    """Return the rate [1/s] of the usual contact of what a structure may close; 0 if it closes none."""
+    return max((cls.contact_rate for cls in structure), default=0.0)
+
+
+@lru_cache(maxsize=256)
+def _without_contacts(
+    structure: tuple[type[Effect], ...],
+) -> tuple[tuple[type[Effect], ...], tuple[int, ...]]:
+    """Return a structure without effects that close contacts, and where its own are among a plant's values.
+
+    No places where it has none of these.
+    """
+    if contact_rate(structure) == 0.0:
+        return structure, ()
+    kept, places, at = [], [0, 1], 2  # gain and damping come first
+    for cls in structure:
+        end = at + len(cls.parameters())
+        if cls.contact_rate == 0.0:
+            kept.append(cls)
+            places += range(at, end)
+        at = end
+    return tuple(kept), tuple(places)
 
 
 @lru_cache(maxsize=256)
@@ -100,7 +137,7 @@ def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]],
     from servolens.simulation.native import native
 
     code = native(structure)
-    contact = max((cls.contact_rate for cls in structure), default=0.0)
+    quick = contact_rate(structure) == 0.0
     smooth, relaxing = code.sizes
     n = 2 + smooth + relaxing
     probes = [_probe(n + relaxing, *probe) for probe in PROBES]
@@ -111,20 +148,16 @@ def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]],
         code.slopes(x.ctypes.data, p.ctypes.data, out.ctypes.data)
         return out.reshape(n, n).T
 
-    def fastest(slopes: NDArray[np.float64]) -> float:
-        damping = np.maximum(-slopes[: len(SPEEDS), 1, 1], 0.0)
-        known = damping[np.isfinite(damping)]
-        differs = float(np.ptp(known)) if known.size else 0.0
-        return max(differs, _rate(slopes[np.isfinite(slopes).all(axis=(1, 2))], exact, quick=contact == 0.0))
-
     @lru_cache(maxsize=1024)
     def rates(values: tuple[float, ...]) -> _Rates:
         p = np.array(values)
         slopes = np.array([jacobian(probe, p) for probe in probes])
-        closed = fastest(slopes)
-        free = closed if contact == 0.0 else fastest(slopes[: len(SPEEDS)])
-        finite = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-        return _Rates(free, max(closed, contact), float(np.max(-finite[:, 1, 1], initial=0.0)))
+        damping = np.maximum(-slopes[: len(SPEEDS), 1, 1], 0.0)
+        slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
+        known = damping[np.isfinite(damping)]
+        differs = float(np.ptp(known)) if known.size else 0.0
+        fastest = max(differs, _rate(slopes, exact, quick=quick))
+        return _Rates(fastest, float(np.max(-slopes[:, 1, 1], initial=0.0)))
 
     return rates
 

@@ -11,6 +11,7 @@ import numpy as np
 from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError
 from servolens.simulation.grids import sample_time_of
+from servolens.simulation.rates import fixed_substeps_for
 from servolens.simulation.runs import Inputs, run_all, run_one
 from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 
@@ -107,7 +108,7 @@ def closed_trial(
         corrects, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
 
     def settings(plant: Plant, substeps: int) -> list[float]:
-        granted = patience * time.size * max(substeps, ONE_OF)
+        granted = patience * time.size * max(substeps, ONE_OF, fixed_substeps_for(plant, period))
         law = law_settings(plant, controller, period, limit)
         return [1.0, *loop, 0.0, granted, *known(before), *corrects, *law]
 
@@ -150,10 +151,10 @@ def observed_trial(
     """
     if gains is not None and gains.shape != (time.size, 3):
         raise InputError(f"gains must have the shape ({time.size}, 3), got {gains.shape}")
-    observer = (0.0 if gains is None else OBSERVED, coarse, remembered)
+    observer, period = (0.0 if gains is None else OBSERVED, coarse, remembered), sample_time_of(time)
 
     def settings(plant: Plant, substeps: int) -> list[float]:
-        granted = PATIENCE * time.size * max(substeps, ONE_OF)
+        granted = PATIENCE * time.size * max(substeps, ONE_OF, fixed_substeps_for(plant, period))
         return [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
 
     return Trial(Inputs(time, voltage, position, gains), settings)
