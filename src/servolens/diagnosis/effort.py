@@ -118,8 +118,8 @@ class Budget:
 def shared(work: float, needs: Sequence[float]) -> list[float]:
     """Return how much of the `work` each job may do: what it needs, or else an equal part of what the others leave.
 
-    A backlash takes some six times the work of a spring. Needs are estimates: where there
-    is more work than that, it is shared in proportion.
+    A backlash takes some six times the work of a spring. Needs are estimates: where there is more work than that, it is
+    shared in proportion.
 
     Examples
     --------
