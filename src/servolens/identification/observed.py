@@ -43,9 +43,6 @@ MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 MOVED_IN_GAP = 1e-2
 """Step of the unknown of a place within a gap for its sensitivity; the unknown is -1 and 1 at the ends."""
-STEPS, NEGLIGIBLE = 3, 1e-4
-"""Towards the best initial state of a record of which nothing else is fitted; share of its squared residual that is not
-worth a further one: of N samples N/10000 of −2 log-likelihood."""
 
 
 @final
@@ -411,10 +408,7 @@ def least_missed(run: ObservedRun | SimulatedRun, plant: Plant, begin: int) -> t
         tried = run.residuals([plant] * len(starts), starts, substeps)[:, begin:]
         starts = [starts[int(np.argmin(np.nan_to_num(np.sum(tried**2, axis=1), nan=np.inf)))]]
     start, found = starts[0], residual(starts[0])
-    for _ in range(STEPS if start.size else 0):
-        lower = found is not None and _lower_start(residual, start, found, run.shifts)
-        if not lower:
-            break
+    while found is not None and start.size and (lower := _lower_start(residual, start, found, run.shifts)):
         start, found = lower
     least = np.inf if found is None else float(found[begin:] @ found[begin:])
     return least if np.isfinite(least) else np.inf, start
@@ -429,7 +423,8 @@ def _lower_start(
     """Return an initial state that misses less than `start`, which misses `found`, and by what; None if none is seen.
 
     From rest dry friction swallows a small change of the velocity, so that its slope promises too much of far too long
-    a step: that is shortened until it keeps something, or promises nothing any more.
+    a step: that is shortened until it keeps something, or promises nothing any more. What changes −2 log-likelihood by
+    less than one, with the size of the noise fitted as well, is nothing.
     """
     moves = [shift * unit for shift, unit in zip(shifts, np.eye(start.size), strict=False)]
     moved = [other for other in (residual(start + move) for move in moves) if other is not None]
@@ -438,10 +433,11 @@ def _lower_start(
     slopes = np.column_stack([(other - found) / move.sum() for other, move in zip(moved, moves, strict=True)])
     step, size = -np.linalg.lstsq(slopes, found, rcond=None)[0], float(found @ found)
     gain = size - float(np.sum((found + slopes @ step) ** 2))
-    while gain > NEGLIGIBLE * size:
+    nothing = size / found.size
+    while gain > nothing:
         trial = moved_start(start, within_reach(step))
         other = residual(trial)
-        if other is not None and float(other @ other) < size:
+        if other is not None and float(other @ other) < size - nothing:
             return trial, other
         step, gain = 0.5 * step, 0.5 * gain
     return None
