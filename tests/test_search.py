@@ -18,8 +18,10 @@ from servolens.effects import (
     CATALOGUE,
     ActuatorLag,
     AsymmetricDamping,
+    AsymmetricFriction,
     ConstantForce,
     CoulombFriction,
+    HardeningSpring,
     PendulumGravity,
     QuadraticDrag,
     ReturnSpring,
@@ -394,6 +396,23 @@ def test_search_goes_on_from_what_an_earlier_one_has_found_though_that_leaves_so
     found = search(case.trials, case.base, effort, lambda what, _: told.append(what), (), case.is_enough, [friction])
     assert told[0] == "Looking for a second cause"
     assert set(found.chosen.causes) == {"coulomb_friction", "return_spring"}
+
+
+def test_special_forms_are_tried_of_the_likeliest_that_has_no_more_causes():
+    """Of friction with a level for each direction beside a spring, where the search had gone on with one that hardens."""
+    cart = lab.Truth(
+        gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, "return_spring": {"stiffness": 8.0}}
+    )
+    records = tuple(lab.step_record(cart, kp, noise=1e-5, seed=kp, sample_time=5e-3) for kp in (40, 80))
+    case = Case(records, (), {}, len(catalogue()))
+    friction = AsymmetricFriction(level_positive=0.3, level_negative=0.3)
+    known = [
+        case.likelihood.judged(Plant(gain=1.9, damping=6.0, effects=(friction, other)), case.base)
+        for other in (ReturnSpring(stiffness=8.0), HardeningSpring(cubic_stiffness=600.0))
+    ]
+    assert known[0].total < known[1].total
+    explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, known, case.is_enough, 1.0)
+    assert set(explorer.settled(known[1]).causes) == {"coulomb_friction", "return_spring"}
 
 
 def test_gravity_that_is_no_more_than_a_spring_has_one_as_its_simple_form():

@@ -421,10 +421,11 @@ class Explorer:
         if not hypothesis.causes:
             return hypothesis
         hypothesis = self.generalised(hypothesis)
+        known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
+        hypothesis = min([hypothesis, *known], key=by_total)
         others = *specialised(hypothesis.plant, self.trials.screen), *united(hypothesis.plant)
         forms = self.fitted([(plant, hypothesis) for plant in (*others, *self._together(hypothesis))])
-        known = [h for h in self.judged if len(h.causes) <= len(hypothesis.causes)]
-        best = min([hypothesis, *forms, *known], key=by_total)
+        best = min([hypothesis, *forms], key=by_total)
         simpler = sorted((h for h in forms if h is not best), key=lambda h: h.plant.unusual)
         best = next((h for h in simpler if self.is_chance(h, best)), best)
         plain = self.fitted([(plant, best) for plant in simplified(best.plant, self.trials.seen)])

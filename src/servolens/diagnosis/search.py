@@ -91,7 +91,7 @@ def search(
                 return _after(trials, base, unshaken)
         if observed is None:
             left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
-            begun = _telling(unshaken, effort) if unshaken else ()
+            begun = _telling(unshaken, effort, is_overtaken=alone.has_ended) if alone and unshaken else ()
             observed = observing.whole(begun, share=max(left, SPENT))  # where the other has spent it all, too
     finally:
         trials.likelihood.tally.add(observing.work + (alone.work if alone else 0))
@@ -109,8 +109,13 @@ def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
     return found if is_base else replace(found, path=(base, *found.path[1:]))
 
 
-def _telling(found: Search, effort: Effort) -> list[Hypothesis]:
-    """Return what was found as if nothing shook the axis, where a search beside an observer begins."""
+def _telling(found: Search, effort: Effort, *, is_overtaken: bool) -> list[Hypothesis]:
+    """Return what was found as if nothing shook the axis, where a search beside an observer begins.
+
+    Where that `is_overtaken`, shaking explains what the last of it leaves: nothing else is begun with.
+    """
+    if is_overtaken:
+        return [*found.path[-1:]]
     judged = [h for h in found.judged if h.causes and not is_last_resort(h)]
     further = (*found.path[1:], *judged[: effort.judged], *found.singles[: effort.judged])
     return [h for h in further if not is_last_resort(h)]

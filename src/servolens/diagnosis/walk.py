@@ -124,6 +124,11 @@ class Walk:
         """Work of all simulations so far."""
         return self.trials.likelihood.work
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether it has ended at once, with what `ends` or `unobserved` finds."""
+        return self._has_ended
+
     def has_asked(self, hypothesis: Hypothesis) -> bool:
         """Tell whether what seems shaken with these causes was fitted as if nothing shook it: that was no answer."""
         return hypothesis.noise.rate > 0.0 and frozenset(hypothesis.causes) in self._asked
