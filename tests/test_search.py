@@ -12,6 +12,7 @@ from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT, shared, work_for
 from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import beside_shaking, delays, parted, with_lag_for_damping, with_twins, without
+from servolens.diagnosis.replacements import promising
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials, starts_to_fit
 from servolens.effects import (
@@ -19,6 +20,7 @@ from servolens.effects import (
     ActuatorLag,
     AsymmetricDamping,
     AsymmetricFriction,
+    Backlash,
     ConstantForce,
     CoulombFriction,
     HardeningSpring,
@@ -399,7 +401,7 @@ def test_search_goes_on_from_what_an_earlier_one_has_found_though_that_leaves_so
 
 
 def test_special_forms_are_tried_of_the_likeliest_that_has_no_more_causes():
-    """Of friction with a level for each direction beside a spring, where the search had gone on with one that hardens."""
+    """Of friction with two levels beside a spring, where the search had gone on with a spring that stiffens."""
     cart = lab.Truth(
         gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}, "return_spring": {"stiffness": 8.0}}
     )
@@ -475,3 +477,14 @@ def test_cause_whose_size_may_as_well_be_nothing_is_left_out():
     """Beside it the likelihood was higher for another optimum of the gap."""
     campaign = lab.hidden_campaign(900377, effects=["backlash"], world="shaken")
     assert causes_of(campaign) == ("explained", {"backlash"})
+
+
+@pytest.mark.parametrize(("frequency", "is_softer"), [(None, False), (60.0, True)])
+def test_a_contact_is_freed_where_its_score_promises_something(frequency, is_softer):
+    play = {"gap": 0.003, "load_share": 0.4} | ({"contact_frequency": frequency} if frequency else {})
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"backlash": play})
+    runs = [lab.step_record(axis, kp, noise=1e-5, seed=kp + 1, sample_time=2e-3) for kp in (40, 80)]
+    likelihood = Trials(tuple(runs), {}, len(catalogue())).unshaken().likelihood
+    start = Plant(gain=1.9, damping=6.0, effects=(Backlash(gap=0.003, load_share=0.4),))
+    found = likelihood.judged(start)
+    assert bool(promising(likelihood, found, [*found.plant.freed()], 0.5)) == is_softer

@@ -27,7 +27,7 @@ from servolens.diagnosis.ordering import (
     without,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.diagnosis.replacements import kin, last_resorts
+from servolens.diagnosis.replacements import kin, last_resorts, promising
 from servolens.diagnosis.trials import starts_to_fit
 from servolens.effects import Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError
@@ -354,10 +354,10 @@ class Explorer:
         return min([hypothesis, *self.fitted([(plant, hypothesis) for plant in jobs])], key=by_total)
 
     def freed(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Return `hypothesis` or, where it leaves something, the best with parameters off their usual values.
+        """Return `hypothesis` or, beside other than white noise, the best with parameters off their usual values.
 
-        What a contact of the usual stiffness leaves is followed by an observer or taken up by slow noise, so that
-        nothing seems left: then it is freed in any case. What gets likelier goes on; what did not is not tried again.
+        Tried are those of a promising score: what a contact of the usual stiffness leaves is followed by an observer or
+        taken up by slow noise. What gets likelier goes on; what did not is not tried again.
         """
         hypothesis = hypothesis if self._is_plain(hypothesis) else self._lowest(hypothesis)
         plants, noise = [*hypothesis.plant.freed()], hypothesis.noise
@@ -366,8 +366,8 @@ class Explorer:
         key = frozenset(hypothesis.causes), noise.rate, noise.order, hypothesis.total
         if key in self._freed_in_vain:
             return hypothesis
-        further = self.fitted([(plant, hypothesis) for plant in plants])
-        if further and further[0].total >= hypothesis.total - NO_BETTER:
+        further = self.fitted([(p, hypothesis) for p in promising(self.likelihood, hypothesis, plants, PROMISING)])
+        if not further or further[0].total >= hypothesis.total - NO_BETTER:
             self._freed_in_vain.add(key)
         while further and further[0].total < hypothesis.total - NO_BETTER:
             hypothesis = further[0]

@@ -1,4 +1,4 @@
-"""Plants with a cause replaced by one of the same family, as large as a score test has it."""
+"""Plants with a cause in another form, as a score test has it: one of the same family, or with more parameters."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from servolens.effects import catalogue
 from servolens.identification.score import ScoreTest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
+    from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
 
-__all__ = ["kin", "last_resorts"]
+__all__ = ["kin", "last_resorts", "promising"]
 
 
 def kin(trials: Trials, hypothesis: Hypothesis) -> Iterator[Plant]:
@@ -38,3 +39,9 @@ def last_resorts(trials: Trials, hypothesis: Hypothesis) -> Iterator[Plant]:
             if cls.is_last_resort and set(cls.generalises) & {effect.name for effect in plant.effects}:
                 starts = trials.starts(test, name)[:1]
                 yield from (start.plant for start in starts if start.gain > trials.price(cls))
+
+
+def promising(likelihood: Likelihood, hypothesis: Hypothesis, plants: Sequence[Plant], share: float) -> list[Plant]:
+    """Return those of `plants`, more parameters of the same effects, whose score is this `share` of what these cost."""
+    test, price = ScoreTest(likelihood, hypothesis), likelihood.price
+    return [plant for plant in plants if test.gain(plant) > share * (price(plant) - price(hypothesis.plant))]

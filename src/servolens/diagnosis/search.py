@@ -112,13 +112,12 @@ def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
 def _telling(found: Search, effort: Effort, *, is_overtaken: bool) -> list[Hypothesis]:
     """Return what was found as if nothing shook the axis, where a search beside an observer begins.
 
-    Where that `is_overtaken`, shaking explains what the last of it leaves: nothing else is begun with.
+    Where that `is_overtaken`, shaking explains what the last of it leaves: nothing has more causes.
     """
-    if is_overtaken:
-        return [*found.path[-1:]]
     judged = [h for h in found.judged if h.causes and not is_last_resort(h)]
     further = (*found.path[1:], *judged[: effort.judged], *found.singles[: effort.judged])
-    return [h for h in further if not is_last_resort(h)]
+    most = len(found.chosen.causes) if is_overtaken else effort.causes
+    return [h for h in further if not is_last_resort(h) and len(h.causes) <= most]
 
 
 def _is_unshaken(trials: Trials, base: Hypothesis, found: Search, is_answer: Enough, work: float) -> bool:
