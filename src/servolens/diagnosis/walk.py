@@ -113,7 +113,6 @@ class Walk:
     explorer: Explorer = field(init=False)
     _looked: tuple[list[Hypothesis], list[Hypothesis]] | None = field(init=False, default=None)
     _asked: set[frozenset[str]] = field(init=False, default_factory=set)
-    _overtaken: set[frozenset[str]] = field(init=False, default_factory=set)
     _has_ended: bool = field(init=False, default=False)
     _part: tuple[float, float] = field(init=False, default=(0.0, 1.0))
 
@@ -281,8 +280,6 @@ class Walk:
         if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):
             pairs = self._beside_likeliest(path[-1], found)
             if not pairs:
-                if found and found[0].total < path[-1].total and self._is_overtaken(found[0]):
-                    return found, []  # shaking explains what the likeliest cause leaves: pairs take long
                 pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             is_answered = any(self.is_enough(h) for h in pairs)
@@ -334,14 +331,12 @@ class Walk:
 
     def _is_overtaken(self, best: Hypothesis) -> bool:
         """Tell whether the search ends with `best`: beside other noise it is likelier than any last resort is here."""
-        causes = frozenset(best.causes)
-        if causes not in self._overtaken and not self.is_enough(best):
-            explorer = self.explorer
-            other = self.ends(best, explorer.budget.allowance(1))
-            resorts = explorer.fitted([(plant, best) for plant in last_resorts(self.trials, best)]) if other else []
-            if other and (not resorts or resorts[0].total >= other.total):
-                self._overtaken.add(causes)
-        return causes in self._overtaken
+        explorer = self.explorer
+        other = None if self.is_enough(best) else self.ends(best, explorer.budget.allowance(1))
+        if other is None:
+            return False
+        resorts = explorer.fitted([(plant, best) for plant in last_resorts(self.trials, best)])
+        return not resorts or resorts[0].total >= other.total
 
     def _to_the_likeliest(self, path: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return `path` as it leads to the likeliest of all that was fitted."""
