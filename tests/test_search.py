@@ -11,7 +11,15 @@ from servolens import Plant, diagnose, lab, simulate
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.effort import EFFORT, shared, work_for
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, delays, parted, with_lag_for_damping, with_twins, without
+from servolens.diagnosis.ordering import (
+    beside_shaking,
+    delays,
+    late_otherwise,
+    parted,
+    with_lag_for_damping,
+    with_twins,
+    without,
+)
 from servolens.diagnosis.replacements import promising
 from servolens.diagnosis.search import search
 from servolens.diagnosis.trials import Trials, starts_to_fit
@@ -23,6 +31,7 @@ from servolens.effects import (
     Backlash,
     ConstantForce,
     CoulombFriction,
+    Delay,
     HardeningSpring,
     PendulumGravity,
     QuadraticDrag,
@@ -367,6 +376,31 @@ def test_lag_is_tried_elsewhere_in_the_loop(effect, other):
     (twin,) = with_twins(plant)
     assert set(twin.effects) == {other, CoulombFriction(level=0.3)}
     assert (twin.gain, twin.damping) == (2.0, 5.0)
+
+
+def test_a_loop_may_be_late_for_other_reasons_by_as_long():
+    friction = CoulombFriction(level=0.3)
+    plant = Plant(gain=2.0, damping=5.0, effects=(Delay(time=0.004), friction))
+    others = {other.effects for other in late_otherwise(plant)}
+    assert others == {(friction, ActuatorLag(time_constant=0.004)), (friction, SensorLag(time_constant=0.004))}
+    both = Plant(gain=2.0, damping=5.0, effects=(Delay(time=0.004), ActuatorLag(time_constant=0.002)))
+    assert all(len(other.effects) == 2 for other in late_otherwise(both))
+    assert not list(late_otherwise(Plant(gain=2.0, damping=5.0, effects=(friction,))))
+
+
+@pytest.mark.slow
+def test_a_lag_that_simulations_take_for_a_delay_is_found_beside_a_spring_and_friction():
+    """A friction map and a lag of the actuator left 0.5 % of the travel, which an observer took for shaking."""
+    forces = {"return_spring": {"stiffness": 6.0}, "sensor_lag": {"time_constant": 6e-3}}
+    axis = lab.Truth(gain=2.0, damping=4.0, effects=forces | {"coulomb_friction": {"level": 0.3}})
+    runs = ((100.0, 4.0, (0.1,)), (160.0, 6.0, (0.1, -0.1)), (220.0, 9.0, (0.15,)), (190.0, 8.0, (0.12,)))
+    records = [
+        lab.step_record(axis, kp, kd, reference=levels, duration=1.0, noise=2e-6, encoder=0.0, seed=i)
+        for i, (kp, kd, levels) in enumerate(runs)
+    ]
+    found = diagnose(records[:3], heldout=records[3:])
+    assert found.verdict == "explained"
+    assert {cause.effect for cause in found.causes} == {"return_spring", "sensor_lag", "coulomb_friction"}
 
 
 def test_two_lags_are_not_exchanged():

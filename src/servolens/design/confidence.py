@@ -168,7 +168,7 @@ def _warning(models: Sequence[Model], design: Design) -> str:
     if chosen is not None and chosen.worst.settling_time is None:
         return f"The worst of {chosen.scenarios} plants does not settle at all: {chosen.why}."
     if chosen is not None and chosen.interval[0] < NINE_OF_TEN:
-        return f"It meets the spec in hardly nine of ten plants: {chosen.why}."
+        return f"It is not certain that nine of ten plants meet the spec: {chosen.why}."
     return _left(models)
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.explorer import INDISTINCT
-from servolens.diagnosis.ordering import by_total
+from servolens.diagnosis.ordering import by_total, is_last_resort, late_otherwise
 from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError
@@ -94,8 +94,14 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
 
 
 def _explains(case: Case, hypothesis: Hypothesis) -> bool:
-    """Tell whether a `hypothesis` leaves nothing that depends on the inputs, and does not only help an observer."""
-    return case.is_enough_everywhere(hypothesis) and not _is_stand_in(case, hypothesis)
+    """Tell whether a `hypothesis` leaves nothing that depends on the inputs, and does not only help an observer.
+
+    A last resort describes nearly anything of its kind, and an observer follows what it leaves: that must not matter.
+    """
+    if not case.is_enough_everywhere(hypothesis) or _is_stand_in(case, hypothesis):
+        return False
+    is_followed = hypothesis.noise.rate > 0.0 and is_last_resort(hypothesis)
+    return not (is_followed and case.is_material(case.gains([hypothesis]).trained[-1], case.likelihood.white.spread))
 
 
 def _simplest(case: Case, found: Search) -> Search:
@@ -215,8 +221,17 @@ def _simulated(case: Case, confirmed: Decision, effort: Effort, tell: Callable[[
 
 
 def _refitted(case: Case, path: Sequence[Hypothesis], work: float) -> tuple[Hypothesis, ...]:
-    """Return `path` fitted to prediction errors, as far as its causes pay for themselves; empty where a fit fails."""
-    refits = (case.likelihood.judged(step.plant, allowance=work) for step in path)
+    """Return `path` fitted to prediction errors, as far as its causes pay for themselves; empty where a fit fails.
+
+    What makes its last loop late may be another effect: simulations hardly tell a delay from a lag.
+    """
+    *before, last = (step.plant for step in path)
+    ways = [last, *late_otherwise(last)]
+    ends = [h for way in ways if (h := case.likelihood.judged(way, allowance=work / len(ways)))]
+    refits = [
+        *(case.likelihood.judged(plant, allowance=work) for plant in before),
+        min(ends, key=by_total, default=None),
+    ]
     again = tuple(h for h in refits if h is not None)
     if len(again) < len(path):
         return ()
@@ -263,8 +278,8 @@ def _cross_validated(case: Case, found: Search) -> Search:
     Of models that are all wrong, the likelihood of what was fitted favours the most flexible. What a fit to the other
     records predicts of each does not (Yao et al. 2018, doi:10.1214/17-BA1091): of all records, training ones too, for a
     few held out may favour a model by chance. Weighed are those beside which all records are likeliest, the ones held
-    out as they are predicted. Of those that these cannot tell apart, the one with the fewest causes; none that misses
-    the records held out more than gain and damping alone.
+    out as they are predicted. Of those that these cannot tell apart, the one with the fewest causes, then parameters;
+    none that misses the records held out more than gain and damping alone.
     """
     tried = {h.causes: h for h in (*found.path, *(h for h in found.judged if h.causes))}
     held = {causes: case.misfit(h) if case.heldout else 0.0 for causes, h in tried.items()}
@@ -273,7 +288,8 @@ def _cross_validated(case: Case, found: Search) -> Search:
     predicted = ((h, held[h.causes] + case.left_out_misfit(h)) for h in (tried[()], *likeliest))
     weighed = sorted((replace(h, total=total) for h, total in predicted), key=by_total)
     base = next(h for h in weighed if not h.causes)
-    best = min((h for h in weighed if h.total <= weighed[0].total + INDISTINCT), key=lambda h: len(h.causes))
+    alike = [h for h in weighed if h.total <= weighed[0].total + INDISTINCT]
+    best = min(alike, key=lambda h: (len(h.causes), h.plant.unusual))
     between = [h for h in weighed if h.causes and set(h.causes) < set(best.causes)][:1]
     path = [base, *between, best] if best.causes else [base]
     return replace(found, path=tuple(path), judged=tuple(weighed))

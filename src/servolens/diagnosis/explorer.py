@@ -122,7 +122,8 @@ class Explorer:
         found.sort(key=by_total)
         if number == 0:
             self.singles += distinct(found)
-        known = [h for h in self.judged if len(h.causes) == number + 1]
+        may_be_general = self.with_last_resorts
+        known = [h for h in self.judged if len(h.causes) == number + 1 and (may_be_general or not is_last_resort(h))]
         jobs = distinct([*found[: self.effort.judged], *first])
         fitted = self.fitted([(h.plant, h) for h in jobs])
         reached = {frozenset(h.causes) for h in fitted}
@@ -232,8 +233,7 @@ class Explorer:
         if not is_close or not dominates(richer.noise) or self.likelihood.simulates:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
-        test = ScoreTest(self.likelihood, replace(simpler, noise=richer.noise))
-        return test.may_be_chance(richer.plant, paid)
+        return ScoreTest(self.likelihood, replace(simpler, noise=richer.noise)).may_be_chance(richer.plant, paid)
 
     def _fitted(self, hypothesis: Hypothesis, done: float) -> list[Hypothesis]:
         """Return `hypothesis` with each effect that its score test finds promising."""

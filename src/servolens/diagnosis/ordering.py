@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import Actuator, ActuatorLag, Drive, DryFriction, TimeShift, catalogue, effect_class
+from servolens.effects import Actuator, ActuatorLag, Drive, DryFriction, Sensor, TimeShift, catalogue, effect_class
 from servolens.effects._grids import within
 from servolens.effects.base import Axis
 from servolens.errors import InputError
@@ -35,6 +35,7 @@ __all__ = [
     "families",
     "is_last_resort",
     "kind",
+    "late_otherwise",
     "parted",
     "simplified",
     "specialised",
@@ -175,9 +176,24 @@ def with_lag_for_damping(plant: Plant) -> Iterator[Plant]:
 def delays(time: float) -> Iterator[Effect]:
     """Yield the effects because of which a command acts later, by a `time` [s] that is their only parameter."""
     for cls in catalogue().values():
-        units = {spec.name: spec.unit for spec in cls.parameters()}
-        if issubclass(cls, (Actuator, TimeShift)) and list(units.values()) == ["s"]:
-            yield within(cls, **dict.fromkeys(units, time))
+        if _is_late(cls) and not issubclass(cls, Sensor):
+            yield within(cls, **{spec.name: time for spec in cls.parameters()})
+
+
+def late_otherwise(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with what makes its loop late replaced by each other effect that does so by as long."""
+    for effect in plant.effects:
+        if _is_late(type(effect)):
+            for cls in catalogue().values():
+                if _is_late(cls) and plant.effect(cls.name) is None:
+                    late = within(cls, **{spec.name: effect.values[0] for spec in cls.parameters()})
+                    with suppress(InputError):  # two that do not go together
+                        yield plant.without_effect(effect.name).with_effect(late)
+
+
+def _is_late(cls: type[Effect]) -> bool:
+    """Tell whether effects of a class make a loop late: a time is their only parameter."""
+    return issubclass(cls, (Actuator, Sensor, TimeShift)) and [spec.unit for spec in cls.parameters()] == ["s"]
 
 
 def beside_shaking(found: Iterable[Hypothesis], noise: NoiseModel) -> Iterator[Hypothesis]:

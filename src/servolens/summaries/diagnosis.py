@@ -373,7 +373,7 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     worth = "and it matters" if rest.material else "but immaterial"
     told = f"What is left is unexplained, {worth}: {size}."
     if diagnosis.verdict == "partly_explained":
-        return [f"{told} Something else is wrong too, and the causes below may partly take its place."]
+        return [f"{told} Something else is wrong too, and the causes named may partly take its place."]
     if not rest.material:
         return [f"{told} For most uses gain and damping are enough."]
     return [f"{told} Look at where the error arises, and at the warnings if there are any, before tuning."]
