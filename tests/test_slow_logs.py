@@ -165,6 +165,23 @@ def test_check_says_nothing_against_a_slow_log_whose_period_is_stated(on, noise)
         assert "law_not_verified" in {finding.code for finding in found}
 
 
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (lambda r: replace(r, controller=replace(r.controller, kp=1000.0 * r.controller.kp)), "0.0007 times kp e"),
+        (lambda r: replace(r, reference=-r.reference), "times kp e"),
+    ],
+    ids=["V/mm for V/m", "another reference"],
+)
+def test_kp_of_a_slow_log_that_its_voltage_contradicts_is_told(wrong, told):
+    axis = lab.Truth(gain=1.9, damping=6.0, effects={"coulomb_friction": {"level": 0.3}})
+    full = lab.step_record(axis, 80.0, 3.0, reference=(0.1, 0.0), duration=1.2, noise=1e-5, seed=4)
+    assert "gains_contradict_log" not in {finding.code for finding in assess(every(full, 4)).findings}
+    (finding,) = (f for f in assess(wrong(every(full, 4))).findings if f.code == "gains_contradict_log")
+    assert finding.severity == "warning"
+    assert told in finding.message
+
+
 def test_law_that_needs_a_limit_is_answered_without_one():
     full = simulated(LOOPS["p"], 100)
     assert full.answer(Controller(kp=60, ki=3, anti_windup="clamping")).integral.size == len(full)

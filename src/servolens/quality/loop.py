@@ -36,6 +36,8 @@ DIFFERENCE = 0.01
 NO_LAW = 0.1
 """Share of the voltage that the law may leave and still be one: 1 % of its variance."""
 
+ROUGHLY = 2.0
+"""Ratio of voltage to kp e from which on a log slower than its loop contradicts kp: an error of unit is more."""
 
 UNITS_OF = {
     "ki": " {command}/({length} s)",
@@ -150,8 +152,7 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         message = "no voltage is logged; it is reconstructed from kp and kd, which therefore cannot be verified."
         yield Finding(code="voltage_reconstructed", severity="note", message=message)
     elif record.has_loop and fit is None and _is_slow(record):
-        message = "the log is slower than its loop; kp and kd, and the settings of the loop, cannot be verified."
-        yield Finding(code="law_not_verified", severity="note", message=message)
+        yield _unverified(record)
     beyond = beyond_limit(record)
     if beyond:
         message = (
@@ -165,6 +166,36 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         if fit.alternative is not None:
             yield _alternative(record, fit, fit.alternative)
         yield from _gains(record, fit)
+
+
+def _unverified(record: Record) -> Finding:
+    """Return the finding of a log that is slower than its loop, of which kp alone shows, and roughly."""
+    ratio = _ratio_to_kp(record)
+    if ratio is not None and not 1.0 / ROUGHLY < ratio < ROUGHLY:
+        message = (
+            f"while the axis hardly moves, the logged voltage is {ratio:.2g} times kp e; check the unit of kp, and"
+            " whether this is the reference."
+        )
+        return Finding(code="gains_contradict_log", severity="warning", message=message)
+    message = (
+        "the log is slower than its loop; kd and the settings of the loop cannot be verified, and kp only roughly."
+    )
+    return Finding(code="law_not_verified", severity="note", message=message)
+
+
+def _ratio_to_kp(record: Record) -> float | None:
+    """Return the logged voltage over kp e, the median where kd hardly counts; None of other laws, or of too few."""
+    loop, voltage, reference = record.controller, record.voltage, record.reference
+    if loop is None or voltage is None or reference is None or record.feedforward is not None:
+        return None
+    if loop.is_cascade or loop.ki != 0.0 or loop.integral_before != 0.0:
+        return None
+    asked = loop.kp * (reference - record.position)
+    slowed = np.abs(loop.kd * np.gradient(record.position, record.time))
+    tells = (
+        (slowed < NO_LAW * np.abs(asked)) & (np.abs(asked) > NO_LAW * rms(asked)) & (np.abs(voltage) < voltage.max())
+    )
+    return float(np.median(voltage[tells] / asked[tells])) if np.count_nonzero(tells) >= 10 else None
 
 
 def _is_slow(record: Record) -> bool:
