@@ -388,21 +388,6 @@ def test_a_loop_may_be_late_for_other_reasons_by_as_long():
     assert not list(late_otherwise(Plant(gain=2.0, damping=5.0, effects=(friction,))))
 
 
-@pytest.mark.slow
-def test_a_lag_that_simulations_take_for_a_delay_is_found_beside_a_spring_and_friction():
-    """A friction map and a lag of the actuator left 0.5 % of the travel, which an observer took for shaking."""
-    forces = {"return_spring": {"stiffness": 6.0}, "sensor_lag": {"time_constant": 6e-3}}
-    axis = lab.Truth(gain=2.0, damping=4.0, effects=forces | {"coulomb_friction": {"level": 0.3}})
-    runs = ((100.0, 4.0, (0.1,)), (160.0, 6.0, (0.1, -0.1)), (220.0, 9.0, (0.15,)), (190.0, 8.0, (0.12,)))
-    records = [
-        lab.step_record(axis, kp, kd, reference=levels, duration=1.0, noise=2e-6, encoder=0.0, seed=i)
-        for i, (kp, kd, levels) in enumerate(runs)
-    ]
-    found = diagnose(records[:3], heldout=records[3:])
-    assert found.verdict == "explained"
-    assert {cause.effect for cause in found.causes} == {"return_spring", "sensor_lag", "coulomb_friction"}
-
-
 def test_two_lags_are_not_exchanged():
     lags = (ActuatorLag(time_constant=0.004), SensorLag(time_constant=0.002))
     assert not list(with_twins(Plant(gain=2.0, damping=5.0, effects=lags)))
