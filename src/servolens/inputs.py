@@ -17,7 +17,6 @@ from servolens.plant import Plant
 from servolens.reading import KEYS, record_from_dataframe, record_from_timeresponse
 from servolens.reading.settings import as_settings
 from servolens.record import Record
-from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -130,9 +129,8 @@ def as_records(
     Returns
     -------
     tuple of Record
-        In the order given, all in the same units, with the encoder's step that they show where none states one, with
-        the times at which the reference jumped where the loop ran faster than the log, and with the voltage that their
-        law tells where the log holds a rounded one.
+        In the order given, all in the same units, with the encoder's step that they show where none states one, and
+        with the times at which the reference jumped where the loop ran faster than the log.
 
     Raises
     ------
@@ -157,7 +155,7 @@ def as_records(
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
     _check_units(found)
-    return with_timed_jumps([*map(with_exact_voltage, with_seen_encoder(found))])
+    return with_timed_jumps(with_seen_encoder(found))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -35,8 +35,10 @@ def with_exact_voltage(record: Record) -> Record:
 
     Examples
     --------
+    >>> from dataclasses import replace
+    >>> import numpy as np
     >>> from servolens import lab
-    >>> record = lab.step_record(lab.NLM1, kp=60, noise=1e-5)
+    >>> record = lab.step_record(lab.NLM1, kp=60, noise=1e-5, seed=1)
     >>> rounded = replace(record, voltage=np.round(record.voltage, 2))
     >>> bool(np.max(np.abs(with_exact_voltage(rounded).voltage - record.voltage)) < 1e-9)
     True

@@ -26,6 +26,7 @@ from servolens.model import Model, placed
 from servolens.plant import Plant
 from servolens.processors import single_threaded_blas
 from servolens.result import Result
+from servolens.rounded_voltage import with_exact_voltage
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -221,7 +222,7 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     """
     asked = wanted(fixed, bounds, priors, driven=driven, local=local, loss=loss, compared=compared, begin=begin)
     effects, start = _given(plant)
-    runs = as_records(records, settings)
+    runs = tuple(map(with_exact_voltage, as_records(records, settings)))
     screen = Screen.of(moving_parts(motion_segments(runs)))
     bare, _ = screen.solve(())
     if start is None:
