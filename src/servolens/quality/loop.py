@@ -193,7 +193,9 @@ def _ratio_to_kp(record: Record) -> float | None:
     asked = loop.kp * (reference - record.position)
     slowed = np.abs(loop.kd * np.gradient(record.position, record.time))
     tells = (
-        (slowed < NO_LAW * np.abs(asked)) & (np.abs(asked) > NO_LAW * rms(asked)) & (np.abs(voltage) < voltage.max())
+        (slowed < NO_LAW * np.abs(asked))
+        & (np.abs(asked) > NO_LAW * rms(asked))
+        & (np.abs(voltage) < np.abs(voltage).max())
     )
     return float(np.median(voltage[tells] / asked[tells])) if np.count_nonzero(tells) >= 10 else None
 
