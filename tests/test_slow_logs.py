@@ -312,6 +312,21 @@ def test_stated_loop_is_diagnosed_at_its_ticks(late):
 
 
 @pytest.mark.slow
+def test_jumps_are_timed_anew_beside_the_causes():
+    """Before there is a plant, friction looks like jumps that come a tick sooner and a delay that is a tick longer."""
+    hidden = {"coulomb_friction": {"level": 0.7}, "delay": {"time": 0.002}}
+    truth = lab.Truth(gain=1.8, damping=4.0, effects=hidden)
+    loops = ((100, 4), (160, 8), (240, 10))
+    runs = [logged(truth, kp, kd, count=2, rest=0.2, noise=2e-6, seed=kp) for kp, kd in loops]
+    timed = with_timed_jumps(runs)
+    assert any(run.jump_leads.any() for run in timed)  # they came at samples
+    found = diagnose(runs)
+    assert not any(run.jump_leads.any() for run in found.records)
+    assert (found.verdict, {cause.effect for cause in found.causes}) == ("explained", set(hidden))
+    assert found.model.plant.effects[0].time == pytest.approx(0.002, abs=5e-5)
+
+
+@pytest.mark.slow
 def test_loop_that_ran_faster_than_a_log_is_found():
     runs = [logged(AXIS, kp, kd, count=5, rest=0.103, seed=20 + kp) for kp, kd in ((60, 0), (100, 3))]
     held = [replace(run, controller=replace(run.controller, control_period=None)) for run in runs]

@@ -1,10 +1,11 @@
-"""Logs slower than their loop: whether the command was held between the samples, or went on to change."""
+"""Logs slower than their loop: whether the command went on to change between the samples, and when it jumped there."""
 
 from __future__ import annotations
 
 import math
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from servolens.diagnosis.decision import Decision, decided
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.jump_times import with_timed_jumps
+from servolens.prediction import beginning
 from servolens.quality.law import rms
 from servolens.units import readable
 
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
     from servolens.diagnosis.effort import Effort
     from servolens.identification.options import Prior
+    from servolens.plant import Plant
     from servolens.record import Record
 
 __all__ = ["decided_beside_loop_rate"]
@@ -34,7 +37,8 @@ FIRST, OTHERS = (2, 5), (3, 4, 6, 8, 10, 20)
 """Ticks from one sample of the slowest log to the next that are tried, the others if one of the first is likelier; by
 more than twenty the held command is no longer seen."""
 LIKELIER = 13.8
-"""Difference of −2 log-likelihood from which on a loop is seen to be faster: odds of 1 to 1000."""
+"""Difference of −2 log-likelihood from which on a loop is seen to be faster, or a jump at another of its ticks: odds of
+1 to 1000."""
 
 
 def decided_beside_loop_rate(
@@ -49,7 +53,8 @@ def decided_beside_loop_rate(
 
     A command that is held until the next sample is late by half a sample on average, and no cause of the catalogue
     makes it earlier: it is asked where no causes explain the records. How often the loop ran is asked again beside the
-    causes that were found.
+    causes that were found; so is at which of its ticks the reference jumped, for before there is a plant, friction can
+    look like a jump that comes a tick sooner and a delay that is a tick longer.
 
     Parameters
     ----------
@@ -65,7 +70,7 @@ def decided_beside_loop_rate(
     """
     held = Case(records, heldout, priors, candidates)
     if _is_known(records):
-        return decided(held, effort, tell)
+        return _beside_timed_jumps(decided(held, effort, tell), priors, candidates, effort, tell)
     found = [decided(held, effort, lambda what, share: tell(what, 0.5 * share))]
     if _explains(found[0]):
         return found[0]
@@ -80,8 +85,66 @@ def decided_beside_loop_rate(
         again = min((held, *cases), key=lambda case: _beside(case, found[-1]))
         if again is not likeliest and again is not held:
             found.append(decided(again, part, tell))
+    found[-1] = _beside_timed_jumps(found[-1], priors, candidates, part, tell)
     chosen = min(found, key=lambda one: (not _explains(one), _simulated_error(one)))
     return chosen if _fastest(chosen.case).ticks == 1 else _told(chosen)
+
+
+def _beside_timed_jumps(
+    found: Decision,
+    priors: Mapping[str, Prior],
+    candidates: int,
+    effort: Effort,
+    tell: Callable[[str, float], None],
+) -> Decision:
+    """Decide again, with half of the effort, where beside the causes the reference jumped at other ticks of the loop.
+
+    All jumps are moved by a tick, which a delay takes up, or each by itself, as long as the causes become likelier.
+    """
+    if found.contradiction is not None or _explains(found) or _fastest(found.case).ticks == 1:
+        return found
+    case, least = found.case, found.path[-1].total
+    plant = found.path[-1].plant
+    while True:
+        tried = [_moved(case, priors, candidates, partial(_by_ticks, count)) for count in (-1, 1)]
+        tried.append(_moved(case, priors, candidates, partial(_as_simulated, plant)))
+        fits = [(one, fit) for one in tried if one is not None and (fit := one.likelihood.judged(plant)) is not None]
+        best, fit = min(fits, key=lambda one: one[1].total, default=(case, None))
+        if fit is None or not fit.total < least - LIKELIER:
+            break
+        case, least, plant = best, fit.total, fit.plant
+    if case is found.case:
+        return found
+    again = decided(case, replace(effort, work=0.5 * effort.work), tell)
+    return min(found, again, key=lambda one: (not _explains(one), _simulated_error(one)))
+
+
+def _moved(case: Case, priors: Mapping[str, Prior], candidates: int, moved: Callable[[Record], Record]) -> Case | None:
+    """Return the case of jumps at other ticks; None where none of them moves, or where it is impossible."""
+    groups = [tuple(map(moved, group)) for group in (case.records, case.heldout)]
+    if all(new is old for new, old in zip(groups[0], case.records, strict=True)):
+        return None
+    with suppress(InputError, NumericalError):
+        return Case(groups[0], groups[1], priors, candidates)
+    return None
+
+
+def _by_ticks(count: int, record: Record) -> Record:
+    """Return the record with its jumps so many ticks sooner, as far as they still come between the same samples."""
+    if record.jump_leads is None or record.ticks == 1:
+        return record
+    tick, jumps = record.sample_time / record.ticks, record.jumps()
+    leads = record.jump_leads.copy()
+    leads[jumps] = np.clip(leads[jumps] + count * tick, 0.0, record.sample_time - tick)
+    return record if np.array_equal(leads, record.jump_leads) else replace(record, jump_leads=leads)
+
+
+def _as_simulated(plant: Plant, record: Record) -> Record:
+    """Return the record with each jump where a simulation of the plant is closest."""
+    if record.jump_leads is None or record.ticks == 1:
+        return record
+    leads = beginning(plant, record).record.jump_leads
+    return record if leads is None or np.array_equal(leads, record.jump_leads) else replace(record, jump_leads=leads)
 
 
 def _is_known(records: tuple[Record, ...]) -> bool:
