@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 import servolens
 from servolens import lab
 from servolens.diagnosis import diagnose
-from servolens.identification.bursts import Burst, burst_of
+from servolens.identification.bursts import Burst, burst_of, knock_of
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
 from servolens.identification.options import FitOptions
@@ -54,6 +54,13 @@ def test_what_shakes_steadily_is_no_burst(seed):
 @pytest.mark.parametrize("seed", [1, 2])
 def test_knock_is_found_in_its_record_at_its_time(seed):
     assert burst_in([shaken_loop(seed), shaken_loop(seed + 100, knock=12.0)]) == Burst(1, pytest.approx(KNOCK, abs=0.1))
+
+
+@pytest.mark.parametrize(("knock", "is_knocked"), [(0.0, False), (12.0, False), (300.0, True)])
+def test_knock_is_told_where_most_of_what_shakes_an_axis_comes_from_it(knock, is_knocked):
+    likelihood = Likelihood([shaken_loop(1), shaken_loop(101, knock=knock)], CART, FitOptions())
+    found = knock_of(ScoreTest(likelihood, likelihood.judged(CART, iterations=10)))
+    assert found == (Burst(1, pytest.approx(KNOCK, abs=0.1)) if is_knocked else None)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from servolens.diagnosis.ordering import (
     delays,
     late_otherwise,
     parted,
+    simplified,
     with_lag_for_damping,
     with_twins,
     without,
@@ -29,6 +30,7 @@ from servolens.effects import (
     AsymmetricDamping,
     AsymmetricFriction,
     Backlash,
+    Cogging,
     ConstantForce,
     CoulombFriction,
     Delay,
@@ -445,6 +447,16 @@ def test_gravity_that_is_no_more_than_a_spring_has_one_as_its_simple_form():
     pull = 2.0 * (np.sin(0.5 + moved) - np.sin(0.5 - moved)) / (2.0 * moved)
     assert spring.stiffness == pytest.approx(pull, rel=1e-6)
     assert not [*PendulumGravity(amplitude=2.0, phase=np.pi).simplified(HUNG)]  # that pushes away
+
+
+def test_force_that_repeats_once_a_turn_has_gravity_as_its_simple_form():
+    turned = Plant(gain=15.0, damping=18.0, length_unit="rad").with_effect(
+        Cogging(amplitude=7.0, pitch=6.28, phase=-2.3)
+    )
+    (arm,) = simplified(turned, HUNG)
+    assert arm.effects == (PendulumGravity(amplitude=7.0, phase=-2.3),)
+    assert not [*simplified(replace(turned, length_unit="m"), HUNG)]
+    assert not [*Cogging(amplitude=7.0, pitch=3.0, phase=-2.3).simplified(HUNG)]
 
 
 def test_what_was_found_as_if_nothing_shook_the_axis_is_tried_beside_both_noises():

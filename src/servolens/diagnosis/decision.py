@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, final
 from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.errors import pooled
 from servolens.diagnosis.explorer import INDISTINCT
+from servolens.diagnosis.knocks import without_knock
 from servolens.diagnosis.ordering import by_total, is_last_resort, late_otherwise
 from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, improved_path, search
@@ -82,6 +83,10 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = _simplest(case, found)
     confirmed = _confirmed(case, found)
     explaining = confirmed if _explains(case, confirmed.path[-1]) else None
+    quiet = without_knock(confirmed) if explaining is None else None
+    if quiet is not None:
+        calm = decided(quiet[0], effort, tell)
+        return replace(calm, findings=(quiet[1], *calm.findings))
     several = case.base.plant.unusual * len(case.records)
     if explaining is None or explaining.path[-1].plant.unusual > several:
         contradiction = case.contradiction()

@@ -106,6 +106,8 @@ def simplified(plant: Plant, seen: Seen) -> Iterator[Plant]:
     """Yield `plant` with one effect in a form that does without something."""
     for effect in plant.effects:
         for simple in effect.simplified(seen):
+            if simple.is_rotary and plant.length_unit != "rad":
+                continue
             with suppress(InputError):  # where that stands already
                 yield replace(plant, effects=tuple(simple if e is effect else e for e in plant.effects))
 

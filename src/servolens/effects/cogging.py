@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import isclose, pi
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from servolens.effects._grids import pitches, within
 from servolens.effects.base import parameter
 from servolens.effects.kinds import Force
+from servolens.effects.pendulum_gravity import PendulumGravity
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +20,8 @@ __all__ = ["Cogging"]
 
 MOST_PITCH = 1.5
 """Share of the travel from which on a wave is as good as a spring."""
+ONE_TURN = 0.1
+"""By how much of a turn a pitch that is one may be off: a fit has begun within that."""
 
 
 @final
@@ -61,6 +64,11 @@ class Cogging(Force):
         """See :meth:`servolens.effects.base.Effect.starts`."""
         for pitch in pitches(seen):
             yield within(cls, amplitude=0.05 * seen.push, pitch=pitch, phase=0.0)
+
+    def simplified(self, seen: Seen) -> Iterator[PendulumGravity]:
+        """See :meth:`servolens.effects.base.Effect.simplified`: a weight, if it repeats about once a turn."""
+        if isclose(self.pitch, 2.0 * pi, rel_tol=ONE_TURN):
+            yield PendulumGravity(amplitude=self.amplitude, phase=self.phase)
 
     def is_whole(self, seen: Seen) -> bool:
         """See :meth:`servolens.effects.base.Effect.is_whole`."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.score import ScoreTest
 
-__all__ = ["Burst", "burst_of"]
+__all__ = ["Burst", "burst_of", "knock_of"]
 
 
 @final
@@ -54,10 +54,39 @@ def burst_of(test: ScoreTest) -> Burst | None:
         chance = float(t.sf(standing(float(kurtosistest(sums).statistic), drawn), drawn.size - 1))
         if chance < level:
             found.append((chance, int(firsts[np.argmax(np.abs(sums))])))
-    if not found:
-        return None
-    _, first = min(found)
-    ends = np.cumsum([0, *samples])
+    return _at(test, min(found)[1]) if found else None
+
+
+def knock_of(test: ScoreTest) -> Burst | None:
+    """Return where most of all that shakes the axis comes from, if it is one place; None where it is not.
+
+    That is more than half of the squares of the sums over blocks, within two of the longest blocks. The shortest, which
+    the sensor's noise fills, are not asked.
+
+    Parameters
+    ----------
+    test : ScoreTest
+        Of an axis that is shaken.
+    """
+    samples = [run.samples for run in test.runs]
+    number = np.repeat(np.arange(len(samples)), samples)
+    found = []
+    for size in BLOCKS[1:]:
+        firsts = np.concatenate(first_samples(samples, size))
+        if firsts.size < FEWEST_BLOCKS:
+            return None
+        power = _sums(test.left, firsts, size) ** 2
+        strongest = int(firsts[np.argmax(power)])
+        near = (np.abs(firsts - strongest) <= 2 * BLOCKS[-1]) & (number[firsts] == number[strongest])
+        if not np.sum(power[near]) > 0.5 * np.sum(power):
+            return None
+        found.append(strongest)
+    return _at(test, found[0])
+
+
+def _at(test: ScoreTest, first: int) -> Burst:
+    """Return the place of a sample, counted over all records."""
+    ends = np.cumsum([0, *(run.samples for run in test.runs)])
     number = int(np.searchsorted(ends, first, side="right")) - 1
     instants = test.runs[number].instants
     return Burst(number, float(instants[first - ends[number]] - instants[0]))

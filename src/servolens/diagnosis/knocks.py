@@ -1,0 +1,86 @@
+"""Records in which something knocked the axis, once: what follows there is left out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from servolens.diagnosis.case import Case
+from servolens.errors import InputError, NumericalError
+from servolens.findings import Finding
+from servolens.identification.bursts import knock_of
+from servolens.identification.score import ScoreTest
+from servolens.identification.structure import BLOCKS
+from servolens.units import readable
+
+if TYPE_CHECKING:
+    from servolens.diagnosis.decision import Decision
+    from servolens.identification.bursts import Burst
+    from servolens.record import Record
+
+__all__ = ["without_knock"]
+
+LIKELIEST = 3
+"""Single effects that are fitted to the records without a knock, the likeliest beside it."""
+
+
+def without_knock(found: Decision) -> tuple[Case, Finding] | None:
+    """Return the case of the records before a knock, and what to say of it; None where there is none that hid a cause.
+
+    Beside one knock the noise model takes the axis for one that is always shaken, which hides causes. Without what
+    follows it, one of the hypotheses that were likely explains the records.
+
+    Parameters
+    ----------
+    found : Decision
+        Whose causes do not explain the records.
+    """
+    case = found.case
+    try:
+        knock = knock_of(ScoreTest(case.likelihood, case.likelihood.whitened_well(found.path[-1])))
+        if knock is None:
+            return None
+        quiet = Case(_before(case.records, knock), case.heldout, case.trials.priors, case.trials.candidates)
+    except (InputError, NumericalError):
+        return None
+    is_explained = _is_explained(quiet, found)
+    case.likelihood.tally.add(quiet.likelihood.work)
+    return (quiet, _told(case.records[knock.record], knock, quiet.records)) if is_explained else None
+
+
+def _before(records: tuple[Record, ...], knock: Burst) -> tuple[Record, ...]:
+    """Return the records, the one with the knock up to it; without that one where its reference has not jumped before.
+
+    A block that shows a knock begins where it is strongest: the record ends a long one before.
+
+    Raises
+    ------
+    InputError
+        If none is left.
+    """
+    struck = records[knock.record]
+    end = knock.time - BLOCKS[-1] * struck.sample_time
+    parts = list(records)
+    if any(struck.time[edge] - struck.time[0] < end for edge in struck.edges()):
+        parts[knock.record] = struck.slice(float(struck.time[0]), float(struck.time[0]) + end)
+    else:
+        del parts[knock.record]
+    if not parts:
+        raise InputError(f"{struck.name}: something knocks the axis before its reference jumps; log it again")
+    return tuple(parts)
+
+
+def _is_explained(case: Case, found: Decision) -> bool:
+    """Tell whether one of the hypotheses that were likely beside a knock explains the records without it."""
+    singles = sorted(found.found.singles, key=lambda one: one.total)[:LIKELIEST]
+    plants = [case.base.plant, *(one.plant for one in (*found.path[1:], *singles))]
+    return any(fit is not None and case.explains(fit) for fit in map(case.likelihood.judged, plants))
+
+
+def _told(struck: Record, knock: Burst, left: tuple[Record, ...]) -> Finding:
+    when = readable(knock.time, "s")
+    what = "what follows" if any(record.name == struck.name for record in left) else "this record"
+    message = (
+        f"something moved the axis once, {when} into the record: a knock, a hand, or counts that the encoder lost."
+        f" The causes are sought without {what}; log it again."
+    )
+    return Finding(code="knocked_axis", severity="warning", message=message, record=struck.name)
