@@ -34,6 +34,7 @@ from servolens.effects import (
     ConstantForce,
     CoulombFriction,
     Delay,
+    FrictionMap,
     HardeningSpring,
     PendulumGravity,
     QuadraticDrag,
@@ -457,6 +458,37 @@ def test_force_that_repeats_once_a_turn_has_gravity_as_its_simple_form():
     assert arm.effects == (PendulumGravity(amplitude=7.0, phase=-2.3),)
     assert not [*simplified(replace(turned, length_unit="m"), HUNG)]
     assert not [*Cogging(amplitude=7.0, pitch=3.0, phase=-2.3).simplified(HUNG)]
+
+
+def test_friction_map_is_parted_into_friction_and_a_spring():
+    places = np.linspace(-0.1, 0.2, 5)
+    levels = {f"positive_{i}": 2.0 + 6.0 * y for i, y in enumerate(places)}
+    levels |= {f"negative_{i}": 2.0 - 6.0 * y for i, y in enumerate(places)}
+    plant = Plant(gain=2.0, damping=4.0, effects=(Delay(time=1e-3), FrictionMap(**levels, low=-0.1, high=0.2)))
+    whole, other = parted(plant)
+    assert {effect.name for effect in whole.effects} == {"delay", "coulomb_friction", "return_spring"}
+    assert {effect.name for effect in other.effects} == {"coulomb_friction", "return_spring"}
+    assert other.effect("coulomb_friction").level == pytest.approx(2.0)
+    assert other.effect("return_spring").stiffness == pytest.approx(6.0)
+    assert not FrictionMap(**dict.fromkeys(levels, 0.3), low=-0.1, high=0.2).parts()  # no spring in it
+
+
+@pytest.mark.slow
+def test_spring_with_friction_and_a_lag_is_no_friction_map_beside_shaking():
+    """A friction map takes up spring and friction both, and a shaken axis what it does not."""
+    hidden = {"return_spring": {"stiffness": 6.0}, "sensor_lag": {"time_constant": 6e-3}}
+    axis = lab.Truth(gain=2.0, damping=4.0, effects=hidden | {"coulomb_friction": {"level": 0.3}})
+    runs = ((100.0, 4.0, (0.1,)), (160.0, 6.0, (0.1, -0.1)), (220.0, 9.0, (0.15,)), (190.0, 8.0, (0.12,)))
+    records = [
+        lab.step_record(
+            axis, kp, kd, reference=levels, duration=1.8 / len(levels), noise=1.9e-6, encoder=0.0, seed=100 + i,
+            setup=lab.Setup(rest=0.2),
+        )
+        for i, (kp, kd, levels) in enumerate(runs)
+    ]  # fmt: skip
+    found = diagnose(records[:3], heldout=records[3:])
+    assert (found.verdict, {cause.effect for cause in found.causes}) == ("explained", {*hidden, "coulomb_friction"})
+    assert found.remainder.rms < 2e-6
 
 
 def test_what_was_found_as_if_nothing_shook_the_axis_is_tried_beside_both_noises():

@@ -10,7 +10,9 @@ import numpy as np
 
 from servolens.effects._grids import within
 from servolens.effects.base import Axis, parameter
+from servolens.effects.coulomb_friction import CoulombFriction
 from servolens.effects.kinds import DryFriction
+from servolens.effects.return_spring import ReturnSpring
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -96,6 +98,13 @@ class FrictionMap(DryFriction):
         for i in range(KNOTS - 3, -1, -1):  # weights that are never negative, so that no level is
             level = if_else(place < i + 1, (i + 1 - place) * levels[i] + (place - i) * levels[i + 1], level)
         return level
+
+    def parts(self) -> tuple[CoulombFriction, ReturnSpring] | tuple[()]:
+        """See :meth:`servolens.effects.base.Effect.parts`: a spring differs by direction, as much as by place."""
+        up, down = (np.array([getattr(self, name) for name in names]) for names in (POSITIVE, NEGATIVE))
+        stiffness = float(np.polyfit(np.linspace(self.low, self.high, KNOTS), 0.5 * (up - down), 1)[0])
+        level = float(np.mean(0.5 * (up + down)))
+        return (CoulombFriction(level=level), ReturnSpring(stiffness=stiffness)) if stiffness > 0.0 else ()
 
     @classmethod
     def generalised(cls, parts: Sequence[Effect], seen: Seen) -> Iterator[FrictionMap]:
