@@ -253,6 +253,14 @@ def test_coarse_encoder_is_said():
     assert "0.001 m, 1 % of the step: whether the axis stays within a band of ±1 % or less" in finding.message
 
 
+def test_encoder_whose_step_is_the_whole_one_shows_no_band():
+    record = simulated(encoder=1e-2)
+    hardly = record.with_({"reference": 0.01 * record.reference})
+    (said,) = [finding.message for finding in assess(hardly).findings if finding.code == "coarse_quantisation"]
+    assert "%" not in said
+    assert "0.01 m, which is the whole step: whether it stays within a band cannot be seen" in said
+
+
 @pytest.mark.parametrize(("stated", "code"), [(1e-5, None), (2e-6, True), (7e-5, True)])
 def test_encoder_that_is_not_the_stated_one_is_said(stated, code):
     record = simulated(encoder=1e-5, noise=1e-5).with_({"encoder_resolution": stated})

@@ -55,8 +55,9 @@ def tune(  # noqa: PLR0913 - a command's options
 
     Checks the records, identifies the axis, finds what gain and damping lack, and designs on the model that the data
     support best: the gain to use and the least one, with a light each for data, model and gain. Without --kp,
-    --sample-time, --derivative-filter and --reference: those of a record with that kp, by default the largest. Exit
-    status 1 if no gain meets the specification, or if it is withheld because its light is red.
+    --sample-time, --derivative-filter and --reference: those of a record with that kp, by default the largest; with
+    --reference alone, the largest with which so large a step was run. Exit status 1 if no gain meets the
+    specification, or if it is withheld because its light is red.
     """
     if report == STANDARD_OUTPUT:
         raise click.UsageError("--report needs the name of a file")

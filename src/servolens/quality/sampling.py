@@ -175,9 +175,13 @@ def _encoder(record: Record, seen: Sampling) -> Iterator[Finding]:
     unit, stated = record.length_unit, record.encoder_resolution
     if seen.step is not None and seen.step > 0.00501 * record.step_size > 0:
         share = f"{100 * seen.step / record.step_size:.2g} %"
+        hidden = (
+            f"{share} of the step: whether the axis stays within a band of ±{share} or less cannot be seen. For such a"
+        )
+        if seen.step >= record.step_size:
+            hidden = "which is the whole step: whether it stays within a band cannot be seen. For a"
         message = (
-            f"the position moves in steps of {seen.step:.3g} {unit}, {share} of the step: whether the axis stays within"
-            f" a band of ±{share} or less cannot be seen. For such a band use a finer encoder or larger steps."
+            f"the position moves in steps of {seen.step:.3g} {unit}, {hidden} band use a finer encoder or larger steps."
         )
         yield Finding(code="coarse_quantisation", severity="warning", message=message)
     if stated is not None and _contradicts(record.position, stated, seen.step):
