@@ -312,6 +312,18 @@ def test_stated_loop_is_diagnosed_at_its_ticks(late):
 
 
 @pytest.mark.slow
+def test_shaking_of_a_slow_log_is_said_to_hold_noise_that_was_not_logged():
+    truth = lab.Truth(gain=1.5, damping=5.0, effects={"coulomb_friction": {"level": 0.6}})
+    loops = ((100, 4), (160, 8), (240, 12))
+    found = diagnose(
+        [logged(truth, kp, kd, count=4, rest=0.2, noise=5e-6, seed=kp) for kp, kd in loops], effort="quick"
+    )
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["coulomb_friction"])
+    (said,) = [finding.message for finding in found.findings if finding.code == "shaken_axis"]
+    assert said.endswith("noise between the samples is not in the log; it counts as shaking too.")
+
+
+@pytest.mark.slow
 def test_jumps_are_timed_anew_beside_the_causes():
     """Before there is a plant, friction looks like jumps that come a tick sooner and a delay that is a tick longer."""
     hidden = {"coulomb_friction": {"level": 0.7}, "delay": {"time": 0.002}}

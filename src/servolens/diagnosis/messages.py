@@ -122,6 +122,10 @@ def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:
             ". It does not depend on the reference: it is no cause of the catalogue, and no gain designed from a model"
             " removes it. Look for vibration, cables or a machine nearby."
         )
+    if any(record.ticks > 1 for record in case.records):
+        message += (
+            " What the loop made of the sensor's noise between the samples is not in the log; it counts as shaking too."
+        )
     return Finding(code="shaken_axis", severity="note", message=message)
 
 
