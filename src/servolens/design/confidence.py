@@ -124,7 +124,8 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
             light="red",
             sentence=(
                 f"No gain meets the spec in nine of ten plants: the best of them in {100 * chosen.probability:.3g} % of"
-                f" {chosen.scenarios}{_with(models, design.spec)}{chosen.hardest and ', and in '}{chosen.hardest}."
+                f" {chosen.scenarios}{_with(models, design.spec)}{chosen.hardest and ', and in '}{chosen.hardest}"
+                f"{chosen.fails and '; '}{chosen.fails}."
             ),
         )
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)

@@ -126,6 +126,8 @@ class Recommended:
     hardest : str
         Which steps meet the spec most seldom, and how often, as "2.5 % of the steps back", where others of their kind
         meet it in nine of ten scenarios; else empty.
+    fails : str
+        What most of the scenarios do that do not meet the spec, and what helps; empty where they do not do the same.
     """
 
     kp: float
@@ -139,6 +141,7 @@ class Recommended:
     why: str
     risk: str
     hardest: str = ""
+    fails: str = ""
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields of ``recommended`` in ``servolens.design/1``."""

@@ -331,6 +331,7 @@ def _told(
         why="",
         risk=_risk(design, least),
         hardest=_hardest(tests, found, design.plants[0].length_unit),
+        fails=_fails(tests, found),
     )
     return replace(result, why=_why(result, choice.unkept))
 
@@ -352,6 +353,22 @@ def _hardest(tests: Sequence[Scenario], found: Sequence[Response], unit: str) ->
         if rates[0][0] < NINE_OF_TEN <= rates[-1][0]:
             told.append(rates[0])
     return f"{100.0 * min(told)[0]:.3g} % of {min(told)[1]}" if told else ""
+
+
+def _fails(tests: Sequence[Scenario], found: Sequence[Response]) -> str:
+    """Return what most scenarios do that do not meet the spec, and what helps; empty where most do not do the same."""
+    failed = [(one.spec, response) for one, response in zip(tests, found, strict=True) if not response.meets]
+    resting = [abs(r.final_error) for spec, r in failed if r.stable and abs(r.final_error) > spec.band]
+    times = [r.settling_time for _, r in failed if r.settling_time is not None]
+    late = [time for time in times if time > tests[0].spec.settling_time]
+    if 2 * len(resting) > len(failed):
+        return (
+            f"most of the rest stop up to {100.0 * max(resting):.2g} % of the step off their target, outside the band:"
+            " a larger kp, an integral gain (ki) or a wider band helps"
+        )
+    if 2 * len(late) > len(failed):
+        return f"most of the rest settle late, after up to {max(late):.3g} s"
+    return ""
 
 
 def _slowness(response: Response) -> tuple[float, float]:
