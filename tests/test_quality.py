@@ -253,6 +253,18 @@ def test_coarse_encoder_is_said():
     assert "0.001 m, 1 % of the step: whether the axis stays within a band of ±1 % or less" in finding.message
 
 
+@pytest.mark.parametrize("kd", [0.0, 3.0])
+@pytest.mark.parametrize("logs_voltage", [True, False])
+def test_exchanged_columns_are_said_once(kd, logs_voltage):
+    truth = lab.Truth(gain=2.0, damping=5.0)
+    run = lab.step_record(truth, 80, kd, reference=(0.1, 0.0), noise=1e-5, seed=1, setup=lab.Setup(rest=0.2))
+    voltage = run.voltage if logs_voltage else None
+    quality = assess(run.with_({"position": run.reference, "reference": run.position, "voltage": voltage}))
+    assert [finding.code for finding in quality.findings] == ["columns_exchanged"]
+    assert not quality.usable
+    assert fatal(quality.findings)
+
+
 def test_encoder_whose_step_is_the_whole_one_shows_no_band():
     record = simulated(encoder=1e-2)
     hardly = record.with_({"reference": 0.01 * record.reference})

@@ -26,6 +26,7 @@ __all__ = ["BEYOND", "apart", "beyond", "is_blamed", "log_findings", "lower_limi
 BEYOND = 1.3
 """Times the largest command of the training records from which on a record is an extrapolation."""
 BLAMED = (
+    "columns_exchanged",
     "units_contradict",
     "wrong_sign",
     "unsigned_voltage",

@@ -15,7 +15,7 @@ from servolens.quality.jumps import jump_findings
 from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
-from servolens.quality.senses import sense_findings
+from servolens.quality.senses import exchanged_columns, sense_findings
 from servolens.quality.spikes import spike_findings, without_spikes
 from servolens.results import with_reasons
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RecordQuality", "assess", "fatal", "of_the_loop"]
 
-FATAL = ("wrong_sign", "unsigned_voltage", "units_contradict")
+FATAL = ("wrong_sign", "columns_exchanged", "unsigned_voltage", "units_contradict")
 """Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
 OF_THE_LOOP = (
     "gains_contradict_log", "settings_contradict_log", "added_to_law", "law_contradicts_log", "impossible_controller",
@@ -111,7 +111,8 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
 
     Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
     ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
-    ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``unsigned_voltage``, ``units_contradict``,
+    ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``columns_exchanged``, ``unsigned_voltage``,
+    ``units_contradict``,
     ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
     ``gains_contradict_log``, ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``,
     ``measured_intervals``, ``voltage_shifted``, ``position_shifted``, ``reference_shifted``, ``position_wraps``,
@@ -129,7 +130,8 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
     sampling = measure(record)
     fit, findings = _loop(record, sampling)
     told = any(finding.code in FATAL for finding in findings)
-    seen = (
+    exchanged = tuple(exchanged_columns(record))
+    seen = exchanged or (
         *sampling_findings(record, sampling),
         *(() if told else sense_findings(record, sampling, law_holds=fit is not None and fit.holds)),
         *motion_findings(record, sampling),

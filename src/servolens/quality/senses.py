@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["sense_findings"]
+__all__ = ["exchanged_columns", "sense_findings"]
 
 CLOSE = 0.1
 """Relative difference up to which an axis at rest has gone a ratio of its way, or is at rest."""
@@ -41,6 +41,27 @@ def follows(record: Record) -> bool:
     if record.reference is None:
         return False
     return rms(record.reference - record.position) < rms(record.reference - record.position[0])
+
+
+def exchanged_columns(record: Record) -> Iterator[Finding]:
+    """Yield a position that does what references do, beside a reference that follows it as an axis does.
+
+    It rests but for jumps of a tenth of its travel and more from one sample to the next, seldomer than one sample in
+    fifty; the other moves in small steps, and comes nearer to it.
+    """
+    if record.reference is None or len(record) < 50:
+        return
+    position, reference = record.position, record.reference
+    jumps, moves = np.abs(np.diff(position)), np.abs(np.diff(reference))
+    jumps = jumps[jumps > 0.0]
+    is_reference = 0 < jumps.size <= len(record) / 50 and bool(np.all(jumps > CLOSE * np.ptp(position)))
+    is_axis = np.count_nonzero(moves) > 5 * jumps.size and float(moves.max()) < CLOSE * float(np.ptp(reference))
+    if is_reference and is_axis and rms(position - reference) < rms(position - reference[0]):
+        message = (
+            "position and reference are exchanged: the position jumps from one sample to the next and rests between,"
+            " and the reference follows it; exchange the two columns."
+        )
+        yield Finding(code="columns_exchanged", severity="error", message=message)
 
 
 def sense_findings(record: Record, seen: Sampling, *, law_holds: bool) -> Iterator[Finding]:
