@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from servolens import diagnose, lab
+from servolens.study.lights import diagnosis_lights
 
 H, REST, LASTS = 1e-3, 0.2, 1.5
 
@@ -37,6 +38,7 @@ def test_what_follows_a_knock_is_left_out(knock):
     assert (said.severity, said.record) == ("warning", "run 2")
     left = [record.duration for record in found.records if record.name == "run 2"]
     assert left == ([pytest.approx(knock, abs=0.15)] if knock > REST else [])
+    assert diagnosis_lights(found)["data"].light == "amber"
 
 
 @pytest.mark.slow

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 
 MOST_NAMED = 3
-OF_ALL_RECORDS = ("records_contradict", "limit_contradicts_log", "loop_faster_than_log")
-"""Findings that speak against records as they are together."""
+OF_ALL_RECORDS = ("records_contradict", "limit_contradicts_log", "loop_faster_than_log", "knocked_axis")
+"""Findings of a diagnosis that speak against the records."""
 SETTINGS = ("settings_contradict_log", "gains_contradict_log")
 """Findings that name the setting which a log fits."""
 
