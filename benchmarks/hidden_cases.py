@@ -118,7 +118,9 @@ class Case:
     @property
     def kind(self) -> str:
         """Whether the seed is one for development or a final one."""
-        return max((base, name) for name, base in BASES.items() if self.seed % EACH_ROUND >= base)[1]
+        first = min(BASES.values())
+        place = first + (self.seed - first) % EACH_ROUND
+        return max((base, name) for name, base in BASES.items() if place >= base)[1]
 
 
 @dataclass(frozen=True, slots=True)

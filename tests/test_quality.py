@@ -265,12 +265,21 @@ def test_exchanged_columns_are_said_once(kd, logs_voltage):
     assert fatal(quality.findings)
 
 
+def test_coarse_encoder_that_follows_a_smooth_reference_is_no_reference():
+    share = np.clip(np.arange(2500) / 2000, 0.0, 1.0)
+    way = 0.05 * share**3 * (10 - 15 * share + 6 * share**2)
+    truth, setup = lab.Truth(gain=2.0, damping=5.0), lab.Setup(trajectory=way)
+    for encoder in (0.006, 0.01, 0.012):
+        run = lab.step_record(truth, 60, 2, encoder=encoder, setup=setup)
+        assert "columns_exchanged" not in codes(run)
+
+
 def test_encoder_whose_step_is_the_whole_one_shows_no_band():
     record = simulated(encoder=1e-2)
     hardly = record.with_({"reference": 0.01 * record.reference})
     (said,) = [finding.message for finding in assess(hardly).findings if finding.code == "coarse_quantisation"]
     assert "%" not in said
-    assert "0.01 m, which is the whole step: whether it stays within a band cannot be seen" in said
+    assert "0.01 m, as large as the step that was commanded: whether it stays within a band cannot be seen" in said
 
 
 @pytest.mark.parametrize(("stated", "code"), [(1e-5, None), (2e-6, True), (7e-5, True)])

@@ -471,6 +471,8 @@ def test_friction_map_is_parted_into_friction_and_a_spring():
     assert other.effect("coulomb_friction").level == pytest.approx(2.0)
     assert other.effect("return_spring").stiffness == pytest.approx(6.0)
     assert not FrictionMap(**dict.fromkeys(levels, 0.3), low=-0.1, high=0.2).parts()  # no spring in it
+    narrow = FrictionMap(**levels, low=0.1, high=float(np.nextafter(0.1, 1.0)))  # stiffer than any spring
+    assert not [*parted(replace(plant, effects=(narrow,)))]
 
 
 @pytest.mark.slow

@@ -320,7 +320,7 @@ def test_shaking_of_a_slow_log_is_said_to_hold_noise_that_was_not_logged():
     )
     assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["coulomb_friction"])
     (said,) = [finding.message for finding in found.findings if finding.code == "shaken_axis"]
-    assert said.endswith("noise between the samples is not in the log; it counts as shaking too.")
+    assert said.endswith("sensor noise that was not logged; that counts as shaking too.")
 
 
 @pytest.mark.slow
@@ -400,3 +400,22 @@ def test_light_of_the_data_is_amber_beside_a_loop_that_was_not_stated():
     record = every(simulated(LOOPS["pd"], 100), 5)
     told = Finding(code="loop_faster_than_log", severity="warning", message="The loop ran faster.")
     assert [data_light([assess(record)], others).light for others in ((), (told,))] == ["green", "amber"]
+
+
+@pytest.mark.slow
+def test_findings_of_a_slow_log_stay_its_own_where_records_share_a_name():
+    slow = replace(logged(AXIS, 60, 3, count=5, seed=1), name="run")
+    fast = replace(lab.step_record(AXIS, 80, 2, duration=1.2, noise=1e-5, seed=2), name="run")
+    told = [finding.code for finding in diagnose([slow, fast], effort="quick").findings]
+    assert "law_not_verified" in told
+    assert "gains_contradict_log" not in told
+
+
+@pytest.mark.slow
+def test_uneven_stamps_do_not_end_a_diagnosis_of_slow_logs():
+    hidden = {"coulomb_friction": {"level": 0.7}, "delay": {"time": 0.002}}
+    truth = lab.Truth(gain=1.8, damping=4.0, effects=hidden)
+    runs = [logged(truth, kp, kd, count=2, rest=0.2, noise=2e-6, seed=kp) for kp, kd in ((100, 4), (160, 8))]
+    stream = np.random.default_rng(3)
+    uneven = [replace(r, time=r.time + stream.uniform(-2e-4, 2e-4, len(r)) * (np.arange(len(r)) > 0)) for r in runs]
+    assert diagnose(uneven, effort="quick").verdict in ("explained", "partly_explained", "unexplained")

@@ -41,6 +41,20 @@ def test_outcomes_survive_their_file_and_a_line_cut_short_is_no_outcome(tmp_path
     assert study.read(tmp_path / "r.jsonl") == {one.axis: one}
 
 
+@pytest.mark.parametrize("kind", ["development", "final"])
+def test_seeds_of_the_confusion_study_go_on_beyond_the_first_hundred(kind):
+    cases = import_module("hidden_cases")
+    seeds = []
+    for section in cases.SECTIONS:
+        for first in (0, 99, 100, 250):
+            chosen = cases.cases(["white"], [section], (), 1, first, kind)
+            assert {case.kind for case in chosen} == {kind}
+            seeds += [case.seed for case in chosen]
+    healthy = 10_000 * list(cases.SECTIONS).index("healthy")  # has ten thousand seeds for its one row
+    assert len(set(seeds)) == len(seeds)
+    assert {cases.BASES[kind] + healthy + k for k in (0, 99, 100, 250)} <= set(seeds)
+
+
 def test_seeds_of_the_study_are_those_of_no_other():
     used = {base for name in ("hidden_cases", "coverage_study") for base in import_module(name).BASES.values()}
     own = {base + begin for base in axes.BASES.values() for begin in axes.SECTIONS.values()}

@@ -140,7 +140,7 @@ def _with_fatal(model: Model, quality: Sequence[Finding]) -> Model:
 
 
 def _unidentified(reason: str, findings: tuple[Finding, ...], json_file: str | None) -> int:
-    """Tell of records with a wrong sign or unit from which nothing could be identified."""
+    """Tell of records with a wrong sign, unit or order of columns from which nothing could be identified."""
     if json_file:
         write_json(json_file, "identification", {"models": {}, "reason": reason}, findings)
     show(

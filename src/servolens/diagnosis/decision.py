@@ -34,8 +34,8 @@ axes of the laboratory."""
 CONTENDERS = 6
 """Hypotheses, the likeliest, that are compared on records to which they were not fitted."""
 SECOND, FIRST = 0.3, 2.0 / 3.0
-"""Of the effort, what a search after a ripple of the mains was learnt may take in any case, and fits of what one by
-simulations has found. The share of the progress that is the searches' by prediction errors."""
+"""Of the effort, what a search after a ripple of the mains was learnt, or a knock cut off, may take in any case, and
+fits of what one by simulations has found. The share of the progress that is the searches' by prediction errors."""
 
 
 @final
@@ -85,8 +85,10 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     explaining = confirmed if _explains(case, confirmed.path[-1]) else None
     quiet = without_knock(confirmed) if explaining is None else None
     if quiet is not None:
-        calm = decided(quiet[0], effort, tell)
-        return replace(calm, findings=(quiet[1], *calm.findings))
+        left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
+        calm = decided(quiet[0], replace(effort, work=left), tell)
+        if calm.contradiction is None and _explains(calm.case, calm.path[-1]):
+            return replace(calm, findings=(quiet[1], *calm.findings))
     several = case.base.plant.unusual * len(case.records)
     if explaining is None or explaining.path[-1].plant.unusual > several:
         contradiction = case.contradiction()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from servolens.diagnosis.case import Case
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
@@ -17,8 +19,12 @@ if TYPE_CHECKING:
     from servolens.identification.bursts import Burst
     from servolens.record import Record
 
-__all__ = ["without_knock"]
+__all__ = ["KNOCKED", "without_knock"]
 
+KNOCKED = "knocked_axis"
+"""Code of the finding that a record ends before a knock, or is left out."""
+MOVES = 0.02
+"""Share of its travel that the axis has to move before a knock for that part to tell of it."""
 LIKELIEST = 3
 """Single effects that are fitted to the records without a knock, the likeliest beside it."""
 
@@ -39,33 +45,34 @@ def without_knock(found: Decision) -> tuple[Case, Finding] | None:
         knock = knock_of(ScoreTest(case.likelihood, case.likelihood.whitened_well(found.path[-1])))
         if knock is None:
             return None
-        quiet = Case(_before(case.records, knock), case.heldout, case.trials.priors, case.trials.candidates)
+        quiet = Case(_before(case, knock), case.heldout, case.trials.priors, case.trials.candidates)
     except (InputError, NumericalError):
         return None
     is_explained = _is_explained(quiet, found)
     case.likelihood.tally.add(quiet.likelihood.work)
-    return (quiet, _told(case.records[knock.record], knock, quiet.records)) if is_explained else None
+    is_part = len(quiet.records) == len(case.records)
+    return (quiet, _told(case.records[knock.record], knock, is_part=is_part)) if is_explained else None
 
 
-def _before(records: tuple[Record, ...], knock: Burst) -> tuple[Record, ...]:
-    """Return the records, the one with the knock up to it; without that one where its reference has not jumped before.
+def _before(case: Case, knock: Burst) -> tuple[Record, ...]:
+    """Return the records, the one with the knock up to it; without that one where the axis has not moved before.
 
-    A block that shows a knock begins where it is strongest: the record ends a long one before.
+    The cut is a long block of samples before the block in which the knock is strongest.
 
     Raises
     ------
     InputError
-        If none is left.
+        If no more than half of all samples is left.
     """
-    struck = records[knock.record]
-    end = knock.time - BLOCKS[-1] * struck.sample_time
-    parts = list(records)
-    if any(struck.time[edge] - struck.time[0] < end for edge in struck.edges()):
-        parts[knock.record] = struck.slice(float(struck.time[0]), float(struck.time[0]) + end)
+    struck, parts = case.records[knock.record], list(case.records)
+    end = float(struck.time[0]) + knock.time - BLOCKS[-1] * case.likelihood.every * struck.sample_time
+    before = struck.position[struck.time <= end]
+    if before.size and np.ptp(before) > MOVES * np.ptp(struck.position):
+        parts[knock.record] = struck.slice(float(struck.time[0]), end)
     else:
         del parts[knock.record]
-    if not parts:
-        raise InputError(f"{struck.name}: something knocks the axis before its reference jumps; log it again")
+    if 2 * sum(map(len, parts)) <= sum(map(len, case.records)):
+        raise InputError(f"{struck.name}: too little is left before something knocks the axis; log it again")
     return tuple(parts)
 
 
@@ -76,11 +83,11 @@ def _is_explained(case: Case, found: Decision) -> bool:
     return any(fit is not None and case.explains(fit) for fit in map(case.likelihood.judged, plants))
 
 
-def _told(struck: Record, knock: Burst, left: tuple[Record, ...]) -> Finding:
+def _told(struck: Record, knock: Burst, *, is_part: bool) -> Finding:
     when = readable(knock.time, "s")
-    what = "what follows" if any(record.name == struck.name for record in left) else "this record"
+    what = "what follows" if is_part else "this record"
     message = (
         f"something moved the axis once, {when} into the record: a knock, a hand, or counts that the encoder lost."
         f" The causes are sought without {what}; log it again."
     )
-    return Finding(code="knocked_axis", severity="warning", message=message, record=struck.name)
+    return Finding(code=KNOCKED, severity="warning", message=message, record=struck.name)

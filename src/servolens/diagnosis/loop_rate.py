@@ -13,6 +13,7 @@ import numpy as np
 from servolens.control_law import controller_voltage
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
+from servolens.diagnosis.knocks import KNOCKED
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.jump_times import with_timed_jumps
@@ -103,9 +104,14 @@ def _beside_timed_jumps(
     """
     if found.contradiction is not None or _explains(found) or _fastest(found.case).ticks == 1:
         return found
-    case, least = found.case, found.path[-1].total
-    plant = found.path[-1].plant
-    while True:
+    plain = found.case
+    if plain.likelihood.simulates:
+        plain = Case(plain.records, plain.heldout, priors, candidates)
+    begun = plain.likelihood.judged(found.path[-1].plant)
+    if begun is None:
+        return found
+    case, least, plant = plain, begun.total, begun.plant
+    for _ in range(_fastest(plain).ticks):
         tried = [_moved(case, priors, candidates, partial(_by_ticks, count)) for count in (-1, 1)]
         tried.append(_moved(case, priors, candidates, partial(_as_simulated, plant)))
         fits = [(one, fit) for one in tried if one is not None and (fit := one.likelihood.judged(plant)) is not None]
@@ -113,19 +119,20 @@ def _beside_timed_jumps(
         if fit is None or not fit.total < least - LIKELIER:
             break
         case, least, plant = best, fit.total, fit.plant
-    if case is found.case:
+    if case is plain:
         return found
     again = decided(case, replace(effort, work=0.5 * effort.work), tell)
+    left_out = (finding for finding in found.findings if finding.code == KNOCKED)
+    again = replace(again, findings=(*left_out, *again.findings))
     return min(found, again, key=lambda one: (not _explains(one), _simulated_error(one)))
 
 
 def _moved(case: Case, priors: Mapping[str, Prior], candidates: int, moved: Callable[[Record], Record]) -> Case | None:
     """Return the case of jumps at other ticks; None where none of them moves, or where it is impossible."""
-    groups = [tuple(map(moved, group)) for group in (case.records, case.heldout)]
-    if all(new is old for new, old in zip(groups[0], case.records, strict=True)):
-        return None
     with suppress(InputError, NumericalError):
-        return Case(groups[0], groups[1], priors, candidates)
+        groups = [tuple(map(moved, group)) for group in (case.records, case.heldout)]
+        if any(new is not old for new, old in zip(groups[0], case.records, strict=True)):
+            return Case(groups[0], groups[1], priors, candidates)
     return None
 
 
@@ -135,7 +142,8 @@ def _by_ticks(count: int, record: Record) -> Record:
         return record
     tick, jumps = record.sample_time / record.ticks, record.jumps()
     leads = record.jump_leads.copy()
-    leads[jumps] = np.clip(leads[jumps] + count * tick, 0.0, record.sample_time - tick)
+    latest = np.maximum(np.diff(record.time)[jumps - 1] - tick, 0.0)
+    leads[jumps] = np.clip(leads[jumps] + count * tick, 0.0, latest)
     return record if np.array_equal(leads, record.jump_leads) else replace(record, jump_leads=leads)
 
 

@@ -124,7 +124,7 @@ def _shaken(case: Case, remainder: Remainder, noise: float) -> Finding:
         )
     if any(record.ticks > 1 for record in case.records):
         message += (
-            " What the loop made of the sensor's noise between the samples is not in the log; it counts as shaking too."
+            " Between the samples the loop also answered sensor noise that was not logged; that counts as shaking too."
         )
     return Finding(code="shaken_axis", severity="note", message=message)
 

@@ -131,10 +131,10 @@ def parted(plant: Plant) -> Iterator[Plant]:
     what the one could not be.
     """
     for effect in plant.effects:
-        parts = effect.parts()
-        if parts:
-            others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
-            with suppress(InputError):  # where one of them stands already
+        with suppress(InputError):  # where one of them stands already, or is larger than it can be
+            parts = effect.parts()
+            if parts:
+                others = replace(plant, effects=tuple(e for e in plant.effects if e is not effect))
                 whole = reduce(_with_part, parts, others)
                 yield whole
                 yield from (whole.without_effect(other.name) for other in others.effects)

@@ -107,10 +107,10 @@ def diagnose(
     try:
         tell = _never_back(progress)
         decision = decided_beside_loop_rate(runs, others, known, len(catalogue()), EFFORT[effort], tell)
-        ticks = {record.name: record.ticks for record in (*decision.case.records, *decision.case.heldout)}
-        timed = [one.with_ticks(ticks.get(one.name, one.ticks)) for one in given]
-        if [one.ticks for one in timed] != [one.ticks for one in given]:  # their law, too, ran at the ticks found
-            findings = log_findings(timed)
+        ticks = [record.ticks for record in (*decision.case.records, *decision.case.heldout)]
+        is_whole = len(ticks) == len(given)  # no record is left out, as one that was knocked
+        if is_whole and ticks != [record.ticks for record in given]:  # their law, too, ran at the ticks that were found
+            findings = log_findings([one.with_ticks(count) for one, count in zip(given, ticks, strict=True)])
         return _diagnosed(decision, effort, findings, progress)
     except NumericalError:
         if not findings or not is_blamed(findings[0]):

@@ -283,7 +283,7 @@ class Effect(ABC):
         return None
 
     def parts(self) -> tuple[Effect, ...]:
-        """Return effects of the names in ``unites`` that together do what it does; none where there are no such."""
+        """Return effects that together do about what it does, those it ``unites`` if any; none where none do."""
         return ()
 
     @classmethod

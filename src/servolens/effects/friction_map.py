@@ -100,9 +100,15 @@ class FrictionMap(DryFriction):
         return level
 
     def parts(self) -> tuple[CoulombFriction, ReturnSpring] | tuple[()]:
-        """See :meth:`servolens.effects.base.Effect.parts`: a spring differs by direction, as much as by place."""
+        """See :meth:`servolens.effects.base.Effect.parts`.
+
+        The mean of both directions is friction; half their difference is a force, whose slope over the travel is that
+        of a spring.
+        """
         up, down = (np.array([getattr(self, name) for name in names]) for names in (POSITIVE, NEGATIVE))
-        stiffness = float(np.polyfit(np.linspace(self.low, self.high, KNOTS), 0.5 * (up - down), 1)[0])
+        places = np.arange(KNOTS) - 0.5 * (KNOTS - 1)
+        slope = float(places @ (0.5 * (up - down)) / (places @ places))
+        stiffness = slope * (KNOTS - 1) / (self.high - self.low)
         level = float(np.mean(0.5 * (up + down)))
         return (CoulombFriction(level=level), ReturnSpring(stiffness=stiffness)) if stiffness > 0.0 else ()
 

@@ -58,15 +58,15 @@ def burst_of(test: ScoreTest) -> Burst | None:
 
 
 def knock_of(test: ScoreTest) -> Burst | None:
-    """Return where most of all that shakes the axis comes from, if it is one place; None where it is not.
+    """Return where most of all that a model leaves comes from, if it is one place; None where it is not.
 
     That is more than half of the squares of the sums over blocks, within two of the longest blocks. The shortest, which
-    the sensor's noise fills, are not asked.
+    the sensor's noise fills, are not asked. It takes records of 1280 samples together to tell.
 
     Parameters
     ----------
     test : ScoreTest
-        Of an axis that is shaken.
+        Of a model that does not explain the records.
     """
     samples = [run.samples for run in test.runs]
     number = np.repeat(np.arange(len(samples)), samples)

@@ -112,8 +112,7 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
     Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
     ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
     ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``columns_exchanged``, ``unsigned_voltage``,
-    ``units_contradict``,
-    ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
+    ``units_contradict``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
     ``gains_contradict_log``, ``settings_contradict_log``, ``added_to_law``, ``law_contradicts_log``,
     ``measured_intervals``, ``voltage_shifted``, ``position_shifted``, ``reference_shifted``, ``position_wraps``,
     ``position_jumps``, ``position_spikes``, ``gains_unknown``, ``no_reference``, ``onset_missed``,
@@ -145,7 +144,7 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
 
 
 def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings for which no model is to be written: a wrong or missing sign, a wrong unit.
+    """Return the findings for which no model is to be written: a wrong or missing sign or unit, exchanged columns.
 
     Other errors make a record unfit: nothing can be identified from it at all.
 

@@ -179,7 +179,7 @@ def _encoder(record: Record, seen: Sampling) -> Iterator[Finding]:
             f"{share} of the step: whether the axis stays within a band of ±{share} or less cannot be seen. For such a"
         )
         if seen.step >= record.step_size:
-            hidden = "which is the whole step: whether it stays within a band cannot be seen. For a"
+            hidden = "as large as the step that was commanded: whether it stays within a band cannot be seen. For a"
         message = (
             f"the position moves in steps of {seen.step:.3g} {unit}, {hidden} band use a finer encoder or larger steps."
         )

@@ -46,15 +46,18 @@ def follows(record: Record) -> bool:
 def exchanged_columns(record: Record) -> Iterator[Finding]:
     """Yield a position that does what references do, beside a reference that follows it as an axis does.
 
-    It rests but for jumps of a tenth of its travel and more from one sample to the next, seldomer than one sample in
-    fifty; the other moves in small steps, and comes nearer to it.
+    It rests but for jumps of a tenth of its travel and more from one sample to the next, in less than one sample of
+    fifty, each away from where the other is then; the other moves in small steps, and comes nearer to it. The counts of
+    a coarse encoder come nearer to a reference that moves.
     """
     if record.reference is None or len(record) < 50:
         return
     position, reference = record.position, record.reference
     jumps, moves = np.abs(np.diff(position)), np.abs(np.diff(reference))
-    jumps = jumps[jumps > 0.0]
-    is_reference = 0 < jumps.size <= len(record) / 50 and bool(np.all(jumps > CLOSE * np.ptp(position)))
+    at = np.flatnonzero(jumps)
+    jumps, apart = jumps[at], np.abs(position - reference)
+    is_away = bool(np.all(apart[at + 1] - apart[at] > 0.5 * jumps))
+    is_reference = 0 < at.size <= len(record) / 50 and bool(np.all(jumps > CLOSE * np.ptp(position))) and is_away
     is_axis = np.count_nonzero(moves) > 5 * jumps.size and float(moves.max()) < CLOSE * float(np.ptp(reference))
     if is_reference and is_axis and rms(position - reference) < rms(position - reference[0]):
         message = (
