@@ -409,13 +409,3 @@ def test_findings_of_a_slow_log_stay_its_own_where_records_share_a_name():
     told = [finding.code for finding in diagnose([slow, fast], effort="quick").findings]
     assert "law_not_verified" in told
     assert "gains_contradict_log" not in told
-
-
-@pytest.mark.slow
-def test_uneven_stamps_do_not_end_a_diagnosis_of_slow_logs():
-    hidden = {"coulomb_friction": {"level": 0.7}, "delay": {"time": 0.002}}
-    truth = lab.Truth(gain=1.8, damping=4.0, effects=hidden)
-    runs = [logged(truth, kp, kd, count=2, rest=0.2, noise=2e-6, seed=kp) for kp, kd in ((100, 4), (160, 8))]
-    stream = np.random.default_rng(3)
-    uneven = [replace(r, time=r.time + stream.uniform(-2e-4, 2e-4, len(r)) * (np.arange(len(r)) > 0)) for r in runs]
-    assert diagnose(uneven, effort="quick").verdict in ("explained", "partly_explained", "unexplained")
