@@ -42,6 +42,25 @@ def test_what_follows_a_knock_is_left_out(knock):
 
 
 @pytest.mark.slow
+def test_knock_beside_which_shaking_explains_all_the_rest_is_found_too():
+    """Steady shaking leaves nothing that depends on the inputs here: only its bursts show that it is none."""
+    truth = lab.Truth(gain=2.0, damping=5.0, effects={"coulomb_friction": {"level": 0.4}})
+    loops = ((100, 4, (0.1,), 1.3), (160, 8, (0.1, 0.0), 0.9), (240, 10, (0.12,), 1.3), (200, 9, (0.1,), 1.3))
+    records = []
+    for i, (kp, kd, levels, lasts) in enumerate(loops):
+        count = round((REST + lasts * len(levels)) / H) + 1
+        pushed = 6.0 * ((H * np.arange(count) >= 0.75) & (H * np.arange(count) < 0.78) & (i == 1))
+        setup = lab.Setup(rest=REST, feedforward=pushed)
+        found = lab.step_record(
+            truth, kp, kd, reference=levels, duration=lasts, encoder=0.0, noise=5e-6, seed=i, setup=setup
+        )
+        records.append(replace(found, voltage=found.voltage - pushed, feedforward=None, name=f"run {i + 1}"))
+    found = diagnose(records[:3], heldout=records[3:])
+    assert (found.verdict, [cause.effect for cause in found.causes]) == ("explained", ["coulomb_friction"])
+    assert "knocked_axis" in {finding.code for finding in found.findings}
+
+
+@pytest.mark.slow
 def test_axis_that_is_knocked_is_healthy_but_for_that():
     records, heldout = campaign(lab.Truth(gain=2.0, damping=5.0), 1.9)
     found = diagnose(records, heldout=heldout)

@@ -83,11 +83,12 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = _simplest(case, found)
     confirmed = _confirmed(case, found)
     explaining = confirmed if _explains(case, confirmed.path[-1]) else None
-    quiet = without_knock(confirmed) if explaining is None else None
+    quiet = without_knock(confirmed) if explaining is None or case.burst(confirmed.path[-1]) is not None else None
     if quiet is not None:
         left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
         calm = decided(quiet[0], replace(effort, work=left), tell)
-        if calm.contradiction is None and _explains(calm.case, calm.path[-1]):
+        chosen = calm.path[-1]
+        if calm.contradiction is None and _explains(calm.case, chosen) and calm.case.burst(chosen) is None:
             return replace(calm, findings=(quiet[1], *calm.findings))
     several = case.base.plant.unusual * len(case.records)
     if explaining is None or explaining.path[-1].plant.unusual > several:
