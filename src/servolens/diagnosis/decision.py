@@ -83,7 +83,8 @@ def decided(case: Case, effort: Effort, tell: Callable[[str, float], None]) -> D
     found = _simplest(case, found)
     confirmed = _confirmed(case, found)
     explaining = confirmed if _explains(case, confirmed.path[-1]) else None
-    quiet = without_knock(confirmed) if explaining is None or case.burst(confirmed.path[-1]) is not None else None
+    is_open = explaining is None or case.burst(confirmed.path[-1]) is not None
+    quiet = without_knock(confirmed, effort.judged) if is_open else None
     if quiet is not None:
         left = max(effort.work - (case.likelihood.work - before), SECOND * effort.work)
         calm = decided(quiet[0], replace(effort, work=left), tell)

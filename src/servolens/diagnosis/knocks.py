@@ -12,6 +12,7 @@ from servolens.findings import Finding
 from servolens.identification.bursts import knock_of
 from servolens.identification.score import ScoreTest
 from servolens.identification.structure import BLOCKS
+from servolens.quality import assess
 from servolens.units import readable
 
 if TYPE_CHECKING:
@@ -23,13 +24,9 @@ __all__ = ["KNOCKED", "without_knock"]
 
 KNOCKED = "knocked_axis"
 """Code of the finding that a record ends before a knock, or is left out."""
-MOVES = 0.02
-"""Share of its travel that the axis has to move before a knock for that part to tell of it."""
-LIKELIEST = 3
-"""Single effects that are fitted to the records without a knock, the likeliest beside it."""
 
 
-def without_knock(found: Decision) -> tuple[Case, Finding] | None:
+def without_knock(found: Decision, singles: int) -> tuple[Case, Finding] | None:
     """Return the case of the records before a knock, and what to say of it; None where there is none that hid a cause.
 
     Beside one knock the noise model takes the axis for one that is always shaken, which hides causes. Without what
@@ -39,6 +36,8 @@ def without_knock(found: Decision) -> tuple[Case, Finding] | None:
     ----------
     found : Decision
         Whose causes do not explain the records.
+    singles : int
+        How many single effects are fitted to the records without a knock, the likeliest beside it.
     """
     case = found.case
     try:
@@ -48,7 +47,7 @@ def without_knock(found: Decision) -> tuple[Case, Finding] | None:
         quiet = Case(_before(case, knock), case.heldout, case.trials.priors, case.trials.candidates)
     except (InputError, NumericalError):
         return None
-    is_explained = _is_explained(quiet, found)
+    is_explained = _is_explained(quiet, found, singles)
     case.likelihood.tally.add(quiet.likelihood.work)
     is_part = len(quiet.records) == len(case.records)
     return (quiet, _told(case.records[knock.record], knock, is_part=is_part)) if is_explained else None
@@ -66,19 +65,17 @@ def _before(case: Case, knock: Burst) -> tuple[Record, ...]:
     """
     struck, parts = case.records[knock.record], list(case.records)
     end = float(struck.time[0]) + knock.time - BLOCKS[-1] * case.likelihood.every * struck.sample_time
-    before = struck.position[struck.time <= end]
-    if before.size and np.ptp(before) > MOVES * np.ptp(struck.position):
-        parts[knock.record] = struck.slice(float(struck.time[0]), end)
-    else:
-        del parts[knock.record]
+    before = np.count_nonzero(struck.time <= end)
+    part = struck.slice(float(struck.time[0]), end) if before > 1 else None
+    parts[knock.record : knock.record + 1] = [part] if part is not None and assess(part).usable else []
     if 2 * sum(map(len, parts)) <= sum(map(len, case.records)):
         raise InputError(f"{struck.name}: too little is left before something knocks the axis; log it again")
     return tuple(parts)
 
 
-def _is_explained(case: Case, found: Decision) -> bool:
+def _is_explained(case: Case, found: Decision, count: int) -> bool:
     """Tell whether one of the hypotheses that were likely beside a knock explains the records without it."""
-    singles = sorted(found.found.singles, key=lambda one: one.total)[:LIKELIEST]
+    singles = sorted(found.found.singles, key=lambda one: one.total)[:count]
     plants = [case.base.plant, *(one.plant for one in (*found.path[1:], *singles))]
     return any(fit is not None and case.explains(fit) for fit in map(case.likelihood.judged, plants))
 
