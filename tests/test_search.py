@@ -93,6 +93,17 @@ def test_two_causes_of_a_shaken_axis_are_found_as_a_pair():
     assert causes_of(campaign, "quick") == ("explained", {"coulomb_friction", "return_spring"})
 
 
+@pytest.mark.slow
+def test_no_work_is_spent_on_steps_of_a_rough_error_that_gain_nothing():
+    campaign = lab.hidden_campaign(1900300, effects=["backlash"], world="shaken")
+    case, truth = Case(campaign.records, (), {}, len(catalogue())), campaign.truth
+    plant = Plant(gain=truth.gain, damping=truth.damping).with_effect(Backlash(gap=2.8e-3, load_share=0.3))
+    before = case.likelihood.work
+    found = case.likelihood.judged(plant, case.base)
+    assert found.total < case.base.total - 9000.0
+    assert case.likelihood.work - before < 50e6  # 110 million when descents went on, and from white noise as well
+
+
 def test_pitch_that_only_shows_beside_friction_is_proposed_together_with_it():
     campaign = lab.hidden_campaign(610108, effects=["coulomb_friction", "cogging"], world="coloured")
     case = Case(campaign.records, (), {}, len(catalogue()))

@@ -226,7 +226,7 @@ class Likelihood:
         best, left = self._agreed(follow, plant, noise, like, allowance, unpowered=unpowered)
         # nothing may shake it, and the plant be another
         if self._asks_white and best is not None and best.noise.rate > 0.0:
-            other, _ = self._agreed(follow, best.plant, self.white, best, left, unpowered=unpowered)
+            other, _ = self._agreed(follow, best.plant, self.white, best, left, unpowered=unpowered, known=best)
             best = best if other is None or other.total >= best.total else other
         return best if best is not None and self.is_admissible(best.plant) else None
 
@@ -239,8 +239,12 @@ class Likelihood:
         allowance: float,
         *,
         unpowered: bool,
+        known: Hypothesis | None = None,
     ) -> tuple[Hypothesis | None, float]:
-        """Return where plant and noise, fitted in turn, agree, and what is left of the allowance; None if nowhere."""
+        """Return where plant and noise, fitted in turn, agree, and what is left of the allowance; None if nowhere.
+
+        What is shaken, as what is `known`, and less likely is no better start than that: it does not go on from there.
+        """
         best: Hypothesis | None = None
         for _ in range(MOST_ROUNDS):
             if allowance <= 0.0:
@@ -254,6 +258,8 @@ class Likelihood:
             if found is None or (best is not None and found.total >= best.total - NO_BETTER):
                 break
             best, plant, noise = found, found.plant, found.noise
+            if known is not None and noise.rate > 0.0 and best.total >= known.total:
+                break
         return best, allowance
 
     def tried(
@@ -343,15 +349,8 @@ class Likelihood:
             return None
         noise, misfit = found
         misfit += problem.prior_cost(point.values)
-        return Hypothesis(
-            plants[0],
-            noise,
-            tuple(point.starts),
-            misfit,
-            misfit + self.price(plants[0]),
-            unpowered,
-            problem.local_values(point),
-        )
+        total, own = misfit + self.price(plants[0]), problem.local_values(point)
+        return Hypothesis(plants[0], noise, tuple(point.starts), misfit, total, unpowered, own)
 
     def _noises(
         self,

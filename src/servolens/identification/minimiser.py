@@ -47,7 +47,8 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
 
     Levenberg and Marquardt's method; the damping follows from how much of the promised fall a step brings, and between
     differences the slopes follow from the steps themselves (Madsen, Nielsen and Tingleff, *Methods for Non-Linear
-    Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end.
+    Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end. Where
+    ends are only compared, so does a step that gains no more than that, whatever was promised.
     """
     damping, left, slopes, is_exact = FIRST_DAMPING, iterations, None, True
     while left > 0 and not problem.is_spent:
@@ -66,6 +67,8 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
             slopes = None
             continue
         fall, left = point.cost - lower.cost, left - 1
+        if is_exact and fall < gain and negligible > NEGLIGIBLE:  # a rough error does not keep what slopes promise
+            return lower, False
         kept = fall / lower.promised if lower.promised > 0.0 else 0.0
         damping = _damping(damping, kept) if needed == damping else needed
         slopes = problem.secants(slopes, point, lower) if kept > KEPT and fall >= gain else None
