@@ -243,7 +243,7 @@ class Likelihood:
     ) -> tuple[Hypothesis | None, float]:
         """Return where plant and noise, fitted in turn, agree, and what is left of the allowance; None if nowhere.
 
-        What is shaken, as what is `known`, and less likely is no better start than that: it does not go on from there.
+        What seems shaken, as `known` does, and is no likelier ends it: it is no better place to go on from.
         """
         best: Hypothesis | None = None
         for _ in range(MOST_ROUNDS):

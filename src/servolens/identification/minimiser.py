@@ -47,8 +47,8 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
 
     Levenberg and Marquardt's method; the damping follows from how much of the promised fall a step brings, and between
     differences the slopes follow from the steps themselves (Madsen, Nielsen and Tingleff, *Methods for Non-Linear
-    Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end. Where
-    ends are only compared, so does a step that gains no more than that, whatever was promised.
+    Least Squares Problems*, 2nd edition 2004, chapter 3). Differences confirm the end. Where ends are only compared, so
+    does a step that gains no more than the `negligible`, whatever was promised of it.
     """
     damping, left, slopes, is_exact = FIRST_DAMPING, iterations, None, True
     while left > 0 and not problem.is_spent:
@@ -67,7 +67,7 @@ def descend(problem: Problem, point: Point, iterations: int, negligible: float =
             slopes = None
             continue
         fall, left = point.cost - lower.cost, left - 1
-        if is_exact and fall < gain and negligible > NEGLIGIBLE:  # a rough error does not keep what slopes promise
+        if is_exact and fall < gain and negligible > NEGLIGIBLE:  # what slopes promise of a rough error is not kept
             return lower, False
         kept = fall / lower.promised if lower.promised > 0.0 else 0.0
         damping = _damping(damping, kept) if needed == damping else needed
