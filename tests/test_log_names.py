@@ -128,6 +128,11 @@ PLAIN = {
         "timestamp,servo_stats.position,servo_control.position,servo_control.velocity,servo_stats.velocity,"
         "servo_control.torque\n" + rows(T, Y * TURN, R * TURN, 0 * T, SPEED * TURN, U),
     ),
+    "moteus, with gains in SI": (
+        "run.csv",
+        "# kp = 60 N m/rad\n# kd = 2 N m s/rad\ntimestamp,servo_stats.position,target_position,torque_cmd [N m]\n"
+        + rows(T, Y * TURN, R * TURN, U),
+    ),
     "Copley": (
         "run.csv",
         "Time (ms),Limited Position (mm),Actual Motor Position (mm),Commanded Current (A)\n"
@@ -160,6 +165,14 @@ PLAIN = {
         + rows(T, Y * TURN, R * TURN, U, separator=";", decimal=","),
     ),
 }
+
+
+@pytest.mark.parametrize("reference", [0.1 + 0.0 * T, R], ids=["constant", "steps"])
+def test_a_reference_beside_a_position_in_millimetres_is_as_the_gains_are_where_it_looks_so(tmp_path, reference):
+    head = "# kp = 60 V/m\n# kd = 2 V s/m\ntime [s],pos_mm,setpoint,voltage [V]\n"
+    record = read_log(written(tmp_path, head + rows(T, Y * 1e3, reference, U))).record
+    assert np.max(np.abs(record.position - Y)) < 1e-6
+    assert np.max(np.abs(record.reference - reference)) < 1e-6
 
 
 @pytest.mark.parametrize("form", PLAIN)

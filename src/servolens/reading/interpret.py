@@ -18,6 +18,7 @@ from servolens.reading.roles import MOST_SHOWN, NAMED, NONE, Choice, candidates,
 from servolens.reading.scales import (
     LONGEST_AXIS,
     command_unit,
+    is_alike,
     is_counted,
     is_huge,
     length_unit,
@@ -285,9 +286,10 @@ def _length(
         return unit if choice.meaning.kind == "angle" else (None, "")
     if choice.is_stated:
         return None, ""
-    if _states_length(settings):
+    settled = other[0] if other else None
+    if _states_length(settings) and not (settled and beside and is_alike(choice, beside, settled)):
         return None, "SI, as the gains are stated"
-    return length_unit(choice, other[0] if other else None, beside)
+    return length_unit(choice, settled, beside)
 
 
 def _states_length(settings: Mapping[str, object]) -> bool:

@@ -139,16 +139,32 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
     unit = parse_unit(settled)
     si = "rad" if unit is not None and "rad" in dict(unit.dimension) else si
     sizes = [0.0 if one is None else _travel(one.column.values) for one in (choice, beside)]
-    if unit is None or not all(sizes) or unit.factor == 1.0:
-        return
-    ratio = float(np.log(sizes[0] / sizes[1]))
-    if abs(ratio - np.log(unit.factor)) < abs(ratio):
+    nearness = _nearness(sizes, settled)
+    if nearness is not None and nearness[1] < nearness[0]:
         signal = "reference" if "reference" in choice.meaning.roles else "position"
         readings = " or ".join(f"--unit {signal}={text}" for text in (settled, si))
         raise InputError(
             f"column {quote(choice.address)} travels {sizes[0]:.3g} and states no unit, beside {sizes[1]:.3g} {settled}"
             f" of {quote(beside.address if beside else '')}; say {readings}"
         )
+
+
+def is_alike(choice: Choice, beside: Choice, settled: str) -> bool:
+    """Tell whether a column travels about as far as its partner in that one's unit, rather than in SI."""
+    nearness = _nearness([_travel(one.column.values) for one in (choice, beside)], settled)
+    return nearness is not None and nearness[0] <= nearness[1]
+
+
+def _nearness(sizes: list[float], settled: str) -> tuple[float, float] | None:
+    """Return how far two travels are apart, as a logarithm, in the unit of the second and with the first in SI.
+
+    None where that says nothing: one does not move, or the unit is SI.
+    """
+    unit = parse_unit(settled)
+    if unit is None or not all(sizes) or unit.factor == 1.0:
+        return None
+    ratio = float(np.log(sizes[0] / sizes[1]))
+    return abs(ratio), abs(ratio - float(np.log(unit.factor)))
 
 
 def _travel(values: Values) -> float:
