@@ -338,3 +338,9 @@ def test_a_cascade_without_an_integral_is_told_and_designed_as_one(tmp_path):
     assert (spec.controller, spec.kp, spec.kiv) == ("cascade", 20.0, 0.0)
     found = told(record.with_({"controller": Controller.cascade(kp=20.0, kv=6.0)}))
     assert "fits kp = 20 1/s, kv = 5 V s/m, not kp = 20 1/s, kv = 6 V s/m; " in found["gains_contradict_log"]
+
+
+def test_a_setting_that_is_the_stated_one_as_it_is_written_contradicts_nothing():
+    assert told(logged("white", setpoint_weight=1.0004)) == {}
+    (message,) = told(logged("white", setpoint_weight=1.0004, derivative_filter=0.3)).values()
+    assert "the log fits derivative_filter = 0.3, not 1 (" in message

@@ -163,8 +163,9 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     if fit is not None:
         if fit.at_limit >= FEWEST and not _believed(record, fit):
             yield _clipped(record, fit)
-        if fit.alternative is not None:
-            yield _alternative(record, fit, fit.alternative)
+        contradiction = fit.alternative and _alternative(record, fit, fit.alternative)
+        if contradiction:
+            yield contradiction
         yield from _gains(record, fit)
 
 
@@ -228,8 +229,8 @@ def _clipped(record: Record, fit: LoopFit) -> Finding:
     return Finding(code="clipped_voltage", severity="warning", message=message)
 
 
-def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
-    """Return the finding of what the voltage fits instead of what is stated."""
+def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding | None:
+    """Return the finding of what the voltage fits instead of what is stated; None where as stated that is the same."""
     unit = record.command_unit
     before, after = (readable(voltage, unit) for voltage in (other.before, other.left))
     left = f"unexplained voltage {before} r.m.s. as stated, {after} with this"
@@ -243,14 +244,16 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
             f" ({left}); log it with its sign, or give it the sign of the direction that was logged beside it."
         )
         return Finding(code="unsigned_voltage", severity="error", message=message)
-    settings = [name for name in other.changed if name not in GAINS]
+    loop = other.controller
+    settings = [name for name in other.changed if name not in GAINS and not _is_alike(record, loop, name)]
+    if not (settings or other.kind):
+        return None
     if other.kind == "measured" and not settings:
         message = (
             "the derivative is that over the intervals of the time column, not over the loop's cycle"
             f" ({left}); the gains are compared with such a loop, but simulations divide by the cycle."
         )
         return Finding(code="measured_intervals", severity="note", message=message)
-    loop = other.controller
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:
         message = (
             f"the log fits with a constant {loop.integral_before:.3g} {unit} added to the control law"
@@ -261,6 +264,11 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding:
     was = [_shown(record, record.controller, name, unit=False) for name in settings]
     message = f"the log fits {', '.join(fits)}, not {', '.join(was)} ({left}); correct what is stated."
     return Finding(code="settings_contradict_log", severity="warning", message=message)
+
+
+def _is_alike(record: Record, loop: Controller, name: str) -> bool:
+    """Tell whether a setting that was found is as it is stated, to the digits that are shown."""
+    return _shown(record, loop, name) == _shown(record, record.controller, name)
 
 
 def _name(record: Record, name: str) -> str:
