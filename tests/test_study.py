@@ -27,6 +27,7 @@ from servolens.record import Controller
 from servolens.results import to_text, write_json
 from servolens.study import completed_spec, default_sentence, held_out_prediction, suggested_spec
 from servolens.study import workflow as study_workflow
+from servolens.study.spec import design_notes
 from servolens.study.workflow import OF_SIMPLER_MODELS
 from servolens.summaries import compared_summary, design_summary, tuning_summaries
 from servolens.summaries.comparison import side_by_side
@@ -611,3 +612,24 @@ def test_prior_that_only_gain_and_damping_alone_contradict_is_no_warning_beside_
     found = study_records(runs, SPEC, priors={"gain": (1.9, 0.001)})
     assert [cause.effect for cause in found.diagnosis.causes] == ["dead_zone"]
     assert "prior_contradicts_data" not in {finding.code for finding in found.findings}
+
+
+def test_kp_is_of_a_record_with_the_inertia_that_the_model_is_for():
+    runs = [lab.step_record(CART, kp).with_({"inertia": mass}) for kp, mass in ((40, 1.0), (60, 1.0), (90, 2.0))]
+    assert completed_spec(runs, {"settling_time": 0.5}).kp == 60.0
+    assert completed_spec(runs[::-1], {"settling_time": 0.5}).kp == 90.0
+    (told,) = [finding for finding in design_notes(runs) if finding.code == "inertias_differ"]
+    assert f"for a mass of 1 kg, that of {runs[0].name}" in told.message
+    assert design_notes(runs[:2]) == ()
+    assert told in study_records(runs, replace(SPEC, settling_time=0.5), effort="quick").findings
+
+
+def test_a_loop_with_a_velocity_signal_is_told_for_which_loop_the_gain_is():
+    def told(kd, derivative):
+        record = lab.step_record(CART, 60, kd)
+        loop = replace(record.controller, derivative=derivative)
+        run = record.with_({"controller": loop, "velocity": np.gradient(record.position, record.time)})
+        return [finding.severity for finding in design_notes([run]) if finding.code == "velocity_signal"]
+
+    assert told(4.0, "velocity") == ["note"]
+    assert told(4.0, "position") == told(0.0, "velocity") == []

@@ -10,6 +10,7 @@ import numpy as np
 from servolens.design import PDSpec, evaluate
 from servolens.design.extrapolation import BEYOND
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.identification.segments import noise_level
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["completed_spec", "default_sentence", "suggested_spec"]
+__all__ = ["completed_spec", "default_sentence", "design_notes", "suggested_spec"]
 
 SAMPLING = ("sample_time", "derivative_filter")
 GAINS_TRIED = 41
@@ -38,7 +39,8 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     """Return the spec with the `given` fields; of the loop and the step, what is missing is one record's.
 
     It is that with the largest kp, of several the one with the largest step: a step that was run with that kp. With a
-    step or a kp that is given, one that shows at least so much is preferred.
+    step or a kp that is given, one that shows at least so much is preferred. Where records differ in their inertia, it
+    is one with the first that is stated, for which the model is.
 
     Parameters
     ----------
@@ -84,6 +86,38 @@ def default_sentence(records: Sequence[Record], given: Mapping[str, Any]) -> str
     return told.format(record=record.name)
 
 
+def design_notes(records: Sequence[Record]) -> tuple[Finding, ...]:
+    """Return for which moving inertia and for which loop a gain is designed that is based on these records."""
+    return tuple(note for note in (_of_inertias(records), _of_velocity(records)) if note)
+
+
+def _of_inertias(records: Sequence[Record]) -> Finding | None:
+    """Say for which moving inertia model and gain are, where records differ in it."""
+    stated = [record for record in records if record.inertia is not None]
+    if len({record.inertia for record in stated}) < 2:
+        return None
+    first = stated[0]
+    what, unit = ("mass", "kg") if first.length_unit == "m" else ("moving inertia", "kg m²")
+    message = (
+        f"model and gain are for a {what} of {first.inertia:g} {unit}, that of {first.name}, the first record that"
+        " states one. For another put a record with it first."
+    )
+    return Finding(code="inertias_differ", severity="note", message=message)
+
+
+def _of_velocity(records: Sequence[Record]) -> Finding | None:
+    """Say for which loop a gain is designed, where records were made with a velocity signal."""
+    loops = ((record.name, record.controller) for record in records)
+    names = [name for name, loop in loops if loop and loop.kd != 0.0 and loop.derivative == "velocity"]
+    if not names:
+        return None
+    message = (
+        f"the loop of {names[0]} takes the velocity from a signal of its own; a gain is designed for a loop without it,"
+        " which takes the difference of two positions and so is later: with the signal the axis settles otherwise."
+    )
+    return Finding(code="velocity_signal", severity="note", message=message)
+
+
 def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
     """Return a spec for records whose owner asked for none: a settling time that the plant can reach.
 
@@ -126,7 +160,9 @@ def _shown(records: Sequence[Record], given: Mapping[str, Any]) -> Record | None
         return (step > 0, shows, *((step, kp) if by_step else (kp, step)))
 
     loops = [record for record in records if record.controller is not None and record.controller.kp > 0]
-    return max(loops, key=rank, default=None)
+    first = next((record.inertia for record in records if record.inertia is not None), None)
+    alike = [record for record in loops if record.inertia in (None, first)]  # a model is for the first one's inertia
+    return max(alike or loops, key=rank, default=None)
 
 
 def _loop_of(record: Record) -> dict[str, Any]:

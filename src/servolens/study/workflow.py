@@ -24,7 +24,7 @@ from servolens.quality import assess, fatal
 from servolens.study.amplifier import with_amplifier
 from servolens.study.lights import data_light, is_fit, study_lights
 from servolens.study.result import Study
-from servolens.study.spec import suggested_spec
+from servolens.study.spec import design_notes, suggested_spec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -121,6 +121,8 @@ def study_records(
     tell = as_progress(progress)
     tell("Checking the records", 0, 100)
     check = tuple(assess(record) for record in (*runs, *others))
+    fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
+    train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
     begun = Study(
         records=runs,
         heldout=others,
@@ -135,10 +137,8 @@ def study_records(
         lights={},
         forced=False,
         suggested=spec is None,
-        findings=contradictions((*runs, *others), check),
+        findings=(*contradictions((*runs, *others), check), *design_notes(train)),
     )
-    fit_ones = [record for record, quality in zip((*runs, *others), check, strict=True) if is_fit(quality)]
-    train, tests = ([r for r in group if any(r is one for one in fit_ones)] for group in (runs, others))
     is_sought = force or not fatal(_findings(check))
     modelled = _modelled(begun, train, tests, known, effort, tell, is_sought=is_sought)
     found = _designed(modelled, train, spec, references, tell)
