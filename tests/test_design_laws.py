@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import control as ct
 import numpy as np
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 
 from servolens import lab
 from servolens.cli import group
-from servolens.design import PDSpec, evaluate, feedforward, hunting, recommend, tracking, trust, tune
+from servolens.design import Hunting, PDSpec, evaluate, feedforward, hunting, recommend, tracking, trust, tune
 from servolens.design.plant_inverse import smooth_move
 from servolens.effects import (
     Backlash,
@@ -24,6 +25,8 @@ from servolens.effects import (
     StribeckFriction,
 )
 from servolens.errors import InputError
+from servolens.model import Model
+from servolens.model_evidence import DataRange, Evidence
 from servolens.plant import Plant
 from servolens.record import Controller
 
@@ -306,3 +309,84 @@ def test_design_command_knows_the_cascade_and_may_forbid_hunting(tmp_path):
     assert body["gains"].keys() == {"kp", "kv", "kiv"}
     assert body["hunting"] == {"least": None, "recommended": None}
     assert "kv = " in told
+
+
+JOINT = Plant(
+    gain=15.0,
+    damping=2.0,
+    effects=(FlexibleCoupling(frequency=14.0, damping_ratio=0.04, load_ratio=0.5), CoulombFriction(level=1.0)),
+)
+
+
+def test_a_gain_that_cannot_keep_the_overshoot_is_not_at_the_edge_of_what_is_stable():
+    spec = PDSpec(kp=12, settling_time=0.9, band=0.05, reference=0.6)
+    found = recommend(JOINT, tune(JOINT, spec), scenarios=20)
+    (interval,) = found.intervals
+    assert "no gain that is as safe keeps the overshoot" in found.recommended.why
+    assert found.recommended.kd < 0.9 * interval[1]
+    for size in (0.6, 1.2, 4.0):  # friction, which damps small swings, is little beside these
+        larger = evaluate(JOINT.without_effect("coulomb_friction"), replace(spec, reference=size), found.recommended.kd)
+        assert larger.stable
+        assert abs(larger.final_error) < 0.05
+
+
+@pytest.mark.parametrize(("start", "begun"), [(1.2, "1.2 m off the reference"), (0.0, "with a full integral")])
+def test_a_gain_with_which_the_axis_runs_away_from_some_starts_is_withheld(start, begun):
+    design = recommend(JOINT, tune(JOINT, PDSpec(kp=12, settling_time=0.9, band=0.05, reference=0.6)), scenarios=20)
+    away = Hunting(amplitude=float("inf"), period=None, start=start, share=0.2)
+    _, light = trust(JOINT, replace(design, hunting={"recommended": away}))
+    assert light.light == "red"
+    assert f"runs away if it begins {begun}" in light.sentence
+
+
+RUBBED = Plant(gain=1.6, damping=1.0, effects=(Saturation(limit=6.0), CoulombFriction(level=0.4)))
+SPEEDS = PDSpec(kp=14, settling_time=0.6, band=0.02, controller="cascade", kiv=120.0)
+
+
+def known(plant, noise, voltage=28.0):
+    """Return a model of records with so much noise, whose loops asked for so much voltage."""
+    return Model(plant=plant, evidence=Evidence(range=DataRange(voltage=voltage, speed=5.0, step=0.1), noise=noise))
+
+
+def swing(spec, gain, noise):
+    """Return the r.m.s. of the command that white noise of the position makes of a loop at rest."""
+    drawn = noise * np.random.default_rng(1).standard_normal(20_000)
+    p = gain * spec.kp if spec.controller == "cascade" else spec.kp
+    return float(np.std(p * drawn[1:] + gain * np.diff(drawn) / spec.sample_time))
+
+
+def test_noise_does_not_fill_the_drive_where_another_gain_meets_the_spec():
+    design = tune(RUBBED, SPEEDS)
+    plain = recommend(RUBBED, design, scenarios=60)
+    quiet = recommend(known(RUBBED, 4e-6), design, scenarios=60).recommended
+    assert swing(SPEEDS, plain.recommended.kd, 4e-6) > 2.0 > 0.6 > swing(SPEEDS, quiet.kd, 4e-6)
+    assert quiet.worst.meets
+    assert "no gain that is as safe, and with which noise leaves the command as quiet, keeps the overshoot" in quiet.why
+    _, light = trust(known(RUBBED, 4e-6), plain)
+    assert light.light == "amber"
+    assert "noise and rounding of the sensor, 4 µm, may move the command by" in light.sentence
+    assert "% of what the drive gives; a filter" in light.sentence
+
+
+def test_a_quiet_gain_that_overshoots_more_is_not_preferred_to_one_that_noise_moves_somewhat():
+    axis, spec = Plant(gain=1.8, damping=4.0), PDSpec(kp=100, settling_time=0.5, band=0.1)
+    design = tune(axis, spec)
+    plain = recommend(known(axis, 1e-6), design, scenarios=60)
+    noisy = recommend(known(axis, 5e-4), design, scenarios=60)
+    assert 2.8 < swing(spec, plain.recommended.kd, 5e-4) < 28.0 / 3
+    assert noisy.recommended.overshoot < 0.05
+    assert [trust(known(axis, noise), one)[1].light for noise, one in ((1e-6, plain), (5e-4, noisy))] == [
+        "green",
+        "amber",
+    ]
+
+
+def test_noise_is_held_against_what_the_drive_gives_where_that_is_known():
+    axis, spec = Plant(gain=1.8, damping=4.0), PDSpec(kp=100, settling_time=0.5, reference=0.01)
+    limited = axis.with_effect(Saturation(limit=24.0))
+    lights = [
+        trust(known(plant, 2e-5, 1.05), recommend(known(plant, 2e-5, 1.05), tune(plant, spec), scenarios=60))[1]
+        for plant in (axis, limited)
+    ]
+    assert [light.light for light in lights] == ["amber", "green"]
+    assert "% of the largest of the records" in lights[0].sentence

@@ -1,9 +1,10 @@
 """From a spec to the least derivative gain, and to the one to use."""
 
+from servolens.design.command_noise import noise_gain
 from servolens.design.comparison import Comparison, compare
 from servolens.design.confidence import trust
 from servolens.design.found import Certificate, Design, Light, Recommended, Relaxed
-from servolens.design.gain_plane import GainMap, gain_map, map_axes, noise_gain
+from servolens.design.gain_plane import GainMap, gain_map, map_axes
 from servolens.design.gains_found import GainsFound
 from servolens.design.least_kd import tune
 from servolens.design.limit_cycle import Hunting, hunting

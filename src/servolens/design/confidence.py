@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.design.command_noise import command_noise
 from servolens.design.extrapolation import BEYOND, extrapolation
 from servolens.design.found import Design, Light
 from servolens.design.recommended import NINE_OF_TEN
@@ -19,6 +20,7 @@ from servolens.units import readable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from servolens.design.limit_cycle import Hunting
     from servolens.design.spec import PDSpec
     from servolens.inputs import Plants
     from servolens.model import Model
@@ -128,6 +130,16 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
                 f"{chosen.fails and '; '}{chosen.fails}."
             ),
         )
+    swing = _swing(design)
+    if swing is not None and np.isinf(swing.amplitude):
+        off = readable(abs(swing.start), models[0].plant.length_unit)
+        begun = f"{off} off the reference" if swing.start else "with a full integral"
+        return Light(
+            light="red",
+            sentence=(
+                f"With {design.spec.free} = {kd:.4g} the axis runs away if it begins {begun}; a smaller gain may hold."
+            ),
+        )
     beyond = max((extrapolation(model, design.spec, kd) for model in models), key=lambda one: one.ratio)
     if beyond.ratio > BEYOND:
         return Light(light="red" if beyond.is_far else "amber", sentence=beyond.sentence)
@@ -136,6 +148,11 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
         return Light(light="amber", sentence=warning)
     why = f"{design.spec.free} = {kd:.4g} meets the spec on the model" if chosen is None else chosen.why
     return Light(light="green", sentence=_sentence(why))
+
+
+def _swing(design: Design) -> Hunting | None:
+    """Return the swing that does not end with the gain that the design gives."""
+    return design.hunting.get("least" if design.recommended is None else "recommended")
 
 
 def _with(models: Sequence[Model], spec: PDSpec) -> str:
@@ -160,7 +177,7 @@ def _warning(models: Sequence[Model], design: Design) -> str:
     apart = "" if chosen is None else _between_samples(models, design.spec, chosen.kd)
     if apart:
         return apart
-    swing = design.hunting.get("least" if chosen is None else "recommended")
+    swing = _swing(design)
     if swing is not None:
         return (
             f"The axis does not come to rest from all starts: it keeps swinging by ±{swing.amplitude:.3g}"
@@ -170,7 +187,8 @@ def _warning(models: Sequence[Model], design: Design) -> str:
         return f"The worst of {chosen.scenarios} plants does not settle at all: {chosen.why}."
     if chosen is not None and chosen.interval[0] < NINE_OF_TEN:
         return f"It is not certain that nine of ten plants meet the spec: {chosen.why}."
-    return _left(models)
+    restless = "" if chosen is None else command_noise(models, design.spec, chosen.kd)
+    return restless or _left(models)
 
 
 def _between_samples(models: Sequence[Model], spec: PDSpec, kd: float) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
+from servolens.design.command_noise import noise_gain
 from servolens.design.cover import SPARE, last_gain
 from servolens.design.linear_limits import keeps
 from servolens.design.margins import LinearLoops
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from servolens.inputs import Plants
     from servolens.plant import Plant
 
-__all__ = ["LEAST_KP", "MOST_KP", "GainMap", "gain_map", "map_axes", "noise_gain"]
+__all__ = ["LEAST_KP", "MOST_KP", "GainMap", "gain_map", "map_axes"]
 
 WATCHED = 2.0
 """Settling times for which each step is watched at first; what settles in time is watched for the whole horizon."""
@@ -48,7 +49,8 @@ class GainMap:
     overshoot : ndarray, shape (n, m)
         Fraction of the step; infinite where the loop is unstable.
     noise : ndarray, shape (n, m)
-        What the controller makes of white noise of the measured position [V/m]; see :func:`noise_gain`.
+        What the controller makes of white noise of the measured position [V/m]; see
+        :func:`servolens.design.command_noise.noise_gain`.
     feasible : ndarray of bool, shape (n, m)
         Whether the spec holds.
     """
@@ -171,17 +173,6 @@ def map_axes(
         raise InputError(f"a map needs at least 2 gains of each kind, got {count}")
     last = spec.kd_max or max(last_gain(model, replace(spec, kp=high)) for model in models) / SPARE
     return np.linspace(low, high, count), np.linspace(0.0, last, count)
-
-
-def noise_gain(spec: PDSpec, kd: float) -> float:
-    """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the controller alone.
-
-    The response of the digital PD to one sample is kp + a, then a((1−φ)ʲ − (1−φ)ʲ⁻¹), with a = kd φ/h and φ the
-    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ). Without an integral, which sums up noise slowly.
-    """
-    share, loop = spec.derivative_filter, spec.loop(kd)
-    slope = kd * share / spec.sample_time
-    return float(np.sqrt((loop.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
 
 
 def _pair(models: tuple[Plant, ...], spec: PDSpec, kd: float, *, likely: bool) -> tuple[float, float, bool]:

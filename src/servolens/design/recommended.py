@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.design.command_noise import fills_drive, quiet
 from servolens.design.cover import gain_scale
 from servolens.design.extrapolation import BEYOND, FAR, within
 from servolens.design.found import Design, Recommended
@@ -66,8 +67,9 @@ def recommend(
     gains that meet the spec most often and keep the overshoot's limit, the one is taken that is farthest from where the
     spec breaks: as a ratio, for gains scale, or as a difference where a gain is small beside what the loop notices.
     Gains that go beyond what the records of the models showed are asked only where no other meets the spec in nine of
-    ten scenarios. Where plants break the spec between the samples of the loop, a gain is taken with which nine in ten
-    keep it there too, if there is one.
+    ten scenarios. One with which the sensor's noise does not wear the drive comes first where it is as good, or where
+    noise alone takes the other to the drive's end. Where plants break the spec between the samples of the loop, a gain
+    is taken with which nine in ten keep it there too, if there is one.
 
     Parameters
     ----------
@@ -81,7 +83,8 @@ def recommend(
         Of the draws.
     overshoot : float or None
         Largest overshoot as a fraction of the step, where the spec states none; None is no limit. Where no gain keeps
-        it, the least overshoot is taken, and `why` says so.
+        it, `why` says so: then of those that overshoot by no more than the least and this together the one is taken
+        that is farthest from where the spec breaks.
     references : float or sequence of float
         Sizes of further steps that have to meet the spec [m or rad].
 
@@ -141,6 +144,8 @@ class Choice:
         Gains half way to those that are less safe.
     parts : int
         Into how many each sample was divided at whose ends the axis was seen.
+    is_calm : bool
+        Whether only gains were looked at with which noise does not wear the drive.
     """
 
     kd: float
@@ -148,6 +153,7 @@ class Choice:
     unkept: float | None
     halfway: tuple[float, float]
     parts: int = 1
+    is_calm: bool = False
 
 
 @final
@@ -215,12 +221,28 @@ def _borne_out(models: Sequence[Model], design: Design, scenarios: Sequence[Scen
     scale = _scale(models, design)
     everywhere = _grids(design.intervals, scale)
     for most in (BEYOND, FAR, np.inf):
-        intervals = design.intervals if np.isinf(most) else within(models, design.spec, everywhere, most)
+        intervals = [*design.intervals] if np.isinf(most) else within(models, design.spec, everywhere, most)
         if intervals:
             choice = _watched(_grids(intervals, scale), scale, scenarios, limit)
             if _is_safe(choice, scenarios):
                 break
+    calm = quiet(models, design.spec, intervals)
+    if calm not in ([], intervals):
+        choice = _calmer(models, design, choice, _watched(_grids(calm, scale), scale, scenarios, limit), scenarios)
     return replace(choice, kd=_short(choice, design, scenarios))
+
+
+def _calmer(
+    models: Sequence[Model], design: Design, choice: Choice, calm: Choice, scenarios: Sequence[Scenario]
+) -> Choice:
+    """Return the gain to use of two, with the second of which noise does not wear the drive.
+
+    It is taken where it is as good; and where it only overshoots more, if noise alone takes the other to its end.
+    """
+    if calm.failures <= choice.failures and (calm.unkept is None or choice.unkept is not None):
+        return replace(calm, is_calm=True)
+    takes_all = fills_drive(models, design.spec, choice.kd) and _is_safe(calm, scenarios)
+    return replace(calm, is_calm=True) if takes_all else choice
 
 
 def _scale(models: Sequence[Model], design: Design) -> float:
@@ -243,8 +265,8 @@ def _watched(
 def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit: float | None) -> Choice:
     """Return the gain of those that fail in the fewest scenarios that is farthest from the others.
 
-    Where none keeps the overshoot's limit, that with which the fewest plants run away, and of these that with the least
-    overshoot; it stands its own tolerance.
+    Where none keeps the overshoot's limit, of those with which the fewest plants run away and that stand their own
+    tolerance the one farthest from the others, with no more overshoot than the least and that limit together.
     """
     gains = np.concatenate(grids)
     order = np.argsort(-_margins(grids, np.ones(gains.size, dtype=bool), scale), kind="stable")
@@ -256,12 +278,14 @@ def _best(grids: Sequence[NDArray[np.float64]], scale: float, race: _Race, limit
     if (safest & mild).any():
         best = int(np.argmax(np.where(safest & mild, _margins(grids, safest, scale), -1.0)))
         return Choice(float(gains[best]), int(failures[best]), None, _halfway(grids, safest, best))
+    away = np.isinf(overshoots).sum(axis=1)
+    safest &= away == away[safest].min()
     places = np.arcsinh(np.outer((1.0, 1.0 + TOLERANCE), gains) / scale)
     steady = safest & (_margins(grids, safest, scale) >= places[1] - places[0])
     among = np.flatnonzero(steady if steady.any() else safest)
-    runs_away = np.isinf(overshoots[among])
-    mean = np.where(runs_away, 0.0, overshoots[among]).mean(axis=1)
-    best = int(among[np.lexsort((mean, runs_away.sum(axis=1)))[0]])
+    mean = np.where(np.isinf(overshoots[among]), 0.0, overshoots[among]).mean(axis=1)
+    mildest = among[mean <= mean.min() + (limit or 0.0)]  # the least stands where the loop is about to run away
+    best = int(mildest[np.argmax(_margins(grids, safest, scale)[mildest])])
     return Choice(float(gains[best]), int(failures[best]), limit, _halfway(grids, safest, best))
 
 
@@ -334,7 +358,7 @@ def _told(
         hardest=_hardest(tests, found, design.plants[0].length_unit),
         fails=_fails(design.spec, found),
     )
-    return replace(result, why=_why(result, choice.unkept))
+    return replace(result, why=_why(result, choice))
 
 
 def _hardest(tests: Sequence[Scenario], found: Sequence[Response], unit: str) -> str:
@@ -378,16 +402,17 @@ def _slowness(response: Response) -> tuple[float, float]:
     return (np.inf if response.settling_time is None else response.settling_time), response.overshoot
 
 
-def _why(found: Recommended, unkept: float | None) -> str:
+def _why(found: Recommended, choice: Choice) -> str:
     low, high = (100.0 * end for end in found.interval)
     text = (
         f"{_settles(found.settling_time)}, worst of {found.scenarios} plants {_time(found.worst.settling_time)};"
         f" {100.0 * found.probability:.3g} % meet it ({low:.3g} to {high:.3g} %), given the model"
     )
-    if unkept is None:
+    if choice.unkept is None:
         return text
+    alike = "as safe, and with which noise leaves the command as quiet," if choice.is_calm else "as safe"
     return (
-        f"{text}; no gain that is as safe keeps the overshoot below {100.0 * unkept:.3g} %, with this one it is"
+        f"{text}; no gain that is {alike} keeps the overshoot below {100.0 * choice.unkept:.3g} %, with this one it is"
         f" {100.0 * found.overshoot:.3g} %"
     )
 
