@@ -230,7 +230,7 @@ def _clipped(record: Record, fit: LoopFit) -> Finding:
 
 
 def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding | None:
-    """Return the finding of what the voltage fits instead of what is stated; None where as stated that is the same."""
+    """Return the finding of what the voltage fits instead of what is stated; None where that is as stated."""
     unit = record.command_unit
     before, after = (readable(voltage, unit) for voltage in (other.before, other.left))
     left = f"unexplained voltage {before} r.m.s. as stated, {after} with this"

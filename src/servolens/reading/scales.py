@@ -156,7 +156,7 @@ def is_alike(choice: Choice, beside: Choice, settled: str) -> bool:
 
 
 def _nearness(sizes: list[float], settled: str) -> tuple[float, float] | None:
-    """Return how far two travels are apart, as a logarithm, in the unit of the second and with the first in SI.
+    """Return how far apart two travels are, as logarithms: both in the unit of the second, and the first in SI.
 
     None where that says nothing: one does not move, or the unit is SI.
     """
