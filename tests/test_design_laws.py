@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from servolens import lab
 from servolens.cli import group
 from servolens.design import Hunting, PDSpec, evaluate, feedforward, hunting, recommend, tracking, trust, tune
+from servolens.design.command_noise import quiet
 from servolens.design.plant_inverse import smooth_move
 from servolens.effects import (
     Backlash,
@@ -358,10 +359,10 @@ def swing(spec, gain, noise):
 def test_noise_does_not_fill_the_drive_where_another_gain_meets_the_spec():
     design = tune(RUBBED, SPEEDS)
     plain = recommend(RUBBED, design, scenarios=60)
-    quiet = recommend(known(RUBBED, 4e-6), design, scenarios=60).recommended
-    assert swing(SPEEDS, plain.recommended.kd, 4e-6) > 2.0 > 0.6 > swing(SPEEDS, quiet.kd, 4e-6)
-    assert quiet.worst.meets
-    assert "no gain that is as safe, and with which noise leaves the command as quiet, keeps the overshoot" in quiet.why
+    calm = recommend(known(RUBBED, 4e-6), design, scenarios=60).recommended
+    assert swing(SPEEDS, plain.recommended.kd, 4e-6) > 2.0 > 0.6 > swing(SPEEDS, calm.kd, 4e-6)
+    assert calm.worst.meets
+    assert "no gain that is as safe, and with which noise leaves the command as quiet, keeps the overshoot" in calm.why
     _, light = trust(known(RUBBED, 4e-6), plain)
     assert light.light == "amber"
     assert "noise and rounding of the sensor, 4 µm, may move the command by" in light.sentence
@@ -379,6 +380,12 @@ def test_a_quiet_gain_that_overshoots_more_is_not_preferred_to_one_that_noise_mo
         "green",
         "amber",
     ]
+
+
+def test_an_ideal_continuous_loop_is_not_judged_by_white_noise():
+    ideal, axis = replace(SPEEDS, controller="pd", kiv=0.0, control="continuous"), known(CART, 1.0)
+    assert quiet([axis], ideal, [(0.0, 5.0)]) == [(0.0, 5.0)]
+    assert quiet([axis], replace(ideal, control="sampled"), [(0.0, 5.0)]) == []
 
 
 def test_noise_is_held_against_what_the_drive_gives_where_that_is_known():

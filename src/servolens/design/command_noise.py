@@ -43,7 +43,7 @@ def quiet(models: Sequence[Model], spec: PDSpec, intervals: Sequence[tuple[float
         return max(_share(model, spec, gain) for model in models) - RESTLESS
 
     last = max(high for _, high in intervals)
-    if spec.control == "continuous" or excess(last) <= 0.0:  # an ideal PD makes infinitely much of white noise
+    if excess(last) <= 0.0:
         return [*intervals]
     if excess(0.0) >= 0.0:
         return []
@@ -53,14 +53,14 @@ def quiet(models: Sequence[Model], spec: PDSpec, intervals: Sequence[tuple[float
 
 def fills_drive(models: Sequence[Model], spec: PDSpec, gain: float) -> bool:
     """Tell whether noise takes the command to the drive's end while the axis rests."""
-    return spec.control != "continuous" and max(_share(model, spec, gain) for model in models) > FULL
+    return max(_share(model, spec, gain) for model in models) > FULL
 
 
 def command_noise(models: Sequence[Model], spec: PDSpec, gain: float) -> str:
     """Say how much noise moves the command at rest, where that wears the drive; empty where it does not."""
     noisiest = max(models, key=lambda model: _share(model, spec, gain))
     share = _share(noisiest, spec, gain)
-    if spec.control == "continuous" or share <= RESTLESS or noisiest.evidence is None:
+    if share <= RESTLESS or noisiest.evidence is None:
         return ""
     noise, plant = noisiest.evidence.noise or 0.0, noisiest.plant
     size = readable(noise * noise_gain(spec, gain), plant.command_unit)
@@ -75,8 +75,11 @@ def command_noise(models: Sequence[Model], spec: PDSpec, gain: float) -> str:
 
 
 def _share(model: Model, spec: PDSpec, gain: float) -> float:
-    """Return the r.m.s. of the command at rest over the largest that there is; 0 where the noise is not known."""
-    if model.evidence is None or model.evidence.noise is None:
+    """Return the r.m.s. of the command at rest over the largest that there is; 0 where nothing is known of it.
+
+    An ideal continuous PD, too, makes infinitely much of white noise, whatever its gains.
+    """
+    if spec.control == "continuous" or model.evidence is None or model.evidence.noise is None:
         return 0.0
     most = _limit(model.plant) or model.evidence.range.voltage
     return model.evidence.noise * noise_gain(spec, gain) / max(most, 1e-300)
