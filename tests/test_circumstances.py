@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from servolens.bridge import to_control
 from servolens.campaign import read_records
+from servolens.design import PDSpec
+from servolens.diagnosis import diagnose
 from servolens.dynamics import dynamics
 from servolens.effects import (
     CATALOGUE,
@@ -29,11 +32,13 @@ from servolens.effects import (
     parameter,
 )
 from servolens.errors import InputError
+from servolens.identification import fit
 from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import read_record, record_from_dataframe
 from servolens.record import Controller, Record
 from servolens.simulation import plant_in, simulate, simulate_voltage
+from servolens.study import tune
 
 GAIN, DAMPING = 1.9, 6.0
 TIME = 1e-3 * np.arange(801)
@@ -289,6 +294,64 @@ def test_drive_with_a_speed_loop_does_not_brake_while_it_is_off():
     run = simulate(plant, record(voltage=np.full(TIME.size, 2.0), enabled=(TIME < 0.4).astype(float)))
     assert run.velocity[400] == pytest.approx(0.2, rel=1e-5)
     assert run.velocity[-1] == pytest.approx(run.velocity[400] * np.exp(-0.5 * 0.4), rel=1e-6)
+
+
+def logged_free(truth: Plant, noise: float) -> Record:
+    """Return a run of `truth` whose motor is switched off twice while it moves."""
+    time = 1e-3 * np.arange(2000.0)
+    asked = Record(
+        name="off",
+        time=time,
+        position=0.0 * time,
+        reference=np.where((time >= 0.1) & (time < 1.0), 0.1, 0.0),
+        controller=Controller(kp=60.0, kd=1.0),
+        enabled=((time < 0.16) | ((time >= 0.4) & (time < 1.06)) | (time >= 1.4)).astype(float),
+    )
+    run = simulate(truth, asked)
+    measured = run.position + np.random.default_rng(5).normal(0.0, noise, time.size)
+    return asked.with_({"position": measured, "voltage": run.voltage})
+
+
+@pytest.mark.parametrize("effects", [(), (CoulombFriction(level=0.2),)], ids=["alone", "with friction"])
+def test_the_damping_that_is_left_while_the_motor_is_off_is_identified(effects):
+    """Back-EMF, which is gone then, was named as a drive with a speed loop of its own."""
+    truth = Plant(gain=GAIN, damping=DAMPING, effects=effects, free_damping=1.5)
+    record = logged_free(truth, 5e-6)
+    found = fit(effects, record)
+    for name, true in truth.named.items():
+        quantity = found.model.quantities[name]
+        assert abs(quantity.value - true) < 4.0 * quantity.stderr < 0.02 * true
+    told = diagnose([record])
+    assert told.verdict == ("explained" if effects else "healthy")
+    assert [cause.effect for cause in told.causes] == [effect.name for effect in effects]
+    assert told.plant.free_damping == pytest.approx(1.5, rel=0.01)
+
+
+def test_free_damping_is_no_unknown_where_the_axis_does_not_move_while_the_motor_is_off():
+    truth = Plant(gain=GAIN, damping=DAMPING)
+    record = logged_free(truth, 5e-6)
+    resting = record.with_({"enabled": (record.time >= 0.1).astype(float)})
+    assert fit((), resting).plant.free_damping is None
+    stated = fit(Plant(gain=2.0, damping=5.0, free_damping=3.0), resting)
+    assert stated.plant.free_damping == 3.0
+    assert stated.model.quantities["free_damping"].stderr is None
+
+
+def test_a_model_s_file_keeps_the_error_of_the_free_damping_and_of_what_else_it_is_correlated_with(tmp_path):
+    found = fit((), logged_free(Plant(gain=GAIN, damping=DAMPING, free_damping=1.5), 5e-6)).model
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **found.to_json()}, allow_nan=False))
+    again = read_model(path)
+    assert again.quantities == found.quantities
+    np.testing.assert_array_equal(again.covariance, found.covariance)
+
+
+def test_design_and_bridge_are_of_an_axis_whose_motor_is_on():
+    """They know no other: the free damping stays with the model and changes nothing."""
+    free = Plant(gain=GAIN, damping=DAMPING, free_damping=1.5)
+    spec = PDSpec(kp=60, settling_time=0.6)
+    assert tune(free, spec).kd == tune(replace(free, free_damping=None), spec).kd
+    assert dict(to_control(free).params) == {"gain": GAIN, "damping": DAMPING}
 
 
 def test_plant_in_a_record_can_be_made_twice_and_is_the_plant_itself_where_nothing_differs():

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from servolens.decoding import decoded, listed, part, read_fields, read_json, whole
 from servolens.errors import InputError, by_name, names_like, needed
 from servolens.model_evidence import Evidence
-from servolens.plant import Plant
+from servolens.plant import FREE_DAMPING, Plant
 from servolens.record_signals import as_numbers
 from servolens.results import with_reasons
 from servolens.units import COMMAND_UNITS
@@ -37,7 +37,7 @@ LARGEST = 1e150
 """Standard error whose square is still a number."""
 SYMMETRIC = 1e-6
 """Share of its size by which a covariance may miss its symmetry, and its correlations their bounds, by rounding."""
-OPTIONAL = ("inertia", "free_damping")
+OPTIONAL = ("inertia", FREE_DAMPING.name)
 """Numbers of a plant that stand in its file where they are known."""
 
 
@@ -184,7 +184,8 @@ class Model:
             "effects": effects,
             "length_unit": self.plant.length_unit,
             "command_unit": self.plant.command_unit,
-            **{name: value for name in OPTIONAL if (value := getattr(self.plant, name)) is not None},
+            **({} if self.plant.inertia is None else {"inertia": self.plant.inertia}),
+            **{name: quantities[name].to_json() for name in quantities if name == FREE_DAMPING.name},
             "covariance": None if self.covariance is None else _named_matrix(self.covariance, quantities, self.plant),
             "identified_from": list(self.identified_from),
             **({} if self.evidence is None else self.evidence.to_json()),
@@ -210,7 +211,7 @@ class Model:
                 effects=found,
                 length_unit=str(data.get("length_unit") or _length_unit(data)),
                 command_unit=str(data.get("command_unit") or _command_unit(data)),
-                **{name: _value({"value": data[name]}) for name in OPTIONAL if data.get(name) is not None},
+                **{name: _value(_as_quantity(data[name])) for name in OPTIONAL if data.get(name) is not None},
             )
             _check_units(data, plant)
             covariance = _covariance(data, plant)
@@ -320,12 +321,18 @@ def _value(quantity: Mapping[str, Any]) -> float:
     return float(value)
 
 
+def _as_quantity(given: Any) -> Mapping[str, Any]:
+    """Return what a file states as an object, or as a number without error."""
+    return given if isinstance(given, dict) else {"value": given}
+
+
 def _quantities(data: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Return all quantities that a file states, by qualified name."""
     found = {"gain": data["gain"], "damping": data["damping"]}
     for item in data.get("effects", ()):
         found |= {f"{item['effect']}.{name}": quantity for name, quantity in item["parameters"].items()}
-    return found
+    free = data.get(FREE_DAMPING.name)
+    return found if free is None else {**found, FREE_DAMPING.name: _as_quantity(free)}
 
 
 def _check_units(data: Mapping[str, Any], plant: Plant) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["BASE_PARAMETERS", "ENDLESS", "Plant"]
+__all__ = ["BASE_PARAMETERS", "ENDLESS", "FREE_DAMPING", "Plant"]
 
 BASE_PARAMETERS = (
     Parameter(
@@ -48,7 +48,9 @@ BASE_PARAMETERS = (
 
 ENDLESS = 1e12
 """A limit of this size is none."""
-FREE_DAMPING = replace(BASE_PARAMETERS[1], name="free_damping", meaning="viscous damping while the motor is off")
+FREE_DAMPING = replace(
+    BASE_PARAMETERS[1], name="free_damping", symbol="c_0", meaning="viscous damping while the motor is off"
+)
 
 
 @final
@@ -71,14 +73,17 @@ class Plant:
     inertia : float, optional
         Moving inertia [kg m²] or mass [kg] that the numbers are for, where records differ in it; see `for_record`.
     free_damping : float, optional
-        Viscous damping [1/s] while the motor is off, which then has no back-EMF; None is the same damping.
+        Viscous damping [1/s] while the motor is off, which then has no back-EMF; None is the same damping. Where it is
+        given it is a parameter like the others, the last one.
 
     Attributes
     ----------
     structure : tuple of type
         The classes of the effects: what the plant is made of, without numbers.
     values : tuple of float
-        All parameters, SI: gain, damping, then each effect's in order.
+        All parameters, SI: gain, damping, then each effect's in order, and the free damping if there is one.
+    driven_values : tuple of float
+        Those that the axis has while its motor is on: all but the free damping.
 
     Raises
     ------
@@ -97,6 +102,7 @@ class Plant:
     free_damping: float | None = None
     structure: tuple[type[Effect], ...] = field(init=False, repr=False, compare=False)
     values: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    driven_values: tuple[float, ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for spec in BASE_PARAMETERS:
@@ -116,12 +122,14 @@ class Plant:
         if self.free_damping is not None:
             object.__setattr__(self, "free_damping", FREE_DAMPING.check(self.free_damping, "plant"))
         given = (v for effect in self.effects for v in effect.values)
-        object.__setattr__(self, "values", (self.gain, self.damping, *given))
+        object.__setattr__(self, "driven_values", (self.gain, self.damping, *given))
+        free = () if self.free_damping is None else (self.free_damping,)
+        object.__setattr__(self, "values", (*self.driven_values, *free))
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """The parameters by qualified name (``"gain"``, ``"coulomb_friction.level"``), in the order of `values`."""
-        return dict(_named(self.structure))
+        return dict(_named(self.structure, self.free_damping is not None))
 
     @property
     def named(self) -> dict[str, float]:
@@ -141,7 +149,7 @@ class Plant:
     @property
     def unusual(self) -> int:
         """How many parameters are not at their usual values: these count where models are compared."""
-        return 2 + sum(effect.unusual for effect in self.effects)
+        return 2 + sum(effect.unusual for effect in self.effects) + (self.free_damping is not None)
 
     @property
     def has_contacts(self) -> bool:
@@ -180,7 +188,8 @@ class Plant:
             names = [spec.name for spec in effect.parameters()]
             effects.append(type(effect)(**dict(zip(names, rest, strict=False))))
             rest = rest[len(names) :]
-        return replace(self, gain=gain, damping=damping, effects=tuple(effects))
+        free = None if self.free_damping is None else rest[0]
+        return replace(self, gain=gain, damping=damping, effects=tuple(effects), free_damping=free)
 
     def with_named(self, values: Mapping[str, float]) -> Plant:
         """Return the same structure with other numbers for the parameters that `values` names."""
@@ -206,13 +215,14 @@ class Plant:
         """
         if not 0 < ratio < inf:
             raise InputError(f"plant: a ratio of inertias must be positive, got {ratio!r}")
-        powers = zip(self.values, _powers(self.structure), strict=True)
+        powers = zip(self.driven_values, _powers(self.structure), strict=True)
         usual = set(self.usual)
-        kept = [abs(value) >= ENDLESS or name in usual for name, value in self.named.items()]
+        named = zip(self.parameters, self.driven_values, strict=False)
+        kept = [abs(value) >= ENDLESS or name in usual for name, value in named]
         values = [v if stays else v * ratio**power for (v, power), stays in zip(powers, kept, strict=True)]
-        free = None if self.free_damping is None else self.free_damping * ratio
+        free = () if self.free_damping is None else (self.free_damping * ratio,)
         inertia = None if self.inertia is None else self.inertia / ratio
-        return replace(self.with_values(values), inertia=inertia, free_damping=free)
+        return replace(self.with_values([*values, *free]), inertia=inertia)
 
     def for_record(self, record: Record) -> Plant:
         """Return the plant with the moving inertia that `record` states, where both state one."""
@@ -274,11 +284,11 @@ def _several(effects: Any) -> tuple[Effect, ...]:
 
 
 @lru_cache(maxsize=1024)
-def _named(structure: tuple[type[Effect], ...]) -> dict[str, Parameter]:
+def _named(structure: tuple[type[Effect], ...], runs_free: bool) -> dict[str, Parameter]:
     named = {spec.name: spec for spec in BASE_PARAMETERS}
     for effect in structure:
         named |= {f"{effect.name}.{spec.name}": spec for spec in effect.parameters()}
-    return named
+    return named | ({FREE_DAMPING.name: FREE_DAMPING} if runs_free else {})
 
 
 @lru_cache(maxsize=1024)

@@ -60,7 +60,7 @@ class Equations:
         self._origin = (plant, gains, prefix, width, order)
         left_out = [effect for effect in plant.effects if _nothing_to_remember(effect)]
         kept = tuple(effect for effect in plant.effects if effect not in left_out)
-        self.plant, self.closed, self.width = replace(plant, effects=kept), bool(gains), width
+        self.plant, self.closed, self.width = replace(plant, effects=kept, free_damping=None), bool(gains), width
         values = self.plant.named | gains
         self.defaults = {prefix + key: value for key, value in values.items()}
         self._names = tuple(self.defaults.items())

@@ -69,7 +69,7 @@ class LoopMaps:
         self.states = x.numel()
         way, slope, command, kd = (ca.SX.sym(name) for name in ("way", "slope", "command", "kd"))
         self.z = ca.vertcat(x, way, slope, command, kd)
-        values = ca.DM(plant.values)
+        values = ca.DM(plant.driven_values)
         flow = ca.vertcat(d.velocity, d.push, d.rates)
         asked = command
         if spec.control == "continuous":

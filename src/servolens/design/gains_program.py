@@ -177,7 +177,7 @@ def _parameters(
     answers = plant_responses(plants, spec, omega)
     for i, plant in enumerate(plants):
         due = divmod(plant.delay / spec.sample_time, 1.0)[1]
-        parts += [np.array([*plant.values, due, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD)])]
+        parts += [np.array([*plant.driven_values, due, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD)])]
         parts += [part for answer in answers[2 * i : 2 * i + 2] for part in (answer.real, answer.imag)]
     return np.concatenate(parts)
 

@@ -75,7 +75,7 @@ def excess_of(plant: Plant, wanted: NDArray[np.float64]) -> Callable[[NDArray[np
     from casadi import DM
 
     lacking, columns = _lacking(plant.structure), DM(wanted)
-    values = DM(np.repeat(np.array(plant.values)[:, None], wanted.shape[1], axis=1))
+    values = DM(np.repeat(np.array(plant.driven_values)[:, None], wanted.shape[1], axis=1))
 
     def excess(command: NDArray[np.float64]) -> NDArray[np.float64]:
         more = lacking(DM(command[None, :]), columns, values).full()

@@ -46,7 +46,7 @@ def local_optimum(plant: Plant, spec: PDSpec, interval: tuple[float, float]) -> 
     )
     width = interval[1] - interval[0]
     loop = [spec.kp, spec.reference, spec.sample_time, spec.derivative_filter, due]
-    parameters = [*plant.values, FRICTION_WIDTH, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD), *loop]
+    parameters = [*plant.driven_values, FRICTION_WIDTH, *(held_by(plant, spec.loop(0.0), 0.0) or NOT_HELD), *loop]
     late = (samples - first) // stride + 1
     lower, upper = [-spec.band * (1.0 - INSIDE)] * late, [spec.band * (1.0 - INSIDE)] * late
     if spec.overshoot is not None:

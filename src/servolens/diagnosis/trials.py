@@ -95,12 +95,7 @@ class Trials:
         self.priors, self.candidates = priors, candidates
         self.screen = Screen.of(moving_parts(motion_segments(records)))
         bare, _ = self.screen.solve(())
-        self.bare = replace(
-            bare,
-            damping=max(bare.damping, 0.0),
-            length_unit=records[0].length_unit,
-            command_unit=records[0].command_unit,
-        )
+        self.bare = replace(bare, damping=max(bare.damping, 0.0))
         self.seen = seen_in(self.screen.segments, self.bare)
         known = priors["gain"].value if "gain" in priors else self.bare.gain
         self.likelihood = Likelihood(

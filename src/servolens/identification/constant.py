@@ -18,7 +18,6 @@ from servolens.identification.score import FALSE_ALARM
 from servolens.identification.uncertainty import LinearEstimate
 from servolens.identification.velocity import law_left
 from servolens.model import Model
-from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
 
     from servolens.identification.options import Prior
     from servolens.identification.segments import Segment
+    from servolens.plant import Plant
 
 __all__ = ["ConstantFit", "contradicted", "fit_constant"]
 
@@ -62,32 +62,24 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
     constraints = constraints_on(NAMES, options)
     solution = solve_integral(assemble(segments, shares), constraints=constraints)
     estimate, known = solution.x, options.priors
-    first = segments[0].record
-
-    def plant(values: NDArray[np.float64]) -> Plant:
-        damping, gain = (float(v) for v in values)
-        return Plant(
-            gain=gain,
-            damping=damping,
-            length_unit=first.length_unit,
-            command_unit=first.command_unit,
-            inertia=segments[0].inertia,
-        )
-
+    begun = segments[0].plant(gain=float(estimate[1]), damping=float(estimate[0]))
     stopped = {k for c in constraints if c.name in solution.active for k in c.coefficients}
     free, held = np.array([k not in stopped for k in range(2)]), tuple(NAMES[k] for k in sorted(stopped))
-    left = explained(plant(estimate), excerpt_of(segments)[0], FitOptions(held=held))
+    left = explained(begun, excerpt_of(segments)[0], FitOptions(held=held))
     covariance = LinearEstimate.of(segments, shares, free=free).covariance(estimate[:-1], left.noise)
-    if left.is_enough and free.any() and (left.loop is not None or left.noise.rate > 0.0):
+    others: tuple[Plant, NDArray[np.float64] | None]
+    others = begun if left.hypothesis is None else left.hypothesis.plant, None
+    is_better_simulated = left.loop is not None or left.noise.rate > 0.0 or begun.free_damping is not None
+    if left.is_enough and free.any() and is_better_simulated:
         refined = left.optimum(left.likelihood.records)
-        simulated, spread = np.array(refined.plant.values)[::-1], np.nan_to_num(refined.covariance[::-1, ::-1])
+        simulated, spread = np.array(refined.plant.values)[1::-1], np.nan_to_num(refined.covariance[1::-1, 1::-1])
         if _agree((simulated - estimate)[free], covariance[np.ix_(free, free)]) and not _is_law_likelier(
             left, segments
         ):
-            estimate, covariance = simulated, spread
+            estimate, covariance, others = simulated, spread, (refined.plant, refined.covariance)
         else:
             left = replace(left, is_enough=False)
-    alone = Model(plant=plant(estimate), covariance=covariance[::-1, ::-1])
+    alone = _model(estimate, covariance, *others)
     if known and not left.is_enough:
         with suppress(NumericalError):  # else the prior is compared with gain and damping alone
             refined = law_left(segments, FitOptions()).optimum(left.likelihood.records)
@@ -99,13 +91,23 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
             covariance = covariance - np.outer(weight, covariance[index])
     estimate = np.clip(estimate, *np.array([options.range_of(name) for name in NAMES]).T)
     covariance[~free], covariance[:, ~free] = np.nan, np.nan
-    model = Model(
-        plant=plant(estimate),
-        covariance=covariance[::-1, ::-1],
+    model = replace(
+        _model(estimate, covariance, *others),
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
         reasons=dict.fromkeys(held, AT_BOUND) | dict.fromkeys(options.held, GIVEN),
     )
     return ConstantFit(model, left, contradicted(alone, known))
+
+
+def _model(
+    estimate: NDArray[np.float64], covariance: NDArray[np.float64], plant: Plant, others: NDArray[np.float64] | None
+) -> Model:
+    """Return the model of an estimate of damping and gain; what else it has is that of `plant`, with its covariance."""
+    damping, gain = (float(v) for v in estimate)
+    size = len(plant.values)
+    full = np.full((size, size), np.nan) if others is None else np.array(others)
+    full[:2, :2] = covariance[::-1, ::-1]
+    return Model(plant=replace(plant, gain=gain, damping=damping), covariance=full)
 
 
 def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:

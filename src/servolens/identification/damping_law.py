@@ -94,7 +94,7 @@ def fit_law(segments: Sequence[Segment], window: int, options: FitOptions) -> Pl
     alpha2 = _search(lambda a: solve(a)[0], *options.range_of(SHAPE, SLOWEST_DECAY / fastest, FASTEST_DECAY / fastest))
     gamma, gain, alpha1 = solve(alpha2)[1]
     law_found = VelocityDecayDamping(alpha1=max(alpha1, 0.0), alpha2=alpha2)  # 0 is met to rounding
-    return Plant(gain=gain, damping=max(gamma, 0.0), effects=(law_found,), inertia=segments[0].inertia)
+    return segments[0].plant(gain, max(gamma, 0.0), (law_found,))
 
 
 def _search(cost: Callable[[float], float], slowest: float, quickest: float) -> float:

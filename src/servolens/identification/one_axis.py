@@ -18,12 +18,12 @@ from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.identification.structure import depends_on_inputs
-from servolens.plant import Plant
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from servolens.identification.segments import Segment
+    from servolens.plant import Plant
     from servolens.record import Record
 
 __all__ = ["apart", "contradiction"]
@@ -116,14 +116,7 @@ def _linear(record: Record) -> tuple[Plant, tuple[Segment, ...]] | None:
         plant, _ = Screen.of(moving_parts(segments)).solve(())
     except (InputError, NumericalError):
         return None
-    made = Plant(
-        gain=plant.gain,
-        damping=plant.damping,
-        length_unit=record.length_unit,
-        command_unit=record.command_unit,
-        inertia=record.inertia,
-    )
-    return made, segments
+    return plant, segments
 
 
 def _explained(start: Plant, segments: Sequence[Segment]) -> tuple[Plant, float] | None:

@@ -23,7 +23,7 @@ from servolens.identification.segments import motion_segments, moving_parts
 from servolens.identification.starting import Screen
 from servolens.inputs import as_effects, as_plant, as_records, check_units, is_model
 from servolens.model import Model, placed
-from servolens.plant import Plant
+from servolens.plant import FREE_DAMPING, Plant
 from servolens.processors import single_threaded_blas
 from servolens.result import Result
 from servolens.rounded_voltage import with_exact_voltage
@@ -225,12 +225,10 @@ def fit(  # noqa: PLR0913 - what may be asked of a fit, all by keyword
     runs = tuple(map(with_exact_voltage, as_records(records, settings)))
     screen = Screen.of(moving_parts(motion_segments(runs)))
     bare, _ = screen.solve(())
-    if start is None:
-        start = _guessed(effects, bare, runs[0], screen, asked)
-    elif start.inertia is None:  # it is for the records' own, as an estimate is
-        start = replace(start, inertia=bare.inertia)
+    start = _guessed(effects, bare, screen, asked) if start is None else _as_records_tell(start, bare)
     _check(start, asked, runs[0])
     held = [f"{effect.name}.{name}" for effect in start.effects for name in effect.found_last]
+    held += [FREE_DAMPING.name] if bare.free_damping is None else []  # no record shows it
     start, asked = start.with_named(asked.values), asked.holding(*held)
     check_loops(runs, asked)
     likelihood = likelihood_of(runs, bare, asked)
@@ -255,9 +253,7 @@ def _given(source: Any) -> tuple[tuple[Effect | type[Effect], ...], Plant | None
     return as_effects(source), None
 
 
-def _guessed(
-    effects: Sequence[Effect | type[Effect]], bare: Plant, record: Record, screen: Screen, options: FitOptions
-) -> Plant:
+def _guessed(effects: Sequence[Effect | type[Effect]], bare: Plant, screen: Screen, options: FitOptions) -> Plant:
     """Return a plant with the effects, of classes with what they propose, and gain and damping of the records."""
     for name in bare.parameters:
         if name in options.held and name not in options.values:
@@ -269,14 +265,16 @@ def _guessed(
                 name = f"{one.name}.{spec.name}"
                 if name in options.held and name not in options.values:
                     raise InputError(f"{name} has no value to be fixed at; write fixed={{'{name}': value}}")
-    return Plant(
-        gain=bare.gain,
-        damping=max(bare.damping, 0.0),
-        effects=tuple(made),
-        length_unit=record.length_unit,
-        command_unit=record.command_unit,
-        inertia=bare.inertia,
-    )
+    return screen.segments[0].plant(bare.gain, max(bare.damping, 0.0), made)
+
+
+def _as_records_tell(start: Plant, bare: Plant) -> Plant:
+    """Return `start` for the records' own inertia, as an estimate is, and with a free damping where they show one."""
+    if start.inertia is None:
+        start = replace(start, inertia=bare.inertia)
+    if start.free_damping is None and bare.free_damping is not None:
+        start = replace(start, free_damping=start.damping)
+    return start
 
 
 def _check(plant: Plant, options: FitOptions, record: Record) -> None:

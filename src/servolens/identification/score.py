@@ -177,7 +177,7 @@ class ScoreTest:
 
         Of an effect that generalises one of the hypothesis: there `plant` does what the hypothesis does.
         """
-        effect, index = plant.effects[-1], len(plant.values) - len(plant.effects[-1].values)
+        effect, index = plant.effects[-1], len(plant.driven_values) - len(plant.effects[-1].values)
         names = [spec.name for spec in effect.parameters()]
         step = PERTURBED * max((abs(getattr(effect, name)) for name in sizes), default=0.0)
         try:

@@ -13,6 +13,7 @@ from servolens.clock import cycles_passed
 from servolens.control_law import command_at, controller_voltage
 from servolens.errors import InputError
 from servolens.identification.smoothing import smooth, smoothing_window
+from servolens.plant import Plant
 from servolens.quality.beginning import initial_motion
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from servolens.plant import Plant
+    from servolens.effects import Effect
     from servolens.record import Record
     from servolens.ticks import Ticks
 
@@ -37,6 +38,7 @@ __all__ = [
     "parts",
     "resting_noise",
     "rests_between",
+    "runs_free",
     "settled_steps",
     "white_noise",
 ]
@@ -74,6 +76,8 @@ class Segment:
         Time from the step's onset to the first sample [s]; not 0 where samples were lost on the way.
     inertia : float, optional
         Moving inertia [kg m²] or mass [kg] that an estimate is for: the first one that a record states.
+    runs_free : bool
+        Whether the axis moves in any of the records while its motor is off, which shows the damping that is left then.
     """
 
     record: Record
@@ -85,6 +89,19 @@ class Segment:
     noise: float
     since_step: float = 0.0
     inertia: float | None = None
+    runs_free: bool = False
+
+    def plant(self, gain: float, damping: float, effects: Sequence[Effect] = ()) -> Plant:
+        """Return an axis in the units of the records, and as they say which of its parameters they can tell."""
+        return Plant(
+            gain=gain,
+            damping=damping,
+            effects=tuple(effects),
+            length_unit=self.record.length_unit,
+            command_unit=self.record.command_unit,
+            inertia=self.inertia,
+            free_damping=damping if self.runs_free else None,
+        )
 
     @property
     def lightness(self) -> float:
@@ -109,6 +126,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
     found: list[Segment] = []
     records = tuple(records)
     inertia = next((record.inertia for record in records if record.inertia is not None), None)
+    is_free = any(map(runs_free, records))
     for record in records:
         voltage = _means(record)
         noise = noise_level(record)
@@ -131,11 +149,22 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
                         noise=noise,
                         since_step=float(record.time[a]) - origin,
                         inertia=inertia,
+                        runs_free=is_free,
                     )
                 )
     if not found:
         raise InputError(f"{', '.join(r.name for r in records) or 'no record'}: {_too_little(records)}")
     return tuple(found)
+
+
+def runs_free(record: Record) -> bool:
+    """Tell whether the axis moves while its motor is off: by more than its noise and two steps of its encoder."""
+    if record.enabled is None or record.enabled.all():
+        return False
+    still = NO_REST * noise_level(record) + 2.0 * (record.encoder_resolution or 0.0)
+    changes = np.flatnonzero(np.diff(record.enabled)) + 1
+    parts = pairwise([0, *changes.tolist(), len(record)])
+    return any(float(np.ptp(record.position[a:b])) > still for a, b in parts if record.enabled[a] == 0.0)
 
 
 def _means(record: Record) -> NDArray[np.float64]:

@@ -114,8 +114,7 @@ class Screen:
         damping, gain, *sizes = (float(v) for v in solve_integral(factor).x)
         samples = sum(s.time.size for s in self.segments)
         found = [_sized(effect, sizes, self.records) for effect in effects]
-        plant = Plant(gain=gain, damping=damping, effects=tuple(found), inertia=self.segments[0].inertia)
-        return plant, float(abs(factor[-1, -1]) / np.sqrt(samples))
+        return self.segments[0].plant(gain, damping, found), float(abs(factor[-1, -1]) / np.sqrt(samples))
 
     def best_starts(self, plant: Plant, effect: Effect, count: int) -> list[Effect]:
         """Return the values of the force `effect`, its own and those it proposes, that suit the data best.

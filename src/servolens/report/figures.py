@@ -236,7 +236,7 @@ def damping_at(plant: Plant, speed: NDArray[np.float64]) -> NDArray[np.float64]:
     d = dynamics(plant.structure)
     push = ca.Function("push", d.inputs, [d.push])
     moving = np.maximum(speed, 1e-9)
-    return np.array([-float(push(0.0, v, 0.0, 0.0, 1.0, plant.values, 0.0)) / v for v in moving])
+    return np.array([-float(push(0.0, v, 0.0, 0.0, 1.0, plant.driven_values, 0.0)) / v for v in moving])
 
 
 @styled

@@ -97,7 +97,7 @@ def _acceleration(plant: Plant, *states: NDArray[np.float64]) -> NDArray[np.floa
     function = ca.Function("acceleration", d.inputs, [d.acceleration])
     remembered = np.zeros(len(d.state_names))
     rows = zip(*states, strict=True)
-    return np.array([float(function(y, v, t, u, s, plant.values, remembered)) for y, v, t, u, s in rows])
+    return np.array([float(function(y, v, t, u, s, plant.driven_values, remembered)) for y, v, t, u, s in rows])
 
 
 def _in_motion(diagnosis: Diagnosis) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -91,7 +91,7 @@ def axis_json(name: str, plant: Plant, spec: PDSpec, gain: float, scenario: Scen
     loop = (spec if scenario is None else scenario.spec).loop(realised * gain)
     return {
         "plant": name,
-        "values": list(plant.values),
+        "values": list(plant.driven_values),
         "held": held_by(plant, loop, spec.reference if back else 0.0),
         "gain": plant.gain,
         "delay": plant.delay,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import make_dataclass
+from dataclasses import make_dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,10 @@ def plant_in(plant: Plant, record: Record) -> Plant:
     InputError
         If the plant does not go with the record's inertia, or the motor goes off more than 50 times.
     """
-    return _switched(_limited(plant.for_record(record), record.voltage_limit), record)
+    own, free = plant.for_record(record), None
+    if own.free_damping is not None:
+        own, free = replace(own, free_damping=None), own.free_damping
+    return _switched(_limited(own, record.voltage_limit), record, own.damping if free is None else free)
 
 
 def _limited(plant: Plant, limit: float | None) -> Plant:
@@ -51,7 +54,8 @@ def _limited(plant: Plant, limit: float | None) -> Plant:
     return plant.with_effect(Saturation(limit=limit))
 
 
-def _switched(plant: Plant, record: Record) -> Plant:
+def _switched(plant: Plant, record: Record, damping: float) -> Plant:
+    """Return `plant` with the motor off where it was off; the axis has this `damping` then."""
     if record.enabled is None or record.enabled.all():
         return plant
     changes = np.flatnonzero(np.diff(record.enabled)) + 1
@@ -62,12 +66,11 @@ def _switched(plant: Plant, record: Record) -> Plant:
             f"a simulation allows {MOST_STRETCHES}, cut the record"
         )
     later = float(record.time[-1]) + record.sample_time
-    times = {}
+    times = {"damping": damping}
     for i, first in enumerate(begins):
         following = changes[changes > first]
         times[f"begin_{i}"] = float(record.time[first])
         times[f"end_{i}"] = float(record.time[following[0]]) if following.size else later
-    times["damping"] = plant.damping if plant.free_damping is None else plant.free_damping
     return plant.with_effect(_motor_off(len(begins))(**times))
 
 

@@ -74,7 +74,7 @@ def least_substeps(plant: Plant, step: float) -> int:
 
 def fixed_substeps_for(plant: Plant, step: float) -> int:
     """Return how many substeps it takes where none is split, and damping is no matter of the step's formula."""
-    rates = _rates(plant.structure)(plant.values)
+    rates = _rates(plant.structure)(plant.driven_values)
     return _substeps(step, max(rates.fastest, contact_rate(plant.structure)) + rates.damping)
 
 
@@ -102,7 +102,7 @@ def rate_of(plant: Plant) -> float:
     That is the rate without its contacts.
     """
     structure, places = _without_contacts(plant.structure)
-    return _rates(structure)(tuple(plant.values[i] for i in places) if places else plant.values).fastest
+    return _rates(structure)(tuple(plant.values[i] for i in places) if places else plant.driven_values).fastest
 
 
 @lru_cache(maxsize=256)

@@ -117,7 +117,7 @@ def run_all(
     common = (time, held, reference, NONE_CORRECTED if corrections is None else corrections.ravel())
     shared = np.concatenate(common, dtype=np.float64)  # one array: to ask each for its address takes as long as a step
     each = zip(plants, settings, starts, strict=True)
-    own = np.array([(*law, *_begun(plant, *start), *plant.values, *gains) for plant, law, start in each])
+    own = np.array([(*law, *_begun(plant, *start), *plant.driven_values, *gains) for plant, law, start in each])
     results, done = np.empty((count, 4, n)), np.empty(count, dtype=np.int64)
     delays = np.array([plant.delay for plant in plants])
     first, out = own.ctypes.data, results.ctypes.data
