@@ -103,7 +103,7 @@ class Problem:
         self.columns = [
             [k for k, (_, group) in enumerate(self.slots) if k < len(shared) or group == run.group] for run in runs
         ]
-        lowest = {n: min(0.0, plant.named[n]) for n in ("damping", "free_damping") if n in names}  # passive, or the start
+        lowest = {n: min(0.0, plant.named[n]) for n in ("damping", "free_damping") if n in names}  # passive
         bounds = [options.bounds.get(names[i], (-np.inf, np.inf)) for i in self.free]
         admitted = [(lowest.get(names[i], specs[i].low), specs[i].high) for i in self.free]
         self.low = np.array([max(low, least) for (low, _), (least, _) in zip(admitted, bounds, strict=True)])
