@@ -9,6 +9,9 @@ import pytest
 
 from servolens import Plant, lab, predict, read_record
 from servolens.checking import check
+from servolens.effects import ConstantForce
+from servolens.identification import fit
+from servolens.inputs import as_records
 from servolens.quality import fatal
 from servolens.record import Controller, Record
 from servolens.study.spec import completed_spec
@@ -344,3 +347,55 @@ def test_a_setting_that_is_the_stated_one_as_it_is_written_contradicts_nothing()
     assert told(logged("white", setpoint_weight=1.0004)) == {}
     (message,) = told(logged("white", setpoint_weight=1.0004, derivative_filter=0.3)).values()
     assert "the log fits derivative_filter = 0.3, not 1 (" in message
+
+
+# --- an integral that was charged before the log began
+
+
+def held(world, *, rounding=0.0, **settings):
+    """Steps of an axis that its integral holds against a weight; what it holds is the weight over the gain."""
+    truth = lab.Truth(gain=2.0, damping=6.0, effects={"constant_force": {"acceleration": 5.0}})
+    loop = Controller(kp=60.0, kd=4.0, ki=300.0, integral_before=2.5, **settings)
+    rig = lab.Setup(controller=loop, surroundings=lab.surroundings(world, seed=1))
+    record = lab.step_record(truth, seed=3, reference=(0.1, 0.02, 0.07), duration=0.8, setup=rig)
+    voltage = np.round(record.voltage / rounding) * rounding if rounding else record.voltage
+    return record.with_({"voltage": voltage, "controller": replace(loop, integral_before=0.0)})
+
+
+@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize(
+    ("rounding", "settings"),
+    [(0.0, {}), (0.02, {}), (0.0, {"derivative_filter": 0.3}), (0.0, {"setpoint_weight": 0.0})],
+    ids=["as it was", "rounded", "filtered", "I-PD"],
+)
+def test_the_integral_that_holds_a_weight_is_read_off_the_log(world, rounding, settings):
+    """No user can know it; it was called a setting that contradicts the log, and simulations fell by the weight."""
+    record = held(world, rounding=rounding, **settings)
+    (found,) = as_records(record)
+    assert found.controller.integral_before == pytest.approx(2.5, abs=max(1e-3, rounding))
+    assert told(record) == {}
+
+
+def test_a_weight_that_an_integral_holds_is_predicted_and_identified():
+    record, other = held("white"), held("coloured")
+    plant = Plant(gain=2.0, damping=6.0, effects=(ConstantForce(acceleration=5.0),))
+    assert max(predict(plant, other).average_percent) < 0.1
+    found = fit("constant_force", record)
+    assert found.plant.effect("constant_force").acceleration == pytest.approx(5.0, rel=1e-2)
+    assert max(predict(found, other).average_percent) < 0.1
+
+
+@pytest.mark.parametrize("wrong", [{"ki": 200.0}, {"kp": 50.0}, {"derivative_filter": 0.5}])
+def test_an_integral_is_not_read_off_a_log_of_another_law(wrong):
+    record = held("white")
+    other = record.with_({"controller": replace(record.controller, **wrong)})
+    (found,) = as_records(other)
+    assert found.controller.integral_before == 0.0
+    assert told(other) != {}
+
+
+def test_an_integral_that_is_stated_stays_as_it_is():
+    record = held("white")
+    stated = record.with_({"controller": replace(record.controller, integral_before=2.0)})
+    assert as_records(stated)[0].controller.integral_before == 2.0
+    assert "integral_before = 2.5 V, not 2" in told(stated)["settings_contradict_log"]

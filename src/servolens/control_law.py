@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.control_arithmetic import answer, samples_a_tick
+from servolens.encoder import quantisation_step
 from servolens.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.ticks import Ticks
 
-__all__ = ["command_at", "controller_voltage", "with_history"]
+__all__ = ["HOLDS", "command_at", "controller_voltage", "felt_rounding", "with_history", "with_seen_integral"]
 
 FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
+HOLDS = 1e-3
+"""Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 AVERAGED = 9
 """Samples over which what a log shows beside its law is averaged, so that a third of its noise is left."""
 
@@ -112,12 +115,8 @@ def with_history(record: Record) -> Record:
     voltage = record.voltage
     if voltage is None:
         return record
-    controller = _controller(record)
-    remembered = controller.derivative_window
-    if controller.derivative_filter < 1.0:
-        remembered += math.ceil(math.log(FORGOTTEN_SHARE) / math.log(1.0 - controller.derivative_filter))
-    ratio = samples_a_tick(controller, record.sample_time)  # it forgets as often as it runs
-    remembered *= ratio
+    controller, remembered = _controller(record), _remembered(record)
+    ratio = samples_a_tick(controller, record.sample_time)
     if controller.ki != 0 or controller.integral_rate != 0:
         lacking = (voltage - controller_voltage(record))[remembered : 2 * remembered + ratio]
         begun = controller.integral_before + (float(np.median(lacking)) if lacking.size else 0.0)
@@ -125,6 +124,72 @@ def with_history(record: Record) -> Record:
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
     added[:remembered] += (voltage - controller_voltage(record))[:remembered]
     return record.with_({"feedforward": added})
+
+
+def with_seen_integral(record: Record) -> Record:
+    """Return the record with the integral with which its loop began, where its voltage shows one and none is stated.
+
+    It is no setting but a state: an axis that is held against a load has charged it before the log begins. It is read
+    off the first samples, and believed where the law then holds for all samples to what rounding leaves.
+
+    Parameters
+    ----------
+    record : Record
+        Of a loop that integrates and ran once a sample; others are returned as they are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servolens.record import Controller, Record
+    >>> loop, still = Controller(kp=10, ki=5), np.zeros(50)
+    >>> held = Record(time=0.01 * np.arange(50), position=still, reference=still, voltage=still + 3, controller=loop)
+    >>> with_seen_integral(held).controller.integral_before
+    3.0
+    """
+    controller, voltage = record.controller, record.voltage
+    if controller is None or voltage is None or not record.has_loop or controller.integral_before != 0.0:
+        return record
+    if not controller.integrates:
+        return record
+    try:
+        if record.ticks > 1:
+            return record
+        missed = voltage - controller_voltage(record)
+        seen = np.flatnonzero(np.abs(voltage) >= (np.inf if record.voltage_limit is None else record.voltage_limit))
+        first = _remembered(record)
+        last = int(seen[0]) if seen.size else voltage.size  # an integral that stands at the limit goes on otherwise
+        if first >= last:
+            return record
+        begun = replace(controller, integral_before=float(np.median(missed[first:last])))
+        found = record.with_({"controller": begun})
+        left = voltage - controller_voltage(found)
+    except InputError:  # of a law that the record contradicts, which is told elsewhere
+        return record
+    rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(6.0)  # of the samples, and of their median
+    felt = felt_rounding(controller, quantisation_step(record.position) or 0.0, record.sample_time)
+    holds = max(HOLDS * _rms(voltage), math.hypot(rounding, felt))
+    return found if _rms(left[first:]) <= holds < _rms(missed[first:]) else record
+
+
+def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:
+    """Return the voltage, r.m.s., that the law makes of a position rounded to a `step`, as white noise."""
+    if controller.derivative == "velocity":
+        return step / math.sqrt(12.0) * abs(controller.kp)
+    slope = math.sqrt(2.0) * controller.kd * controller.derivative_filter / controller.derivative_window / sample_time
+    return step / math.sqrt(12.0) * math.hypot(controller.kp, slope)
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _remembered(record: Record) -> int:
+    """Return for how many samples the derivative remembers what was before the record."""
+    controller = _controller(record)
+    remembered = controller.derivative_window
+    if controller.derivative_filter < 1.0:
+        remembered += math.ceil(math.log(FORGOTTEN_SHARE) / math.log(1.0 - controller.derivative_filter))
+    return remembered * samples_a_tick(controller, record.sample_time)  # it forgets as often as it runs
 
 
 def _answer(record: Record) -> Answer:

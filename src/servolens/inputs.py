@@ -8,6 +8,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from servolens.campaign import read_records
+from servolens.control_law import with_seen_integral
 from servolens.effects import Effect, check_effect, effect_class
 from servolens.encoder import with_seen_encoder
 from servolens.errors import InputError, described, names_like
@@ -129,8 +130,9 @@ def as_records(
     Returns
     -------
     tuple of Record
-        In the order given, all in the same units, with the encoder's step that they show where none states one, and
-        with the times at which the reference jumped where the loop ran faster than the log.
+        In the order given, all in the same units, with the encoder's step that they show where none states one, with
+        the integral with which their loop began, and with the times at which the reference jumped where the loop ran
+        faster than the log.
 
     Raises
     ------
@@ -155,7 +157,7 @@ def as_records(
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
     _check_units(found)
-    return with_timed_jumps(with_seen_encoder(found))
+    return with_timed_jumps(with_seen_encoder([*map(with_seen_integral, found)]))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -30,7 +30,6 @@ __all__ = [
     "PARAMETERS",
     "LawFit",
     "controller_of",
-    "felt_rounding",
     "parameters_of",
     "remembered",
     "rms",
@@ -177,14 +176,6 @@ def parameters_of(controller: Controller) -> tuple[str, ...]:
     """Return the parameters that a law of this kind has."""
     others = OF_PID if controller.is_cascade else OF_CASCADE
     return tuple(name for name in PARAMETERS if name not in others)
-
-
-def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:
-    """Return the voltage, r.m.s., that the law makes of a position rounded to a `step`, as white noise."""
-    if controller.derivative == "velocity":
-        return step / math.sqrt(12.0) * abs(controller.kp)
-    slope = math.sqrt(2.0) * controller.kd * controller.derivative_filter / controller.derivative_window / sample_time
-    return step / math.sqrt(12.0) * math.hypot(controller.kp, slope)
 
 
 def remembered(controller: Controller, record: Record) -> int:

@@ -14,14 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 import numpy as np
 
 from servolens.control_arithmetic import samples_a_tick
-from servolens.control_law import controller_voltage
+from servolens.control_law import HOLDS, controller_voltage, felt_rounding
 from servolens.encoder import quantisation_step
 from servolens.errors import InputError
 from servolens.quality.law import (
     GAINS,
     LawFit,
     controller_of,
-    felt_rounding,
     parameters_of,
     remembered,
     rms,
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.bool_]
 
-__all__ = ["BETTER", "HOLDS", "SLOWEST_LOOP", "UNITS", "Alternative", "explanation", "find_alternative"]
+__all__ = ["BETTER", "SLOWEST_LOOP", "UNITS", "Alternative", "explanation", "find_alternative"]
 
 Column = Literal["voltage", "position", "reference"]
 COLUMNS: tuple[Column, ...] = ("voltage", "position", "reference")
@@ -68,8 +67,6 @@ STRIDE, REFINED = 4, 3
 """Every fourth of these is tried with all other settings, and refined with the three that leave least."""
 CLAMPED = 2
 """Times that an integral is clamped anew by the fitted gains: the second time they are those of the true samples."""
-HOLDS = 1e-3
-"""Share of the voltage up to which the law holds as it stands: it biases the plant's gain by as much."""
 BETTER = 0.1
 """Share of what is unexplained of the voltage that an explanation may leave if not the rounding: 1 % of variance."""
 AS_WELL, EXACT = 1.2, 1e-6
