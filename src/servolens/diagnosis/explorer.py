@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, final
 
@@ -13,7 +14,6 @@ from servolens.diagnosis.effort import SPENT, Budget, work_for
 from servolens.diagnosis.ordering import (
     best_of_each,
     by_total,
-    by_worst,
     delays,
     distinct,
     families,
@@ -27,8 +27,8 @@ from servolens.diagnosis.ordering import (
     without,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
-from servolens.diagnosis.replacements import kin, last_resorts, promising
-from servolens.diagnosis.trials import starts_to_fit
+from servolens.diagnosis.replacements import as_good_alone, kin, last_resorts, promising
+from servolens.diagnosis.trials import special_first, starts_to_fit
 from servolens.effects import Drive, DryFriction, Transmission, catalogue, effect_class
 from servolens.errors import InputError
 from servolens.identification.hypothesis import NO_BETTER
@@ -41,7 +41,7 @@ from servolens.identification.score import ScoreTest
 from servolens.processors import in_processes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from servolens.diagnosis.effort import Effort
     from servolens.diagnosis.trials import Start, Trials
@@ -223,6 +223,11 @@ class Explorer:
         best = self.fitted([(h.plant, h) for h in found])[:1]
         return any(h.total < before.total and h.noise.rate == 0.0 and self.is_enough(h) for h in best)
 
+    def _plain(self, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Return those of `found`, at their optimum, that leave white noise alone: what is likelier is so by chance."""
+        likely = [h for h in found if h.noise.rate == 0.0 and not (h.noise.is_model_error or is_last_resort(h))]
+        return [h for h in self.fitted([(h.plant, h) for h in likely]) if self._is_plain(h)]
+
     def is_chance(self, simpler: Hypothesis, richer: Hypothesis) -> bool:
         """Tell whether rounding alone may make the `richer` hypothesis as much likelier.
 
@@ -261,25 +266,30 @@ class Explorer:
         chosen += [starts for starts in scored[len(chosen) :] if issubclass(effect_class(starts[0].effect), Drive)]
         share = 0.45 / self.effort.causes / self.effort.beam / max(len(chosen), 1)
 
-        def told(count: int) -> None:
+        def told(count: int, before: int = 0) -> None:
+            count += before
             what = f"Trying {cause}: {count} of {len(chosen)} effects"
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
 
-        begun = self.budget.shared_among(
-            lambda starts, share: trials.begun(starts, hypothesis, share),
-            [starts_to_fit(starts) for starts in chosen],
-            lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
-            told,
-        )
-        found = sorted((h for h in begun if h and self.likelihood.is_admissible(h.plant)), key=by_total)
-        if is_observed:
-            return found
+        found: list[Hypothesis] = []
+        for before, some in special_first(chosen):
+            begun = self.budget.shared_among(
+                lambda starts, share: trials.begun(starts, hypothesis, share),
+                [starts_to_fit(starts) for starts in some],
+                lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
+                partial(told, before=before),
+            )
+            known, admitted = found[:1], (h for h in begun if h and self.likelihood.is_admissible(h.plant))
+            found = sorted([*found, *admitted], key=by_total)
+            answer = self._plain([h for h in found[:1] if h not in known])
+            if answer or (is_observed and before):
+                return [*answer, *found[len(answer) :]]
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
         further = self.budget.shared_among(
             self._simulated,
             close,
-            lambda h: work_for(self.likelihood, h.plant, _iterations(h.plant)),
+            lambda h: work_for(self.likelihood, h.plant, SOME * h.plant.effects[-1].unusual),
             lambda done: told(len(chosen) + done),
         )
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
@@ -291,7 +301,7 @@ class Explorer:
         return self.likelihood.tried(
             hypothesis.plant,
             self.likelihood.white,
-            _iterations(hypothesis.plant),
+            SOME * hypothesis.plant.effects[-1].unusual,
             like=hypothesis,
             unpowered=hypothesis.unpowered,
             allowance=allowance,
@@ -342,7 +352,11 @@ class Explorer:
         reached = {frozenset(h.causes): h.total for h in sorted(self.judged, key=by_total, reverse=True)}
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
-            plants += [*self._as_good_alone(hypothesis), *kin(self.trials, hypothesis), *with_twins(hypothesis.plant)]
+            plants += [
+                *as_good_alone(hypothesis, self.singles, self._indistinct),
+                *kin(self.trials, hypothesis),
+                *with_twins(hypothesis.plant),
+            ]
         others = {
             causes: plant
             for plant in plants
@@ -387,16 +401,6 @@ class Explorer:
     def _is_plain(self, hypothesis: Hypothesis) -> bool:
         """Tell whether nothing but white noise is left, which no observer follows."""
         return hypothesis.noise.rate == 0.0 and hypothesis.noise.order == 0 and self.is_enough(hypothesis)
-
-    def _as_good_alone(self, hypothesis: Hypothesis) -> Iterator[Plant]:
-        """Yield the plant with a cause replaced by one that explained about as much while it was alone."""
-        alone = {h.causes[0]: h for h in sorted(self.singles, key=by_worst) if len(h.causes) == 1}
-        for name in hypothesis.causes:
-            limit = alone[name].total + self._indistinct(alone[name]) if name in alone else -np.inf
-            for other, single in alone.items():
-                if single.total <= limit and other not in hypothesis.causes:
-                    with suppress(InputError):  # two that do not go together
-                        yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
 
     def _indistinct(self, hypothesis: Hypothesis) -> float:
         """Return by how much −2 log-likelihood may be more for one that explains about as much.
@@ -443,8 +447,3 @@ class Explorer:
         found = [h for h in fits if h]
         self.judged += found
         return sorted(found, key=by_total)
-
-
-def _iterations(plant: Plant) -> int:
-    """Return how many iterations the last effect of `plant` is given beside white noise."""
-    return SOME * plant.effects[-1].unusual

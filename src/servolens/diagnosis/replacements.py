@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING
 
-from servolens.diagnosis.ordering import specialised
+from servolens.diagnosis.ordering import by_worst, specialised
 from servolens.effects import catalogue
+from servolens.errors import InputError
 from servolens.identification.score import ScoreTest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
     from servolens.plant import Plant
 
-__all__ = ["kin", "last_resorts", "promising"]
+__all__ = ["as_good_alone", "kin", "last_resorts", "promising"]
+
+
+def as_good_alone(
+    hypothesis: Hypothesis, singles: Sequence[Hypothesis], indistinct: Callable[[Hypothesis], float]
+) -> Iterator[Plant]:
+    """Yield the plant with a cause replaced by one that explained as much while it was alone, or nearly."""
+    alone = {h.causes[0]: h for h in sorted(singles, key=by_worst) if len(h.causes) == 1}
+    for name in hypothesis.causes:
+        limit = alone[name].total + indistinct(alone[name]) if name in alone else -inf
+        for other, single in alone.items():
+            if single.total <= limit and other not in hypothesis.causes:
+                with suppress(InputError):  # two that do not go together
+                    yield hypothesis.plant.without_effect(name).with_effect(single.plant.effects[0])
 
 
 def kin(trials: Trials, hypothesis: Hypothesis) -> Iterator[Plant]:

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["Start", "Trials", "starts_to_fit"]
+__all__ = ["Start", "Trials", "special_first", "starts_to_fit"]
 
 HELD_SHARE = 0.5
 """Share of the standing command that is a first guess of dry friction where another force acts as well."""
@@ -340,6 +340,14 @@ def starts_to_fit(starts: Sequence[Start]) -> list[Start]:
     """Return those of the `starts` of one effect that are tried: the best, several if it has a shape, and guesses."""
     several = STARTED if len(type(starts[0].plant.effects[-1]).parameters()) > 1 else 1
     return [s for place, s in enumerate(starts) if place < several or s.is_guess]
+
+
+def special_first(starts: Sequence[list[Start]]) -> list[tuple[int, list[list[Start]]]]:
+    """Return the starts of effects in two parts, and how many came before: what generalises others comes second."""
+    names = {some[0].effect for some in starts}
+    general = [some for some in starts if names & set(effect_class(some[0].effect).generalises)]
+    special = [some for some in starts if some not in general]
+    return [(0, special), (len(special), general)]
 
 
 @lru_cache(maxsize=1024)
