@@ -38,12 +38,21 @@ STICKY = CART.with_effect(StribeckFriction(**STRIBECK))
 STICKY_TRUTH = lab.Truth(gain=1.9, damping=6.0, effects={"stribeck_friction": STRIBECK})
 PID = PDSpec(kp=100, settling_time=0.6, ki=300, setpoint_weight=0.5, kd_max=30)
 CASCADE = PDSpec(kp=20, settling_time=0.5, controller="cascade", kiv=60, kd_max=80)
+SIGNAL = PDSpec(kp=100, settling_time=0.6, kd_max=30, derivative="velocity")
 
 
 def closed_by_control(spec, gain):
     """The loop from reference to position as a state space of python-control."""
-    slope, total = ct.ss([[0.0]], [[1.0]], [[-1 / H]], [[1 / H]], H), ct.ss([[1.0]], [[1.0]], [[H]], [[H]], H)
-    axis = ct.sample_system(ct.ss([[0.0, 1.0], [0.0, -6.0]], [[0.0], [1.9]], [[1.0, 0.0]], [[0.0]]), H, method="zoh")
+    total = ct.ss([[1.0]], [[1.0]], [[H]], [[H]], H)
+    matrices = [[0.0, 1.0], [0.0, -6.0]], [[0.0], [1.9]]
+    axis, speed = (ct.sample_system(ct.ss(*matrices, [row], [[0.0]]), H) for row in ([1.0, 0.0], [0.0, 1.0]))
+    window, share = spec.derivative_window, spec.derivative_filter
+    late = [1.0, *[0.0] * (window - 1), -1.0], [window * H, *[0.0] * window]
+    filtered = ct.tf2ss([share, 0.0], [1.0, share - 1.0], dt=H)
+    slope = filtered * ct.tf2ss(*late, dt=H)
+    if spec.derivative == "velocity":
+        answers = spec.kp * axis + gain * filtered * speed
+        return axis * ct.feedback(ct.ss([], [], [], [[1.0]], H), answers) * spec.kp
     if spec.controller == "cascade":
         return ct.feedback(ct.feedback(axis * (gain + spec.kiv * total), slope) * spec.kp, 1)
     forward, back = spec.kp * spec.setpoint_weight + spec.ki * total, spec.kp + gain * slope + spec.ki * total
@@ -56,7 +65,11 @@ def meets_by_control(spec, gain):
     return np.abs(error[time >= spec.settling_time]).max() <= spec.band
 
 
-@pytest.mark.parametrize("spec", [PID, CASCADE], ids=["pid", "cascade"])
+@pytest.mark.parametrize(
+    "spec",
+    [PID, CASCADE, replace(PID, derivative_window=40, kd_max=25), replace(SIGNAL, derivative_filter=0.1)],
+    ids=["pid", "cascade", "wide difference", "velocity signal"],
+)
 def test_intervals_are_those_of_a_scan_by_python_control(spec):
     design = tune(CART, spec)
     gains = np.linspace(0.2, spec.kd_max, 150)
@@ -97,6 +110,9 @@ def test_search_of_a_cascade_ends_where_its_speed_loop_is_unstable():
         ({"anti_windup": "clamping"}, "anti_windup = clamping needs an integral"),
         ({"ki": 3.0, "control": "continuous"}, "control = continuous is the ideal PD"),
         ({"setpoint_weight": float("inf")}, "setpoint_weight must be finite"),
+        ({"derivative": "speed"}, "derivative must be 'position' or 'velocity', got 'speed'"),
+        ({"derivative_window": 1.5}, "derivative_window must be a whole number of samples, at least 1, got 1.5"),
+        ({"derivative": "velocity", "control": "continuous"}, "control = continuous is the ideal PD"),
     ],
 )
 def test_wrong_laws_of_a_spec_are_refused(fields, sentence):
@@ -105,9 +121,10 @@ def test_wrong_laws_of_a_spec_are_refused(fields, sentence):
     assert str(refused.value).startswith(sentence)
 
 
-def test_program_and_proof_are_for_pd_only():
-    with pytest.raises(InputError, match="are for PD only"):
-        tune(CART, PID, certify=True)
+@pytest.mark.parametrize("spec", [PID, SIGNAL, PDSpec(kp=100, settling_time=0.6, derivative_window=2)])
+def test_program_and_proof_are_for_pd_of_the_last_difference_only(spec):
+    with pytest.raises(InputError, match="are for PD of the last difference only"):
+        tune(CART, spec, certify=True)
 
 
 def swing_of(record, seconds):

@@ -44,15 +44,16 @@ def test_each_pair_of_a_map_is_what_evaluate_says() -> None:
     assert least == found.noise[found.feasible].min()
 
 
-@pytest.mark.parametrize("share", [1.0, 0.3])
-def test_noise_is_that_of_a_controller_run_on_white_noise(share: float) -> None:
-    spec, kd = replace(SPEC, derivative_filter=share), 2.0
+@pytest.mark.parametrize(("share", "window"), [(1.0, 1), (0.3, 1), (0.3, 3), (1.0, 4)])
+def test_noise_is_that_of_a_controller_run_on_white_noise(share: float, window: int) -> None:
+    spec, kd = replace(SPEC, derivative_filter=share, derivative_window=window), 2.0
     noise = np.random.default_rng(1).normal(size=200_000)
     slope, voltage = 0.0, np.empty(noise.size)
     for k in range(noise.size):
-        slope += share * ((noise[k] - noise[max(k - 1, 0)]) / spec.sample_time - slope)
+        slope += share * ((noise[k] - noise[max(k - window, 0)]) / (window * spec.sample_time) - slope)
         voltage[k] = -spec.kp * noise[k] - kd * slope
     assert noise_gain(spec, kd) == pytest.approx(voltage.std(), rel=0.02)
+    assert noise_gain(replace(spec, derivative="velocity"), kd) == spec.kp
 
 
 def test_an_unstable_pair_is_infeasible_and_a_map_without_gains_is_refused() -> None:

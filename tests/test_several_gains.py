@@ -55,6 +55,23 @@ def test_margins_of_a_linear_loop_are_those_of_python_control(late, share):
     assert found.noise_gain == pytest.approx(ct.norm(made, 2), rel=5e-3)
 
 
+def test_margins_with_a_velocity_signal_and_with_a_wide_difference_are_those_of_python_control():
+    h, kd = SPEC.sample_time, 5.0
+    z = ct.tf([1.0, 0.0], [1.0], h)
+    matrices = [[0.0, 1.0], [0.0, -6.0]], [[0.0], [1.8]]
+    plant, speed = (ct.ss2tf(ct.c2d(ct.ss(*matrices, [row], [[0.0]]), h)) for row in ([1.0, 0.0], [0.0, 1.0]))
+    loops = {
+        replace(SPEC, derivative="velocity", derivative_filter=0.3): SPEC.kp * plant + kd * 0.3 * z / (z - 0.7) * speed,
+        replace(SPEC, derivative_window=5): (SPEC.kp + kd * (z**5 - 1) / (5.0 * h * z**5)) * plant,
+    }
+    omega = np.geomspace(0.5, 0.999 * np.pi / h, 4000)
+    for spec, loop in loops.items():
+        sensitivity = 1.0 / (1.0 + loop(np.exp(1j * omega * h)))
+        found = loop_margins([LINEAR], spec, kd)
+        assert found.peak_sensitivity == pytest.approx(np.abs(sensitivity).max(), rel=1e-3)
+        assert found.peak_complementary == pytest.approx(np.abs(1.0 - sensitivity).max(), rel=1e-3)
+
+
 def test_margins_with_an_integral_are_those_of_python_control():
     h, z = SPEC.sample_time, ct.tf([1.0, 0.0], [1.0], SPEC.sample_time)
     plant = ct.c2d(ct.tf([1.8], [1.0, 6.0, 0.0]), h)

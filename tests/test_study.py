@@ -624,12 +624,13 @@ def test_kp_is_of_a_record_with_the_inertia_that_the_model_is_for():
     assert told in study_records(runs, replace(SPEC, settling_time=0.5), effort="quick").findings
 
 
-def test_a_loop_with_a_velocity_signal_is_told_for_which_loop_the_gain_is():
-    def told(kd, derivative):
-        record = lab.step_record(CART, 60, kd)
-        loop = replace(record.controller, derivative=derivative)
-        run = record.with_({"controller": loop, "velocity": np.gradient(record.position, record.time)})
-        return [finding.severity for finding in design_notes([run]) if finding.code == "velocity_signal"]
-
-    assert told(4.0, "velocity") == ["note"]
-    assert told(4.0, "position") == told(0.0, "velocity") == []
+def test_a_gain_is_designed_for_the_derivative_of_the_records():
+    record = lab.step_record(CART, 60, 4.0)
+    loop = replace(record.controller, derivative="velocity", derivative_filter=0.5)
+    run = record.with_({"controller": loop, "velocity": np.gradient(record.position, record.time)})
+    spec = completed_spec([run], {"settling_time": 0.5})
+    assert (spec.derivative, spec.derivative_filter, spec.derivative_window) == ("velocity", 0.5, 1)
+    assert completed_spec([run], {"settling_time": 0.5, "control": "continuous"}).derivative == "position"
+    wide = record.with_({"controller": replace(record.controller, derivative_window=3)})
+    assert completed_spec([wide], {"settling_time": 0.5}).derivative_window == 3
+    assert completed_spec([wide], {"settling_time": 0.5, "derivative_window": 1}).derivative_window == 1

@@ -28,12 +28,14 @@ deviations are all of it."""
 def noise_gain(spec: PDSpec, kd: float) -> float:
     """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the controller alone.
 
-    The response of the digital PD to one sample is kp + a, then a((1−φ)ʲ − (1−φ)ʲ⁻¹), with a = kd φ/h and φ the
-    derivative filter: the squares sum to (kp + a)² + a² φ/(2 − φ). Without an integral, which sums up noise slowly.
+    The digital PD answers to one sample by kp and by a = kd/(w h) times the derivative filter's response φ(1−φ)ʲ, less
+    the same w samples later: the squares sum to kp² + 2 a φ kp + 2 a² φ (1 − (1−φ)ʷ)/(2 − φ). Without an integral,
+    which sums up noise slowly, and without the noise of a velocity signal, which is not known.
     """
-    share, loop = spec.derivative_filter, spec.loop(kd)
-    slope = kd * share / spec.sample_time
-    return float(np.sqrt((loop.kp + slope) ** 2 + slope**2 * share / (2.0 - share)))
+    share, window, loop = spec.derivative_filter, spec.derivative_window, spec.loop(kd)
+    slope = kd / (window * spec.sample_time) if spec.derivative == "position" else 0.0
+    own = 2.0 * slope**2 * share * (1.0 - (1.0 - share) ** window) / (2.0 - share)
+    return float(np.sqrt(loop.kp**2 + 2.0 * slope * share * loop.kp + own))
 
 
 def quiet(models: Sequence[Model], spec: PDSpec, intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:

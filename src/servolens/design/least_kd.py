@@ -75,8 +75,8 @@ def tune(
     models, progress = _checked(plants), as_progress(progress)
     if (with_program or certify) and not (spec.is_pd and not spec.limits):
         raise InputError(
-            "CasADi's program and the proof by enclosures are for PD only, and know no limits of the linearised loop;"
-            " leave them out"
+            "CasADi's program and the proof by enclosures are for PD of the last difference only, and know no limits of"
+            " the linearised loop; leave them out"
         )
     silent = unanswered(models, spec)
     if silent is not None:

@@ -27,7 +27,7 @@ __all__ = [
     "POINTS",
     "LinearLoops",
     "LoopMargins",
-    "controller_response",
+    "controller_responses",
     "frequencies",
     "loop_margins",
     "plant_responses",
@@ -90,14 +90,15 @@ class LinearLoops:
     def __init__(self, plants: Sequence[Plant], spec: PDSpec, realised: Sequence[float] = ()) -> None:
         self._spec, self._omega = spec, frequencies(plants, spec)
         factors = np.repeat(np.asarray(realised, dtype=np.float64), 2) if realised else np.ones(2 * len(plants))
-        answers = plant_responses(plants, spec, self._omega)
+        answers = _responses(plants, spec, self._omega)
         self._plants = [factor * answer for factor, answer in zip(factors, answers, strict=True)]
 
     def margins(self, gain: float, spec: PDSpec | None = None) -> LoopMargins:
         """Return the margins with the gain that is sought, perhaps with a `spec` that has another ki or filter."""
         spec = spec or self._spec
-        controller = controller_response(spec, gain, self._omega)
-        found = [_margins(answer * controller, controller, self._omega, spec) for answer in self._plants]
+        of_position, of_velocity = controller_responses(spec, gain, self._omega)
+        loops = [position * of_position + velocity * of_velocity for position, velocity in self._plants]
+        found = [_margins(loop, of_position, self._omega, spec) for loop in loops]
         noise = [one.noise_gain for one in found if one.noise_gain is not None]
         return LoopMargins(
             peak_sensitivity=max(one.peak_sensitivity for one in found),
@@ -119,21 +120,30 @@ def frequencies(plants: Sequence[Plant], spec: PDSpec) -> Floats:
     return np.asarray(np.geomspace(LOWEST * min(*natural, last), last, POINTS), dtype=np.float64)
 
 
-def controller_response(spec: PDSpec, gain: float, omega: Floats) -> Complex:
-    """Return the controller's response from the position to the command, without its sign."""
+def controller_responses(spec: PDSpec, gain: float, omega: Floats) -> tuple[Complex, Complex]:
+    """Return the controller's responses from position and velocity signal to the command, without its sign."""
     s = 1j * omega
     if spec.control == "continuous":
-        return np.asarray(spec.kp + gain * s)
+        return np.asarray(spec.kp + gain * s), np.zeros(omega.size, dtype=np.complex128)
     back = np.exp(-s * spec.sample_time)
-    share, step = spec.derivative_filter, spec.sample_time
-    slope, summed = share * (1.0 - back) / step / (1.0 - (1.0 - share) * back), step / (1.0 - back)
+    share, step, window = spec.derivative_filter, spec.sample_time, spec.derivative_window
+    filtered, summed = share / (1.0 - (1.0 - share) * back), step / (1.0 - back)
+    has_signal = spec.derivative == "velocity"
+    slope = 0.0 if has_signal else filtered * (1.0 - back**window) / (window * step)
+    signal = filtered if has_signal else np.zeros(omega.size)
     if spec.controller == "cascade":
-        return np.asarray((gain + spec.kiv * summed) * (spec.kp + slope))
-    return np.asarray(spec.kp + gain * slope + spec.ki * summed)
+        speed_loop = gain + spec.kiv * summed
+        return np.asarray(speed_loop * (spec.kp + slope)), np.asarray(speed_loop * signal)
+    return np.asarray(spec.kp + gain * slope + spec.ki * summed), np.asarray(gain * signal)
 
 
 def plant_responses(plants: Sequence[Plant], spec: PDSpec, omega: Floats) -> list[Complex]:
     """Return the response from command to position of each linearised plant, at rest and at the speed of the step."""
+    return [position for position, _ in _responses(plants, spec, omega)]
+
+
+def _responses(plants: Sequence[Plant], spec: PDSpec, omega: Floats) -> list[Complex]:
+    """Return the same from command to position and velocity, shape (2, n) each."""
     speeds = (0.0, 2.0 * spec.reference / spec.settling_time)
     return [_response(plant, spec, omega, speed) for plant in plants for speed in speeds]
 
@@ -154,13 +164,17 @@ def _response(plant: Plant, spec: PDSpec, omega: Floats, speed: float) -> Comple
 
 @lru_cache(maxsize=256)
 def _slopes(structure: tuple[type[Effect], ...]) -> tuple[Any, Any]:
-    """Return functions of an axis without dry friction: its A, B and C in a motion, and its states at rest."""
+    """Return functions of an axis without dry friction: its A, B and C in a motion, and its states at rest.
+
+    C has a row for the position and one for the velocity.
+    """
     import casadi as ca
 
     d = dynamics(structure)
     state = ca.vertcat(d.position, d.velocity, d.states)
     flow = ca.vertcat(d.velocity, d.push, d.rates)
-    found = [ca.jacobian(flow, state), ca.jacobian(flow, d.command), ca.jacobian(d.shown, state)]
+    outputs = ca.vertcat(d.shown, d.output_velocity)
+    found = [ca.jacobian(flow, state), ca.jacobian(flow, d.command), ca.jacobian(outputs, state)]
     still = ca.substitute([*found, d.beginning], [d.time, d.command], [ca.SX(0.0), ca.SX(0.0)])
     motion = [d.position, d.velocity, d.direction, d.parameters, d.states]
     return ca.Function("slopes", motion, still[:3]), ca.Function("resting", [d.position, d.parameters], still[3:])
@@ -178,9 +192,9 @@ def _held(a: Floats, b: Floats, step: float) -> tuple[Floats, Floats]:
 
 
 def _resolved(a: Floats, b: Floats, c: Floats, points: NDArray[Any]) -> Complex:
-    """Return C (z − A)⁻¹ B at each of the points."""
+    """Return C (z − A)⁻¹ B at each of the points, shape (rows of C, points)."""
     matrices = points[:, None, None] * np.eye(a.shape[0]) - a
-    return np.asarray((c @ np.linalg.solve(matrices, np.broadcast_to(b, (points.size, *b.shape))))[:, 0, 0])
+    return np.asarray((c @ np.linalg.solve(matrices, np.broadcast_to(b, (points.size, *b.shape))))[:, :, 0].T)
 
 
 def _margins(loop: Complex, controller: Complex, omega: Floats, spec: PDSpec) -> LoopMargins:

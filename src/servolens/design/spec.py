@@ -12,7 +12,7 @@ from servolens.errors import InputError, flags, unwrapped
 
 __all__ = ["LINEAR_LIMITS", "PDSpec"]
 
-WORDS = ("control", "controller", "anti_windup", "hunting")
+WORDS = ("control", "controller", "anti_windup", "derivative", "hunting")
 LINEAR_LIMITS = ("peak_sensitivity", "peak_complementary", "delay_margin", "noise_gain")
 """What the linearised loop must keep to."""
 MOST_SAMPLES = 20_000
@@ -47,6 +47,10 @@ class PDSpec:
         Of the digital loop [s], positive.
     derivative_filter : float
         Of the digital loop, in (0, 1]; 1 is no filter.
+    derivative_window : int
+        Samples over which the digital loop takes its difference, positive.
+    derivative : {"position", "velocity"}
+        What the digital loop makes its derivative of: differences of the position, or a velocity signal of its own.
     controller : {"pd", "cascade"}
         The law: PD or PID, whose kd is sought; or P of the position and PI of the speed, whose kv is.
     ki, setpoint_weight : float
@@ -82,6 +86,8 @@ class PDSpec:
     control: Literal["sampled", "continuous"] = "sampled"
     sample_time: float = 1e-3
     derivative_filter: float = 1.0
+    derivative_window: int = 1
+    derivative: Literal["position", "velocity"] = "position"
     controller: Literal["pd", "cascade"] = "pd"
     ki: float = 0.0
     setpoint_weight: float = 1.0
@@ -110,6 +116,7 @@ class PDSpec:
             raise InputError(f"derivative_filter must lie in (0, 1], got {self.derivative_filter!r}")
         if self.control not in ("sampled", "continuous"):
             raise InputError(f"control must be 'sampled' or 'continuous', got {self.control!r}")
+        _check_window(self)
         _check_law(self)
         if self.settling_time > MOST_SAMPLES * self.sample_time:
             raise InputError(
@@ -128,8 +135,9 @@ class PDSpec:
 
     @property
     def is_pd(self) -> bool:
-        """Whether the loop is nothing but kp and kd."""
-        return self.controller == "pd" and self.ki == 0 and self.setpoint_weight == 1
+        """Whether the loop is nothing but kp and kd, of the position and its last difference."""
+        is_plain = self.derivative == "position" and self.derivative_window == 1
+        return self.controller == "pd" and self.ki == 0 and self.setpoint_weight == 1 and is_plain
 
     @property
     def limits(self) -> dict[str, float]:
@@ -139,6 +147,7 @@ class PDSpec:
 
     def loop(self, gain: float) -> Controller:
         """Return the digital loop with the gain that is sought; a cascade without it does nothing."""
+        window, derivative = self.derivative_window, self.derivative
         if self.controller == "pd":
             return Controller(
                 kp=self.kp,
@@ -147,6 +156,8 @@ class PDSpec:
                 setpoint_weight=self.setpoint_weight,
                 anti_windup=self.anti_windup if self.ki else "none",
                 derivative_filter=self.derivative_filter,
+                derivative_window=window,
+                derivative=derivative,
             )
         if gain == 0:
             return Controller(kp=0.0)
@@ -156,6 +167,8 @@ class PDSpec:
             kiv=self.kiv,
             anti_windup=self.anti_windup if self.kiv else "none",
             derivative_filter=self.derivative_filter,
+            derivative_window=window,
+            derivative=derivative,
         )
 
     def gains(self, gain: float | None) -> dict[str, float | None]:
@@ -181,7 +194,12 @@ class PDSpec:
 
 
 def _check_law(spec: PDSpec) -> None:
-    for name, allowed in (("controller", ("pd", "cascade")), ("anti_windup", ("none", "clamping", "back_calculation"))):
+    words = {
+        "controller": ("pd", "cascade"),
+        "anti_windup": ("none", "clamping", "back_calculation"),
+        "derivative": ("position", "velocity"),
+    }
+    for name, allowed in words.items():
         if getattr(spec, name) not in allowed:
             raise InputError(f"{name} must be {' or '.join(map(repr, allowed))}, got {getattr(spec, name)!r}")
     for name in ("ki", "kiv"):
@@ -199,9 +217,19 @@ def _check_law(spec: PDSpec) -> None:
         raise InputError(f"anti_windup = {spec.anti_windup} needs an integral; give ki, or kiv of a cascade")
 
 
+def _check_window(spec: PDSpec) -> None:
+    window = spec.derivative_window
+    if not (window >= 1 and window % 1 == 0):
+        raise InputError(f"derivative_window must be a whole number of samples, at least 1, got {window!r}")
+    object.__setattr__(spec, "derivative_window", int(window))
+
+
 def _check_ideal(spec: PDSpec) -> None:
     if not spec.is_pd:
-        raise InputError("control = continuous is the ideal PD; an integral or a cascade needs control = sampled")
+        raise InputError(
+            "control = continuous is the ideal PD; an integral, a cascade, a velocity signal and a difference over"
+            " several samples need control = sampled"
+        )
     if spec.noise_gain is not None:
         raise InputError("the noise of an ideal continuous PD is not finite, so noise_gain needs control = sampled")
 

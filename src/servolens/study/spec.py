@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["completed_spec", "default_sentence", "design_notes", "suggested_spec"]
 
-SAMPLING = ("sample_time", "derivative_filter")
+SAMPLING = ("sample_time", "derivative_filter", "derivative_window", "derivative")
 GAINS_TRIED = 41
 DEFAULTS = {
     ("kp", "reference"): "Kp and the step are, by default, those of {record}; --kp and --reference ask for others.",
@@ -72,7 +72,7 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
             raise InputError(f"the records were made in another loop than a {given['controller']}; give its kp")
         known = plain
     elif given.get("control") == "continuous" and "controller" not in known:
-        known = {"kp": known["kp"], **plain} if known else {}
+        known = {name: known[name] for name in ("kp", "sample_time") if name in known}
     return PDSpec(**{**known, **_step_of(records if record is None else [record]), **given})
 
 
@@ -87,35 +87,17 @@ def default_sentence(records: Sequence[Record], given: Mapping[str, Any]) -> str
 
 
 def design_notes(records: Sequence[Record]) -> tuple[Finding, ...]:
-    """Return for which moving inertia and for which loop a gain is designed that is based on these records."""
-    return tuple(note for note in (_of_inertias(records), _of_velocity(records)) if note)
-
-
-def _of_inertias(records: Sequence[Record]) -> Finding | None:
-    """Say for which moving inertia model and gain are, where records differ in it."""
+    """Return for which moving inertia a gain is designed that is based on these records, where they differ in it."""
     stated = [record for record in records if record.inertia is not None]
     if len({record.inertia for record in stated}) < 2:
-        return None
+        return ()
     first = stated[0]
     what, unit = ("mass", "kg") if first.length_unit == "m" else ("moving inertia", "kg m²")
     message = (
         f"model and gain are for a {what} of {first.inertia:g} {unit}, that of {first.name}, the first record that"
         " states one. For another put a record with it first."
     )
-    return Finding(code="inertias_differ", severity="note", message=message)
-
-
-def _of_velocity(records: Sequence[Record]) -> Finding | None:
-    """Say for which loop a gain is designed, where records were made with a velocity signal."""
-    loops = ((record.name, record.controller) for record in records)
-    names = [name for name, loop in loops if loop and loop.kd != 0.0 and loop.derivative == "velocity"]
-    if not names:
-        return None
-    message = (
-        f"the loop of {names[0]} takes the velocity from a signal of its own; a gain is designed for a loop without it,"
-        " which takes the difference of two positions and so is later: with the signal the axis settles otherwise."
-    )
-    return Finding(code="velocity_signal", severity="note", message=message)
+    return (Finding(code="inertias_differ", severity="note", message=message),)
 
 
 def suggested_spec(records: Sequence[Record], plant: Plant) -> PDSpec | None:
@@ -173,6 +155,8 @@ def _loop_of(record: Record) -> dict[str, Any]:
         "kp": loop.kp,
         "sample_time": float(f"{loop.control_period or record.sample_time:.6g}"),
         "derivative_filter": loop.derivative_filter,
+        "derivative_window": loop.derivative_window,
+        "derivative": loop.derivative,
     }
     if loop.is_cascade and loop.kd > 0:
         speed = {"kp": float(f"{loop.kp / loop.kd:.9g}"), "kiv": float(f"{loop.integral_rate * loop.kd:.9g}")}

@@ -241,6 +241,10 @@ def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
         added.append(f"a set-point weight of {number(spec.setpoint_weight)}")
     if spec.derivative_filter < 1:
         added.append(f"a derivative filter of {number(spec.derivative_filter)}")
+    if spec.derivative == "velocity":
+        added.append("the derivative of a velocity signal")
+    elif spec.derivative_window > 1:
+        added.append(f"a difference over {spec.derivative_window} samples")
     if spec.anti_windup != "none":
         added.append(f"{spec.anti_windup.replace('_', ' ')} against windup")
     tail = f" with {', '.join(added)}" if added else ""
