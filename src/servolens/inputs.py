@@ -12,6 +12,7 @@ from servolens.control_law import with_seen_integral
 from servolens.effects import Effect, check_effect, effect_class
 from servolens.encoder import with_seen_encoder
 from servolens.errors import InputError, described, names_like
+from servolens.even_times import with_even_times
 from servolens.jump_times import with_timed_jumps
 from servolens.model import Model, read_model
 from servolens.plant import Plant
@@ -130,9 +131,9 @@ def as_records(
     Returns
     -------
     tuple of Record
-        In the order given, all in the same units, with the encoder's step that they show where none states one, with
-        the integral with which their loop began, and with the times at which the reference jumped where the loop ran
-        faster than the log.
+        In the order given, all in the same units, at even times where only their stamps are uneven, with the encoder's
+        step that they show where none states one, with the integral with which their loop began, and with the times at
+        which the reference jumped where the loop ran faster than the log.
 
     Raises
     ------
@@ -157,7 +158,8 @@ def as_records(
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
     _check_units(found)
-    return with_timed_jumps(with_seen_encoder([*map(with_seen_integral, found)]))
+    found = [with_seen_integral(with_even_times(record)) for record in found]
+    return with_timed_jumps(with_seen_encoder(found))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -85,6 +85,9 @@ class Record:
         Unit of the command, ``"V"`` unless the log says otherwise.
     remarks : tuple of Finding
         What the reader noticed.
+    stamp_error : float, optional
+        By how much, r.m.s., the log's time stamps were off the even instants at which its samples were taken, which
+        `time` holds [s]; None where it holds the stamps.
 
     Attributes
     ----------
@@ -116,6 +119,7 @@ class Record:
     length_unit: LengthUnit = "m"
     command_unit: str = "V"
     remarks: tuple[Finding, ...] = ()
+    stamp_error: float | None = None
     sample_time: float = field(init=False)
 
     def __post_init__(self) -> None:

@@ -237,24 +237,13 @@ def specification(
         _number("--overshoot", "Largest overshoot as a fraction of the step."),
         _number("--voltage-limit", "Largest voltage that the controller may ask for [V]."),
         _number("--kd-max", "End of the search, which begins at 0.  [default: from the plant]"),
-        click.option(
-            "--control",
-            type=click.Choice(["sampled", "continuous"]),
-            help="A digital loop, or an ideal continuous PD.  [default: sampled]",
-        ),
+        _choice("--control", ["sampled", "continuous"], "A digital loop, or an ideal PD.  [default: sampled]"),
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
-        click.option(
-            "--derivative-window",
-            type=click.IntRange(min=1),
-            metavar="SAMPLES",
-            help=f"Samples over which the digital loop takes its difference.  [default: {records}1]",
+        _choice(
+            "--derivative", ["position", "velocity"], f"What the derivative is taken of.  [default: {records}position]"
         ),
-        click.option(
-            "--derivative",
-            type=click.Choice(["position", "velocity"]),
-            help=f"Differences of the position, or a velocity signal of its own.  [default: {records}position]",
-        ),
+        _number("--derivative-window", f"Samples over which it is a difference.  [default: {records}1]"),
         *_law(records),
         _number("--peak-sensitivity", "Largest peak of the sensitivity, Ms, of the linearised loop."),
         _number("--peak-complementary", "Largest peak of the complementary sensitivity, Mt, of the linearised loop."),
@@ -328,10 +317,10 @@ def _law(records: str) -> tuple[Callable[[Command], Command], ...]:
             help="P control of the position (--kp), PI control of the speed; kv, the gain of the latter, is designed.",
         ),
         _number("--kiv", f"Integral gain of the speed loop [V/m].  [default: {records}0]"),
-        click.option(
+        _choice(
             "--anti-windup",
-            type=click.Choice(["none", "clamping", "back_calculation"]),
-            help=f"How the integral is stopped at the voltage limit.  [default: {records}none]",
+            ["none", "clamping", "back_calculation"],
+            f"How the integral is stopped at the voltage limit.  [default: {records}none]",
         ),
         click.option(
             "--no-hunting",
@@ -434,6 +423,10 @@ def _record_options(kp: tuple[str, ...], kd: tuple[str, ...]) -> tuple[Callable[
 
 def _number(option: str, text: str, *, required: bool = False) -> Callable[[Command], Command]:
     return click.option(option, type=finite, metavar="NUMBER", required=required, help=text)
+
+
+def _choice(option: str, words: list[str], text: str) -> Callable[[Command], Command]:
+    return click.option(option, type=click.Choice(words), help=text)
 
 
 def _several(paths: str | tuple[str, ...]) -> tuple[str, ...]:

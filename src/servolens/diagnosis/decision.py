@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, final
 
 from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.errors import pooled
-from servolens.diagnosis.explorer import INDISTINCT
 from servolens.diagnosis.knocks import without_knock
-from servolens.diagnosis.ordering import by_total, is_last_resort, late_otherwise
+from servolens.diagnosis.ordering import INDISTINCT, by_total, is_last_resort, late_otherwise
 from servolens.diagnosis.remainder import held_errors, remainder_of
 from servolens.diagnosis.search import Search, improved_path, search
 from servolens.errors import NumericalError

@@ -12,6 +12,7 @@ import numpy as np
 
 from servolens.diagnosis.effort import SPENT, Budget, work_for
 from servolens.diagnosis.ordering import (
+    INDISTINCT,
     best_of_each,
     by_total,
     delays,
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from servolens.identification.hypothesis import Hypothesis
     from servolens.plant import Plant
 
-__all__ = ["INDISTINCT", "Explorer"]
+__all__ = ["Explorer"]
 
 ORDINALS = ("first", "second", "third", "fourth", "fifth")
 PROMISING = 0.5
@@ -60,8 +61,6 @@ FAR_BEHIND = 0.05
 FEW_PARAMETERS, LATE = 2, (0.25, 1.0)
 """Most parameters of an effect that is tried beside a delay; delays from which the fit starts, in radians at the loop's
 rate: up to what a well-damped loop has in hand."""
-INDISTINCT = 10.0
-"""Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
 
 @final
@@ -271,19 +270,9 @@ class Explorer:
             what = f"Trying {cause}: {count} of {len(chosen)} effects"
             self.tell(what if count <= len(chosen) else f"Choosing {cause} among the best", done + count * share)
 
-        found: list[Hypothesis] = []
-        for before, some in special_first(chosen):
-            begun = self.budget.shared_among(
-                lambda starts, share: trials.begun(starts, hypothesis, share),
-                [starts_to_fit(starts) for starts in some],
-                lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
-                partial(told, before=before),
-            )
-            known, admitted = found[:1], (h for h in begun if h and self.likelihood.is_admissible(h.plant))
-            found = sorted([*found, *admitted], key=by_total)
-            answer = self._plain([h for h in found[:1] if h not in known])
-            if answer or (is_observed and before):
-                return [*answer, *found[len(answer) :]]
+        found, is_answered = self._begun(chosen, hypothesis, told)
+        if is_answered or is_observed:
+            return found
         drives = [h for h in found[self.effort.judged + 2 :] if isinstance(h.plant.effects[-1], Drive)]
         close = [*found[: self.effort.judged + 2], *drives]
         further = self.budget.shared_among(
@@ -295,6 +284,24 @@ class Explorer:
         further = [h if h and self.likelihood.is_admissible(h.plant) else None for h in further]
         better = [a if b is None or a.total <= b.total else b for a, b in zip(close, further, strict=True)]
         return [*better, *(h for h in found if h not in close)]
+
+    def _begun(
+        self, chosen: Sequence[list[Start]], hypothesis: Hypothesis, told: Callable[..., None]
+    ) -> tuple[list[Hypothesis], bool]:
+        """Return effects beside `hypothesis` after a few iterations, and whether one leaves white noise alone."""
+        found: list[Hypothesis] = []
+        for before, some in special_first(chosen):
+            begun = self.budget.shared_among(
+                lambda starts, share: self.trials.begun(starts, hypothesis, share),
+                [starts_to_fit(starts) for starts in some],
+                lambda starts: sum(work_for(self.likelihood, start.plant, FEW) for start in starts),
+                partial(told, before=before),
+            )
+            known, admitted = found[:1], (h for h in begun if h and self.likelihood.is_admissible(h.plant))
+            found = sorted([*found, *admitted], key=by_total)
+            if answer := self._plain([h for h in found[:1] if h not in known]):
+                return [*answer, *found[1:]], True
+        return found, False
 
     def _simulated(self, hypothesis: Hypothesis, allowance: float) -> Hypothesis | None:
         """Return where `hypothesis` leads beside white noise: coloured noise hides what is slow."""
@@ -353,7 +360,7 @@ class Explorer:
         plants = [*parted(hypothesis.plant)] if len(hypothesis.causes) < self.effort.causes else []
         if len(hypothesis.causes) > 1:
             plants += [
-                *as_good_alone(hypothesis, self.singles, self._indistinct),
+                *as_good_alone(self.likelihood, hypothesis, self.singles),
                 *kin(self.trials, hypothesis),
                 *with_twins(hypothesis.plant),
             ]
@@ -401,13 +408,6 @@ class Explorer:
     def _is_plain(self, hypothesis: Hypothesis) -> bool:
         """Tell whether nothing but white noise is left, which no observer follows."""
         return hypothesis.noise.rate == 0.0 and hypothesis.noise.order == 0 and self.is_enough(hypothesis)
-
-    def _indistinct(self, hypothesis: Hypothesis) -> float:
-        """Return by how much −2 log-likelihood may be more for one that explains about as much.
-
-        What a model gets wrong is no noise: a loop remembers it, and as long it counts once.
-        """
-        return INDISTINCT * (self.likelihood.remembered if hypothesis.noise.is_model_error else 1.0)
 
     def generalised(self, hypothesis: Hypothesis) -> Hypothesis:
         """Return `hypothesis` or what comes of a last resort in the place of causes that it generalises.

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from servolens.identification.starting import Screen
 
 __all__ = [
+    "INDISTINCT",
     "beside_shaking",
     "best_of_each",
     "by_total",
@@ -44,6 +45,9 @@ __all__ = [
     "with_twins",
     "without",
 ]
+
+INDISTINCT = 10.0
+"""Difference of −2 log-likelihood up to which two hypotheses are rivals: odds of 1 to 150."""
 
 
 def chosen_for_extension(ranked: Sequence[Hypothesis], places: int) -> list[Hypothesis]:

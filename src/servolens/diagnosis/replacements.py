@@ -7,13 +7,13 @@ from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
 
-from servolens.diagnosis.ordering import by_worst, specialised
+from servolens.diagnosis.ordering import INDISTINCT, by_worst, specialised
 from servolens.effects import catalogue
 from servolens.errors import InputError
 from servolens.identification.score import ScoreTest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from servolens.diagnosis.trials import Trials
     from servolens.identification.hypothesis import Hypothesis
@@ -23,13 +23,16 @@ if TYPE_CHECKING:
 __all__ = ["as_good_alone", "kin", "last_resorts", "promising"]
 
 
-def as_good_alone(
-    hypothesis: Hypothesis, singles: Sequence[Hypothesis], indistinct: Callable[[Hypothesis], float]
-) -> Iterator[Plant]:
-    """Yield the plant with a cause replaced by one that explained as much while it was alone, or nearly."""
+def as_good_alone(likelihood: Likelihood, hypothesis: Hypothesis, singles: Sequence[Hypothesis]) -> Iterator[Plant]:
+    """Yield the plant with a cause replaced by one that explained as much while it was alone, or nearly.
+
+    What a model gets wrong is no noise: a loop remembers it, and as long it counts once.
+    """
     alone = {h.causes[0]: h for h in sorted(singles, key=by_worst) if len(h.causes) == 1}
     for name in hypothesis.causes:
-        limit = alone[name].total + indistinct(alone[name]) if name in alone else -inf
+        own = alone.get(name)
+        counts = likelihood.remembered if own is not None and own.noise.is_model_error else 1.0
+        limit = -inf if own is None else own.total + INDISTINCT * counts
         for other, single in alone.items():
             if single.total <= limit and other not in hypothesis.causes:
                 with suppress(InputError):  # two that do not go together

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.diagnosis.explorer import INDISTINCT, Explorer
+from servolens.diagnosis.explorer import Explorer
 from servolens.diagnosis.ordering import (
+    INDISTINCT,
     beside_shaking,
     best_of_each,
     by_total,

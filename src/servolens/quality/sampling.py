@@ -114,6 +114,12 @@ def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 
 def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield gaps, and jitter where it displaces the moving axis by more than the sensor's own error."""
+    if record.stamp_error is not None:
+        message = (
+            f"the time stamps are off by {1e3 * record.stamp_error:.2g} ms (rms), but the motion shows that the samples"
+            f" were taken evenly, every {1e3 * seen.sample_time:.4g} ms: these times are used."
+        )
+        yield Finding(code="uneven_stamps", severity="note", message=message)
     rounded = _rounded(record.time)
     if rounded is not None:
         grid, true = rounded
