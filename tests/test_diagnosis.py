@@ -122,8 +122,9 @@ def test_what_noise_does_to_an_axis_with_a_dead_zone_is_no_unexplained_force():
 def test_simpler_effect_is_preferred_to_those_that_contain_it(rubbing):
     _, diagnosis = rubbing
     single = {candidate.effects[-1]: candidate.likelihood for candidate in diagnosis.candidates}
-    assert {"coulomb_friction", "stribeck_friction", "asymmetric_friction"} <= set(single)
     assert max(single, key=single.get) == "coulomb_friction"
+    assert len(single) >= 5
+    assert {"stribeck_friction", "asymmetric_friction", "presliding"}.isdisjoint(single)  # it leaves white noise alone
 
 
 def worlds(*slow):
