@@ -634,6 +634,27 @@ def test_growing_oscillation_is_said():
     assert "grows from" in finding.message
 
 
+def test_a_position_that_runs_away_from_its_reference_is_said():
+    """A spring that pushes outwards is held by kp while it is stiffer; a negative damping lets the axis go slowly."""
+    pushed = lab.Truth(gain=2.0, damping=8.0, effects={"return_spring": {"stiffness": -130.0}})
+    held, away = (lab.step_record(pushed, kp, 0.0, noise=1e-5, seed=1, duration=1.2) for kp in (90, 60))
+    (finding,) = (one for one in check(away) if one.code == "unstable_log")
+    assert "runs away from its reference" in finding.message
+    assert "the largest step is 0.1 m" in finding.message
+    assert "unstable_log" not in {one.code for one in check(held)}
+    ended = away.slice(0.0, 0.02)
+    assert "unstable_log" not in {one.code for one in check(ended)}
+
+
+def test_an_axis_that_sags_or_is_pushed_does_not_run_away():
+    """A weight that a weak loop lets down farther than its step; and no step at all."""
+    weight = lab.Truth(gain=2.0, damping=8.0, effects={"constant_force": {"acceleration": 40.0}})
+    sagging = lab.step_record(weight, 50, 1.0, noise=1e-5, seed=1, duration=2.5)
+    assert np.abs(sagging.position - sagging.reference)[-1] > 0.2
+    still = sagging.with_({"reference": 0.0 * sagging.reference})
+    assert "unstable_log" not in {one.code for record in (sagging, still) for one in check(record)}
+
+
 # ---- loop
 
 

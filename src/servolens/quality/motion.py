@@ -113,9 +113,10 @@ def _frozen(record: Record, moves: NDArray[np.float64], still: NDArray[np.bool_]
 
 
 def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
-    """Yield the first constant reference about which the position swings wider and wider.
+    """Yield the first constant reference about which the position swings wider and wider, or from which it runs away.
 
-    Four half swings in a row must grow, by 15 % together, and the last must stand out of noise and encoder step.
+    Four half swings in a row must grow, by 15 % together, and the last must stand out of noise and encoder step. Or the
+    position ends twice as far away as the step was large, and was nearer before: a loop without damping swings by it.
     """
     if record.reference is None:
         return
@@ -132,6 +133,18 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
                 f"the oscillation after {record.time[first]:g} s grows from {last[0]:.3g} to {last[-1]:.3g}"
                 f" {record.length_unit} in four half swings;"
                 " the loop is unstable, log with lower gains; or something shakes the axis."
+            )
+            yield Finding(code="unstable_log", severity="warning", message=message)
+            return
+        away, step = np.abs(record.position[first:stop] - record.reference[first]), record.largest_step
+        is_held = np.ptp(record.reference[first:stop]) == 0.0 and step > 0.0
+        is_on = record.enabled is None or record.enabled[first:stop].all()
+        farther = max(2.0 * away[0], 2.0 * step, 5.0 * small, 1.15 * float(away[3 * away.size // 4]))
+        if is_held and is_on and away[-1] > farther:
+            message = (
+                f"after {record.time[first]:g} s the position runs away from its reference, by {away[-1]:.3g}"
+                f" {record.length_unit} in the end, where the largest step is {step:.3g} {record.length_unit}; the loop"
+                " is unstable there: leave this record out, or end it before."
             )
             yield Finding(code="unstable_log", severity="warning", message=message)
             return
