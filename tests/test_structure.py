@@ -11,9 +11,10 @@ import servolens
 from servolens import lab
 from servolens.diagnosis.case import Case
 from servolens.effects import CoulombFriction, SensorLag
+from servolens.identification.autoregression import burg
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.loop_errors import drawn_loop_errors
-from servolens.identification.noise import NoiseModel, Whitener, burg
+from servolens.identification.noise import NoiseModel, Whitener
 from servolens.identification.options import FitOptions
 from servolens.identification.score import FALSE_ALARM, ScoreTest
 from servolens.identification.shaken import at_least_white, shaken, shaking

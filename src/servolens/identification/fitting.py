@@ -139,7 +139,7 @@ def final_fit(likelihood: Likelihood, found: Sequence[Hypothesis], options: FitO
         noise = likelihood.white  # what a model lacks is no noise; its colour says nothing of what to weigh
     refined = _observed(likelihood, best.plant, noise, best.starts)
     # a filter of another kind could have whitened what a model lacks, such as a mode that rings
-    is_noise = is_independent and noise.counts_followed
+    is_noise = is_independent and noise.counts_followed and noise.parameters < noise.order
     observed = FinalFit(refined, noise, records, "voltage", is_noise=is_noise)
     is_driven = options.driven == "voltage" or best.noise.rate == 0.0 or not all(r.has_loop for r in records)
     if not is_driven and simulation_error(observed, options) > AT_NOISE * sensor_noise(records, options):

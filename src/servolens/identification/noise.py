@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
+from servolens.identification.autoregression import burg
 from servolens.identification.late_inputs import instants
 from servolens.identification.slow_noise import slow_filters
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from servolens.plant import Plant
 
-__all__ = ["MOST_ORDER", "TOLD_APART", "NoiseModel", "Whitener", "burg"]
+__all__ = ["MOST_ORDER", "TOLD_APART", "NoiseModel", "Whitener"]
 
 WANDERS = 12.0
 """Standard deviations of its innovation by which no sensor's noise spreads: that needs a pole at 0.9965, whose time
@@ -409,41 +410,3 @@ def _spanned(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return an orthonormal basis of what `columns` span: in less than a period two lines look the same."""
     left, singular, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, singular > DISTINCT * singular[0]])
-
-
-def burg(
-    signals: Sequence[NDArray[np.float64]], most: int, price: float
-) -> tuple[tuple[NDArray[np.float64], ...], NDArray[np.float64]]:
-    """Return the prediction-error filters of order 0 … p of an autoregressive process, and what each leaves.
-
-    Burg's method over all `signals` together; p makes the likelihood, its price paid, largest.
-
-    Parameters
-    ----------
-    signals : sequence of ndarray
-        Realisations of one process with mean 0.
-    most : int
-        Highest order.
-    price : float
-        Of an order, in −2 log-likelihood.
-
-    References
-    ----------
-    J. P. Burg, *Maximum entropy spectral analysis*, PhD thesis, Stanford, 1975.
-    """
-    samples = sum(signal.size for signal in signals)
-    forward, backward = list(signals), list(signals)
-    power = max(sum(float(s @ s) for s in signals) / samples, 1e-300)
-    filters, powers = [np.ones(1)], [power]
-    for _ in range(min(most, min(signal.size for signal in signals) // 4)):
-        pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True)]
-        both = sum(float(f @ b) for f, b in pairs)
-        reflection = 2.0 * both / max(sum(float(f @ f + b @ b) for f, b in pairs), 1e-300)
-        forward = [f - reflection * b for f, b in pairs]
-        backward = [b - reflection * f for f, b in pairs]
-        longer = np.append(filters[-1], 0.0)
-        filters.append(longer - reflection * longer[::-1])
-        powers.append(max(powers[-1] * (1.0 - reflection**2), 1e-300))
-    costs = price * np.arange(len(powers))
-    order = int(np.argmin(samples * np.log(powers) + costs))
-    return tuple(filters[: order + 1]), np.sqrt(powers[: order + 1])

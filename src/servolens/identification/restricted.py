@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servolens.errors import NumericalError
+from servolens.identification.autoregression import burg
 from servolens.identification.error_problem import COARSE, Problem
 from servolens.identification.noise import MOST_ORDER, NoiseModel
 from servolens.identification.slow_noise import FREQUENCIES, LONGEST, filters_of, spectra
@@ -28,15 +29,26 @@ if TYPE_CHECKING:
     from servolens.identification.error_problem import Point
     from servolens.identification.hypothesis import Hypothesis
     from servolens.identification.likelihood import Likelihood
+    from servolens.identification.noise import Whitener
     from servolens.identification.refine import Refinement
 
-__all__ = ["SEEN", "Estimate", "Part", "counting_followed", "estimated", "mean_spectrum", "parts_at", "parts_of"]
+__all__ = [
+    "SEEN",
+    "Estimate",
+    "Part",
+    "counting_followed",
+    "estimated",
+    "mean_spectrum",
+    "parts_at",
+    "parts_of",
+    "with_followed",
+]
 
 TIMES = 14
 """Time constants of slow noise that are compared, evenly in their logarithms."""
 RATIOS, ROUNDS = np.geomspace(1e-2, 1e4, 7), 4
 """Ratios of the variances of white noise and of what drives the slow one, to begin with; times that the step between
-them is halved about the likeliest."""
+them is halved about the likeliest, and that a filter is renewed."""
 SEEN = 1e-12
 """Share of the largest eigenvalue of the information, its diagonal 1, below which nothing is said."""
 SLOW = 2
@@ -69,9 +81,9 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
     whiteners = [run.whiten for run in likelihood.runs(noise)]
     whitened = [Part(w(p.left), w(p.sensitivity)) for w, p in zip(whiteners, parts, strict=True)]
     filtered = estimated(whitened, sum(w.log_determinant for w in whiteners)).misfit + 2.0 * noise.parameters
-    is_slow = noise.parameters == SLOW < noise.order  # of the same kind, of one time constant only
+    is_slow = noise.order == 1 or noise.parameters == SLOW < noise.order  # of the same kind, of one time constant only
     if not is_slow and filtered < slow + 2.0 * SLOW:
-        return found
+        return replace(found, noise=with_followed(noise, parts, whiteners))
     filters, scales = filters_of(spectrum, MOST_ORDER)
     scales = np.maximum(scales, noise.least)
     spread = float(scales[0])
@@ -79,6 +91,26 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
         noise, filters=filters, scales=scales, spread=spread, parameters=SLOW, is_fitted=True, counts_followed=True
     )
     return replace(found, noise=counted)
+
+
+def with_followed(noise: NoiseModel, parts: Sequence[Part], whiteners: Sequence[Whitener]) -> NoiseModel:
+    """Return the noise whose filter suits what `parts` have left and what their fit has followed.
+
+    What it has followed is not known, but its covariance is: that of the estimates. So its squares are added to those
+    of the residual as they are expected beside the filter, and the filter is renewed (expectation and maximisation of
+    the restricted likelihood: Laird and Ware 1982, doi:10.2307/2529876).
+    """
+    left = [w.weighed(w.steady(part.left)) for w, part in zip(whiteners, parts, strict=True)]
+    for _ in range(ROUNDS):
+        white = [Part(w(part.left), w(part.sensitivity)) for w, part in zip(whiteners, parts, strict=True)]
+        root = estimated(white, 0.0).root
+        followed = [w.weighed(part.sensitivity @ root).T for w, part in zip(whiteners, parts, strict=True)]
+        filters, scales = burg(left, MOST_ORDER, 2.0, [column for rows in followed for column in rows])
+        scales = np.maximum(scales, noise.least)
+        spread, order = float(scales[0]), len(filters) - 1
+        noise = replace(noise, filters=filters, scales=scales, spread=spread, parameters=order, counts_followed=True)
+        whiteners = [w.beside(noise) for w in whiteners]
+    return noise
 
 
 def parts_of(
@@ -159,13 +191,18 @@ def mean_spectrum(parts: Sequence[Part], frequencies: int) -> tuple[NDArray[np.f
 class Estimate(NamedTuple):
     """What parts say of their parameters beside one noise, and of that.
 
-    −2 restricted log-likelihood; the change of each column's parameter that leaves least, shape (p,), and its variance,
-    shape (p,). Both are 0 where nothing is said of it.
+    −2 restricted log-likelihood; the change of each column's parameter that leaves least, shape (p,), and a root R of
+    their covariance R Rᵀ, shape (p, p). Both are 0 where nothing is said of a parameter.
     """
 
     misfit: float
     change: NDArray[np.float64]
-    variances: NDArray[np.float64]
+    root: NDArray[np.float64]
+
+    @property
+    def variances(self) -> NDArray[np.float64]:
+        """Of the parameters, shape (p,)."""
+        return np.asarray(np.sum(self.root**2, axis=1))
 
 
 def estimated(parts: Sequence[Part], determinant: float) -> Estimate:
@@ -184,8 +221,10 @@ def estimated(parts: Sequence[Part], determinant: float) -> Estimate:
     inner, along = squares[1:, 1:], squares[1:, 0]
     scale = np.sqrt(np.diag(inner))
     scale[scale == 0.0] = np.inf
-    inverse = np.linalg.pinv(inner / np.outer(scale, scale), rcond=SEEN, hermitian=True) / np.outer(scale, scale)
-    return Estimate(float(misfits[0]), -(inverse @ along), float(sizes[0]) * np.diag(inverse))
+    values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
+    seen = values > SEEN * values[-1]
+    root = vectors / np.sqrt(np.where(seen, values, np.inf)) / scale[:, None]
+    return Estimate(float(misfits[0]), -(root @ (root.T @ along)), np.sqrt(float(sizes[0])) * root)
 
 
 def _likeliest_ratios(poles: NDArray[np.float64], parts: Sequence[Part]) -> tuple[NDArray[np.float64], ...]:
