@@ -122,7 +122,7 @@ def test_variance_of_estimates_is_not_understated_on_average():
 
 
 def test_a_filter_of_what_a_fit_has_left_counts_what_it_has_followed():
-    """Beside the filter of the residual alone variances are two fifths too small; noise of two poles without a white part."""
+    """Beside that filter alone variances are two fifths too small; noise of two poles without a white part."""
     n, poles = 1500, (0.97, 0.4)
     t = np.linspace(-1.0, 1.0, n)
     columns = np.column_stack([t**k for k in range(6)])
