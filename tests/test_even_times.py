@@ -90,6 +90,12 @@ def test_even_stamps_and_a_cycle_that_changes_stay():
     assert with_even_times(slower) is slower
 
 
+@pytest.mark.parametrize("count", range(2, 8))
+def test_a_few_samples_tell_nothing(count):
+    few = stamped(logged(), 1e-3).slice(0.0, CYCLE * count)
+    assert with_even_times(few) is few
+
+
 def test_late_stamps_name_no_cause():
     """Their errors grow with the speed, and were taken for a little dry friction."""
     runs = [

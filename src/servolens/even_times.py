@@ -49,7 +49,7 @@ def with_even_times(record: Record) -> Record:
     (True, 0.06)
     """
     time, cycles = record.time, clock_of(record.time).cycles
-    if np.ptp(cycles) > 0.0:
+    if np.ptp(cycles) > 0.0 or time.size <= 2 * SIDE:
         return record
     place = np.concatenate([[0.0], np.cumsum(cycles_passed(time))])
     cycle, error = _cycle(time, place)
