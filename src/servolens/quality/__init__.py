@@ -109,7 +109,7 @@ def assess(record: Records, **settings: Unpack[RecordSettings]) -> RecordQuality
 
     A path, a DataFrame or a TimeResponseData will do, with ``kp``, ``kd`` … as keywords.
 
-    Codes of the findings: ``too_few_samples``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
+    Codes of the findings: ``too_few_samples``, ``uneven_stamps``, ``jitter``, ``gaps``, ``cycle_changes``, ``repeated_samples``,
     ``frozen_position``, ``coarse_quantisation``, ``encoder_contradicts_log``, ``constant_position``,
     ``weak_excitation``, ``dead_voltage``, ``motor_off``, ``wrong_sign``, ``columns_exchanged``, ``unsigned_voltage``,
     ``units_contradict``, ``unstable_log``, ``clipped_voltage``, ``voltage_beyond_limit``, ``impossible_controller``,
