@@ -83,6 +83,23 @@ def test_where_noise_hides_which_instants_are_true_the_stamps_stand():
     assert with_even_times(still) is still
 
 
+@pytest.mark.parametrize("cycle", [1 / 1024, 1 / 64, 1 / 4])
+def test_stamps_that_are_even_to_the_last_bit_stay(cycle):
+    taken = logged()
+    exact = replace(taken, time=cycle * np.arange(len(taken)))
+    assert with_even_times(exact) is exact
+
+
+@pytest.mark.parametrize("late", [0.3, 0.75, 0.95])
+def test_no_times_are_farther_from_the_truth_than_the_stamps(late):
+    """Stamps so late that a clock cannot count its cycles stand."""
+    taken = logged()
+    for seed in range(12):
+        found = with_even_times(stamped(taken, late * CYCLE, seed))
+        error, before = (np.std(time - taken.time) for time in (found.time, stamped(taken, late * CYCLE, seed).time))
+        assert error <= before
+
+
 def test_even_stamps_and_a_cycle_that_changes_stay():
     taken = logged()
     assert with_even_times(taken) is taken

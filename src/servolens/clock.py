@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHANGED", "JITTERS", "Clock", "clock_of", "cycle_of", "cycles_passed"]
+__all__ = ["CHANGED", "JITTERS", "MEDIAN", "Clock", "clock_of", "cycle_of", "cycles_passed"]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""

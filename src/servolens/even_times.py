@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.clock import JITTERS, clock_of, cycles_passed
+from servolens.clock import JITTERS, MEDIAN, clock_of, cycles_passed
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,14 +48,17 @@ def with_even_times(record: Record) -> Record:
     >>> bool(np.ptp(np.diff(found.time)) < 1e-9), round(1e3 * found.stamp_error, 2)
     (True, 0.06)
     """
+    from scipy.ndimage import median_filter
+
     time, cycles = record.time, clock_of(record.time).cycles
     if np.ptp(cycles) > 0.0 or time.size <= 2 * SIDE:
         return record
     place = np.concatenate([[0.0], np.cumsum(cycles_passed(time))])
     cycle, error = _cycle(time, place)
     even = cycle * place + float(np.mean(time - cycle * place))
-    if error <= JITTERS * cycle:
-        return record
+    off = np.abs(median_filter(time - even, size=MEDIAN, mode="nearest"))
+    if error <= JITTERS * cycle or float(off.max()) >= 0.5 * cycle:
+        return record  # even as they are; or counted wrongly, for stamps in a row are off by as much as a lost sample
     used = _smooth(record, place)
     stamped, taken = (float(np.sum(_missed(at, record.position)[used] ** 2)) for at in (time, even))
     own = np.count_nonzero(used) / (2 * SIDE + 1)  # windows overlap
@@ -73,7 +76,9 @@ def _cycle(time: Signal, place: Signal) -> tuple[float, float]:
     centred = place - np.mean(place)
     found = float(centred @ time / (centred @ centred))
     error = float(np.std(time - found * place))
-    own = max(error / float(np.linalg.norm(centred)), 1e-300)
+    own = error / float(np.linalg.norm(centred))
+    if error <= JITTERS * found:
+        return found, error
 
     def unlikely(digits: int) -> float:
         return 0.5 * ((float(f"{found:.{digits}g}") - found) / own) ** 2 + digits * log(10.0)
