@@ -32,7 +32,7 @@ from servolens.effects import (
     parameter,
 )
 from servolens.errors import InputError
-from servolens.identification import fit
+from servolens.identification import fit, identify
 from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import read_record, record_from_dataframe
@@ -344,6 +344,32 @@ def test_a_model_s_file_keeps_the_error_of_the_free_damping_and_of_what_else_it_
     again = read_model(path)
     assert again.quantities == found.quantities
     np.testing.assert_array_equal(again.covariance, found.covariance)
+
+
+@pytest.mark.parametrize(
+    "priors", [{"gain": (GAIN, 1e-5)}, {"damping": (DAMPING, 1e-5)}, {}], ids=["gain", "damping", "none"]
+)
+def test_a_prior_moves_the_free_damping_as_well(priors, tmp_path):
+    """Its covariance with gain and damping stayed as it was without the prior: that was none, and its file refused."""
+    record = logged_free(Plant(gain=GAIN, damping=DAMPING, free_damping=1.5), 5e-6)
+    found = identify(record, model="constant", priors=priors).constant
+    assert np.linalg.eigvalsh(found.covariance).min() >= 0.0
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **found.to_json()}, allow_nan=False))
+    assert read_model(path).quantities == found.quantities
+    quantity = found.quantities["free_damping"]
+    assert abs(quantity.value - 1.5) < 4.0 * quantity.stderr
+
+
+def test_a_model_s_file_whose_free_damping_is_a_number_is_read(tmp_path):
+    """As files had it while it was never estimated: their covariance does not name it."""
+    old = Model(plant=Plant(gain=GAIN, damping=DAMPING), covariance=np.diag([1e-4, 1e-2])).to_json()
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({"schema": "servolens.model/1", **old, "free_damping": 2.5}, allow_nan=False))
+    again = read_model(path)
+    assert again.plant.free_damping == 2.5
+    assert again.quantities["gain"].stderr == pytest.approx(1e-2)
+    assert again.quantities["free_damping"].stderr is None
 
 
 def test_design_and_bridge_are_of_an_axis_whose_motor_is_on():

@@ -9,6 +9,7 @@ import pytest
 
 from servolens import Plant, lab, predict, read_record
 from servolens.checking import check
+from servolens.control_law import controller_voltage
 from servolens.effects import ConstantForce
 from servolens.identification import fit
 from servolens.inputs import as_records
@@ -374,6 +375,26 @@ def test_the_integral_that_holds_a_weight_is_read_off_the_log(world, rounding, s
     (found,) = as_records(record)
     assert found.controller.integral_before == pytest.approx(2.5, abs=max(1e-3, rounding))
     assert told(record) == {}
+
+
+def test_an_integral_is_read_where_the_law_without_it_would_reach_the_limit():
+    """The log stays within 6 V; without the integral the law is clamped at −6 V, from where it goes on otherwise."""
+    truth = lab.Truth(gain=2.0, damping=6.0, effects={"constant_force": {"acceleration": 5.0}})
+    loop = Controller(kp=60.0, kd=4.0, ki=300.0, integral_before=2.5, anti_windup="clamping")
+    rig = lab.Setup(controller=loop, voltage_limit=6.0)
+    still = np.zeros(100)
+    record = lab.step_record(truth, seed=3, reference=(-0.11,), duration=0.8, noise=1e-6, setup=rig)
+    before = replace(
+        record,
+        time=1e-3 * np.arange(len(record) + 100),
+        position=np.concatenate([still, record.position]),
+        reference=np.concatenate([still, record.reference]),
+        voltage=np.concatenate([still + 2.5, record.voltage]),
+        controller=replace(loop, integral_before=0.0),
+    )
+    assert np.abs(before.voltage).max() < 6.0
+    assert np.abs(controller_voltage(before)).max() > 6.0
+    assert as_records(before)[0].controller.integral_before == pytest.approx(2.5, abs=1e-3)
 
 
 def test_a_weight_that_an_integral_holds_is_predicted_and_identified():

@@ -129,8 +129,9 @@ def with_history(record: Record) -> Record:
 def with_seen_integral(record: Record) -> Record:
     """Return the record with the integral with which its loop began, where its voltage shows one and none is stated.
 
-    It is no setting but a state: an axis that is held against a load has charged it before the log begins. It is read
-    off the first samples, and believed where the law then holds for all samples to what rounding leaves.
+    It is no setting but a state: an axis that is held against a load has charged it before the log begins. It is
+    read off the samples before the first that reaches the limit, with it or without, and believed where the law
+    then holds for all samples to what rounding leaves.
 
     Parameters
     ----------
@@ -154,8 +155,9 @@ def with_seen_integral(record: Record) -> Record:
     try:
         if record.ticks > 1:
             return record
-        missed = voltage - controller_voltage(record)
-        seen = np.flatnonzero(np.abs(voltage) >= (np.inf if record.voltage_limit is None else record.voltage_limit))
+        asked = controller_voltage(record)
+        missed, limit = voltage - asked, np.inf if record.voltage_limit is None else record.voltage_limit
+        seen = np.flatnonzero(np.maximum(np.abs(voltage), np.abs(asked)) >= limit)
         first = _remembered(record)
         last = int(seen[0]) if seen.size else voltage.size  # an integral that stands at the limit goes on otherwise
         if first >= last:

@@ -282,10 +282,11 @@ def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -
         If names are missing, unknown or double, or the numbers are not as many as they.
     """
     every, usual = list(plant.parameters), plant.usual
-    fitted = [name for name in every if name not in usual]
+    fitted = [name for name in every if name not in (*usual, FREE_DAMPING.name)]
     array = np.asarray(numbers, dtype=np.float64)
     if names is None:
-        names = every if len(array) == len(every) else fitted
+        names = every if len(array) == len(every) else [n for n in every if n not in usual]
+        names = names if len(array) == len(names) else fitted
     if array.shape not in ((len(names),), (len(names),) * 2):
         raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
     if len(set(names)) < len(names) or not set(fitted) <= set(names) <= set(every):

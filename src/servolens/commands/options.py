@@ -241,7 +241,9 @@ def specification(
         _number("--sample-time", f"Of the digital loop [s].  [default: {records}0.001]"),
         _number("--derivative-filter", f"Of the digital loop; 1 is none.  [default: {records}1]"),
         _choice(
-            "--derivative", ["position", "velocity"], f"What the derivative is taken of.  [default: {records}position]"
+            "--derivative",
+            ["position", "velocity"],
+            f"Differences of it, or a velocity signal.  [default: {records}position]",
         ),
         _number("--derivative-window", f"Samples over which it is a difference.  [default: {records}1]"),
         *_law(records),

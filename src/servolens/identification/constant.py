@@ -102,12 +102,24 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
 def _model(
     estimate: NDArray[np.float64], covariance: NDArray[np.float64], plant: Plant, others: NDArray[np.float64] | None
 ) -> Model:
-    """Return the model of an estimate of damping and gain; what else it has is that of `plant`, with its covariance."""
-    damping, gain = (float(v) for v in estimate)
-    size = len(plant.values)
-    full = np.full((size, size), np.nan) if others is None else np.array(others)
+    """Return the model of an estimate of damping and gain; what else it has follows them from where it is in `plant`.
+
+    As the covariance of all, `others`, has it; where that is not known it stays.
+    """
+    new, size = estimate[::-1], len(plant.values)
+    full = np.full((size, size), np.nan)
+    values = np.array([*new, *plant.values[2:]])
+    if others is not None and size > 2:
+        before, known = np.nan_to_num(others[:2, :2]), np.nan_to_num(covariance[::-1, ::-1])
+        follows = np.nan_to_num(others[2:, :2]) @ np.linalg.pinv(before, hermitian=True)
+        values[2:] += follows @ (new - np.array(plant.values[:2]))
+        full[2:, 2:] = others[2:, 2:] - follows @ (before - known) @ follows.T
+        full[2:, :2] = follows @ known
+        full[:2, 2:] = full[2:, :2].T
     full[:2, :2] = covariance[::-1, ::-1]
-    return Model(plant=replace(plant, gain=gain, damping=damping), covariance=full)
+    stopped = np.isnan(np.diag(full))
+    full[stopped], full[:, stopped] = np.nan, np.nan
+    return Model(plant=plant.with_values(values.tolist()), covariance=full)
 
 
 def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:

@@ -144,7 +144,7 @@ def _growing(record: Record, seen: Sampling) -> Iterator[Finding]:
             message = (
                 f"after {record.time[first]:g} s the position runs away from its reference, by {away[-1]:.3g}"
                 f" {record.length_unit} in the end, where the largest step is {step:.3g} {record.length_unit}; the loop"
-                " is unstable there: leave this record out, or end it before."
+                " is unstable there, or a load moves the axis: end the record before, or leave it out."
             )
             yield Finding(code="unstable_log", severity="warning", message=message)
             return

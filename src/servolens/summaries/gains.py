@@ -242,7 +242,7 @@ def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
     if spec.derivative_filter < 1:
         added.append(f"a derivative filter of {number(spec.derivative_filter)}")
     if spec.derivative == "velocity":
-        added.append("the derivative of a velocity signal")
+        added.append("a velocity signal in place of differences of the position")
     elif spec.derivative_window > 1:
         added.append(f"a difference over {spec.derivative_window} samples")
     if spec.anti_windup != "none":
