@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from servolens import diagnose, lab
 from servolens.checking import check
+from servolens.cli import group
 from servolens.even_times import with_even_times
 from servolens.inputs import as_records
 from servolens.quality import fatal
+from servolens.record import Controller
 
 CYCLE = 2e-3
 
@@ -43,6 +47,19 @@ def test_late_stamps_of_a_log_that_was_sampled_evenly_are_mended(error):
     told = {finding.code: finding for finding in check(stamped(taken, error))}
     assert told["uneven_stamps"].severity == "note"
     assert "jitter" not in told
+
+
+def test_the_command_says_of_stamps_and_integral_what_python_says(tmp_path):
+    truth = lab.Truth(gain=2.0, damping=6.0, effects={"constant_force": {"acceleration": 5.0}})
+    loop = Controller(kp=60.0, kd=4.0, ki=300.0, integral_before=2.5)
+    held = lab.step_record(truth, seed=3, reference=(0.1, 0.02), noise=5e-6, setup=lab.Setup(controller=loop))
+    unstated = replace(stamped(held, 5e-4), controller=replace(loop, integral_before=0.0))
+    unstated.to_csv(tmp_path / "held.csv")
+    result = CliRunner().invoke(group, ["check", str(tmp_path / "held.csv"), "--json", "-"])
+    told = [finding["code"] for finding in json.loads(result.stdout)["findings"]]
+    assert told == [finding.code for finding in check(tmp_path / "held.csv")]
+    assert "uneven_stamps" in told
+    assert not {"jitter", "settings_contradict_log"} & set(told)
 
 
 def test_stamps_rounded_to_whole_milliseconds_are_mended():

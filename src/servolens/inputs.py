@@ -31,6 +31,7 @@ __all__ = [
     "Records",
     "as_effects",
     "as_groups",
+    "as_it_ran",
     "as_model",
     "as_models",
     "as_plant",
@@ -158,8 +159,12 @@ def as_records(
     if len(found) < least:
         raise InputError("no record was given; at least one is needed")
     _check_units(found)
-    found = [with_seen_integral(with_even_times(record)) for record in found]
-    return with_timed_jumps(with_seen_encoder(found))
+    return with_timed_jumps(with_seen_encoder([*map(as_it_ran, found)]))
+
+
+def as_it_ran(record: Record) -> Record:
+    """Return `record` at even times where only its stamps are uneven, with the integral with which its loop began."""
+    return with_seen_integral(with_even_times(record))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -50,11 +50,12 @@ def check(recordings: Recordings, json_file: str | None) -> int:
     Exit status 1 if a record is unfit for identification, or a sign or a unit in it is wrong.
     """
     from servolens.checking import contradictions
+    from servolens.inputs import as_it_ran
     from servolens.quality import assess
     from servolens.summaries import check_summary
 
     with progress_bar() as progress:
-        records = load_records(recordings, {"--json": json_file}, progress)
+        records = [as_it_ran(record) for record in load_records(recordings, {"--json": json_file}, progress)]
         qualities = []
         for done, record in enumerate(records):
             progress("Checking the records", done, len(records))
