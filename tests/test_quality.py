@@ -649,8 +649,8 @@ def test_a_position_that_runs_away_from_its_reference_is_said():
     assert "unstable_log" not in {one.code for one in check(ended)}
 
 
-def test_an_axis_that_sags_or_is_pushed_does_not_run_away():
-    """A weight that a weak loop lets down farther than its step; and no step at all."""
+def test_an_axis_that_has_sagged_does_not_run_away():
+    """A weight that a weak loop lets down farther than its step; and without any step."""
     weight = lab.Truth(gain=2.0, damping=8.0, effects={"constant_force": {"acceleration": 40.0}})
     sagging = lab.step_record(weight, 50, 1.0, noise=1e-5, seed=1, duration=2.5)
     assert np.abs(sagging.position - sagging.reference)[-1] > 0.2

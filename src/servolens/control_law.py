@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.ticks import Ticks
 
-__all__ = ["HOLDS", "command_at", "controller_voltage", "felt_rounding", "with_history", "with_seen_integral"]
+__all__ = ["HOLDS", "command_at", "controller_voltage", "felt_rounding", "rms", "with_history", "with_seen_integral"]
 
 FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
@@ -148,9 +148,9 @@ def with_seen_integral(record: Record) -> Record:
     3.0
     """
     controller, voltage = record.controller, record.voltage
-    if controller is None or voltage is None or not record.has_loop or controller.integral_before != 0.0:
+    if controller is None or voltage is None or not record.has_loop:
         return record
-    if not controller.integrates:
+    if not controller.integrates or controller.integral_before != 0.0:
         return record
     try:
         if record.ticks > 1:
@@ -169,8 +169,8 @@ def with_seen_integral(record: Record) -> Record:
         return record
     rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(6.0)  # of the samples, and of their median
     felt = felt_rounding(controller, quantisation_step(record.position) or 0.0, record.sample_time)
-    holds = max(HOLDS * _rms(voltage), math.hypot(rounding, felt))
-    return found if _rms(left[first:]) <= holds < _rms(missed[first:]) else record
+    holds = max(HOLDS * rms(voltage), math.hypot(rounding, felt))
+    return found if rms(left[first:]) <= holds < rms(missed[first:]) else record
 
 
 def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:
@@ -181,8 +181,9 @@ def felt_rounding(controller: Controller, step: float, sample_time: float) -> fl
     return step / math.sqrt(12.0) * math.hypot(controller.kp, slope)
 
 
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def rms(values: NDArray[np.float64]) -> float:
+    """Return the root mean square, 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def _remembered(record: Record) -> int:

@@ -21,7 +21,7 @@ __all__ = ["with_even_times"]
 
 SIDE = 2
 """Samples before and after one that tell where it is: a cubic through four."""
-SHOWN = 12.0
+ODDS = 12.0
 """By how much the log-likelihood of even instants exceeds that of the stamps: odds of 160 000 to one."""
 
 
@@ -62,7 +62,7 @@ def with_even_times(record: Record) -> Record:
     used = _smooth(record, place)
     stamped, taken = (float(np.sum(_missed(at, record.position)[used] ** 2)) for at in (time, even))
     own = np.count_nonzero(used) / (2 * SIDE + 1)  # windows overlap
-    if not 0.0 < taken < stamped or 0.5 * own * np.log(stamped / taken) <= SHOWN:
+    if not 0.0 < taken < stamped or 0.5 * own * np.log(stamped / taken) <= ODDS:
         return record
     return replace(record, time=even, jump_leads=None, stamp_error=error)
 

@@ -282,14 +282,14 @@ def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -
         If names are missing, unknown or double, or the numbers are not as many as they.
     """
     every, usual = list(plant.parameters), plant.usual
-    fitted = [name for name in every if name not in (*usual, FREE_DAMPING.name)]
+    fitted = [name for name in every if name not in usual]
+    older = [name for name in fitted if name != FREE_DAMPING.name]  # while that was never estimated
     array = np.asarray(numbers, dtype=np.float64)
     if names is None:
-        names = every if len(array) == len(every) else [n for n in every if n not in usual]
-        names = names if len(array) == len(names) else fitted
+        names = next((one for one in (every, fitted, older) if len(array) == len(one)), fitted)
     if array.shape not in ((len(names),), (len(names),) * 2):
         raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
-    if len(set(names)) < len(names) or not set(fitted) <= set(names) <= set(every):
+    if len(set(names)) < len(names) or not set(older) <= set(names) <= set(every):
         raise InputError(f"{what} must name {', '.join(fitted)}; got {str(names)[:40]!r}")
     place = [every.index(name) for name in names]
     found = np.full((len(every),) * array.ndim, np.nan)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage
+from servolens.control_law import controller_voltage, rms
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
 from servolens.diagnosis.knocks import KNOCKED
@@ -18,7 +18,6 @@ from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
 from servolens.jump_times import with_timed_jumps
 from servolens.prediction import beginning
-from servolens.quality.law import rms
 from servolens.units import readable
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.control_arithmetic import samples_a_tick
+from servolens.control_law import rms
 from servolens.record import Controller
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ __all__ = [
     "controller_of",
     "parameters_of",
     "remembered",
-    "rms",
     "tick_phase",
     "voltage_of",
 ]
@@ -182,11 +182,6 @@ def remembered(controller: Controller, record: Record) -> int:
     """Return the samples for which the derivative depends on what was before the record."""
     past = controller.derivative_window + math.ceil(5 / controller.derivative_filter)
     return min(past * samples_a_tick(controller, record.sample_time), len(record) // 4)
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square, 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def tick_phase(record: Record) -> int:

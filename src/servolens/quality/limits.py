@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.quality.law import PARAMETERS, LawFit, rms, voltage_of
+from servolens.control_law import rms
+from servolens.quality.law import PARAMETERS, LawFit, voltage_of
 from servolens.quality.settings import BETTER
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.control_law import controller_voltage, felt_rounding
+from servolens.control_law import controller_voltage, felt_rounding, rms
 from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.beginning import initial_motion
-from servolens.quality.law import GAINS, LawFit, controller_of, remembered, rms, tick_phase, voltage_of
+from servolens.quality.law import GAINS, LawFit, controller_of, remembered, tick_phase, voltage_of
 from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
 from servolens.quality.settings import BETTER, UNITS, find_alternative
 from servolens.units import readable

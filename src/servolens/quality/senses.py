@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage
+from servolens.control_law import controller_voltage, rms
 from servolens.errors import InputError
 from servolens.findings import Finding
-from servolens.quality.law import rms
 from servolens.quality.settings import SLOWEST_LOOP, UNITS
 
 if TYPE_CHECKING:

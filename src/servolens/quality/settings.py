@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 import numpy as np
 
 from servolens.control_arithmetic import samples_a_tick
-from servolens.control_law import HOLDS, controller_voltage, felt_rounding
+from servolens.control_law import HOLDS, controller_voltage, felt_rounding, rms
 from servolens.encoder import quantisation_step
 from servolens.errors import InputError
 from servolens.quality.law import (
@@ -23,7 +23,6 @@ from servolens.quality.law import (
     controller_of,
     parameters_of,
     remembered,
-    rms,
     tick_phase,
     voltage_of,
 )

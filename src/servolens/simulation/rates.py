@@ -102,7 +102,7 @@ def rate_of(plant: Plant) -> float:
     That is the rate without its contacts.
     """
     structure, places = _without_contacts(plant.structure)
-    return _rates(structure)(tuple(plant.values[i] for i in places) if places else plant.driven_values).fastest
+    return _rates(structure)(tuple(plant.driven_values[i] for i in places) if places else plant.driven_values).fastest
 
 
 @lru_cache(maxsize=256)
