@@ -312,14 +312,24 @@ def test_a_signal_that_is_said_to_be_missing_stays_so_in_the_campaign(tmp_path):
 
 
 def test_the_answer_to_rounded_time_stamps_can_be_given(tmp_path):
+    """Beside this noise the motion does not show whether the samples were taken evenly."""
     time = np.arange(T.size) * 2.5
-    path = table(tmp_path / "log.csv", **{"time [ms]": np.floor(time), "position": Y, "reference": R, "voltage": U})
+    noisy = Y + np.random.default_rng(8).normal(scale=3e-4, size=Y.size)
+    path = table(tmp_path / "log.csv", **{"time [ms]": np.floor(time), "position": noisy, "reference": R, "voltage": U})
     told = " ".join(run("check", path, "--record-kp", "60", "--record-kd", "4").output.split())
     assert "the time stamps come in steps of 1 ms, as if rounded" in told
     assert '--setting "sample_time=2.5 ms"' in told
     assert "samples are lost" not in told
     record = read_record(path, settings={"sample_time": "2.5 ms", "kp": 60, "kd": 4})
     assert record.time == pytest.approx(1e-3 * time)
+
+
+def test_rounded_time_stamps_are_made_even_where_the_motion_shows_it(tmp_path):
+    time = np.arange(T.size) * 2.5
+    path = table(tmp_path / "log.csv", **{"time [ms]": np.floor(time), "position": Y, "reference": R, "voltage": U})
+    told = " ".join(run("check", path, "--record-kp", "60", "--record-kd", "4").output.split())
+    assert "the samples were taken evenly, every 2.5 ms" in told
+    assert "as if rounded" not in told
 
 
 def test_counts_are_whole_numbers_whatever_the_name_implies(tmp_path):
