@@ -372,6 +372,106 @@ def test_a_model_s_file_whose_free_damping_is_a_number_is_read(tmp_path):
     assert again.quantities["free_damping"].stderr is None
 
 
+@pytest.fixture(scope="module")
+def switched() -> Record:
+    return logged_free(Plant(gain=GAIN, damping=DAMPING, free_damping=1.5), 5e-6)
+
+
+@pytest.mark.parametrize("name", ["constant", "velocity"])
+def test_identify_takes_a_value_or_bounds_of_the_free_damping(name, switched):
+    """It said that this was no parameter of the model."""
+    fixed = getattr(identify(switched, model=name, fixed={"free_damping": 1.4}), name)
+    assert fixed.quantities["free_damping"].value == 1.4
+    assert fixed.quantities["free_damping"].reason == "given, not estimated"
+    bounded = getattr(identify(switched, model=name, bounds={"free_damping": (1.6, None)}), name)
+    assert bounded.quantities["free_damping"].value == pytest.approx(1.6)
+    assert bounded.quantities["free_damping"].reason == "it ended at the end of its range"
+
+
+@pytest.mark.parametrize("name", ["constant", "velocity"])
+def test_identify_combines_a_prior_on_the_free_damping_with_the_records(name, switched):
+    alone = getattr(identify(switched, model=name), name).quantities["free_damping"]
+    prior = (alone.value + alone.stderr, alone.stderr)
+    both = getattr(identify(switched, model=name, priors={"free_damping": prior}), name).quantities["free_damping"]
+    assert both.value == pytest.approx(alone.value + 0.5 * alone.stderr, abs=0.1 * alone.stderr)
+    assert both.stderr == pytest.approx(alone.stderr / np.sqrt(2.0), rel=0.1)
+
+
+def test_free_damping_is_found_beside_a_known_gain_and_damping(switched):
+    found = identify(switched, model="constant", fixed={"gain": GAIN, "damping": DAMPING}).constant
+    quantity = found.quantities["free_damping"]
+    assert abs(quantity.value - 1.5) < 4.0 * quantity.stderr < 0.01
+
+
+def test_prior_on_the_free_damping_that_the_records_contradict_is_named(switched):
+    priors = {"free_damping": (3.0, 0.1)}
+    for told in (identify(switched, model="constant", priors=priors), diagnose([switched], priors=priors)):
+        said = [finding.message for finding in told.findings if finding.code == "prior_contradicts_data"]
+        assert len(said) == 1
+        assert said[0].startswith("the prior on free_damping, 3 ± 0.1, contradicts the records")
+
+
+def test_diagnose_takes_a_prior_on_the_free_damping(switched):
+    found = diagnose([switched], priors={"free_damping": (1.5, 1e-5)})
+    quantity = found.model.quantities["free_damping"]
+    assert quantity.value == pytest.approx(1.5, abs=3e-5)
+    assert quantity.stderr < 1e-5
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        lambda record, known: identify(record, priors=known),
+        lambda record, known: identify(record, fixed={"free_damping": 1.5}),
+        lambda record, known: diagnose([record], priors=known),
+        lambda record, known: fit((), record, priors=known),
+    ],
+    ids=["identify, prior", "identify, fixed", "diagnose", "fit"],
+)
+def test_nothing_is_asked_of_the_free_damping_where_the_axis_does_not_move_while_the_motor_is_off(asked, switched):
+    resting = switched.with_({"enabled": (switched.time >= 0.1).astype(float)})
+    sentence = "free_damping is the damping while the motor is off, and in none of the records .* leave it out, or add"
+    with pytest.raises(InputError, match=sentence):
+        asked(resting, {"free_damping": (1.5, 0.1)})
+
+
+def test_free_damping_at_its_bound_and_beside_a_wrong_model_says_why_it_has_no_error():
+    """It was said to be given, though it was estimated."""
+    none = logged_free(Plant(gain=GAIN, damping=DAMPING, free_damping=0.0), 5e-6)
+    found = identify(none, model="constant", bounds={"free_damping": (0.1, None)}).constant
+    assert found.quantities["free_damping"].reason == "it ended at the end of its range"
+    rubbing = Plant(gain=GAIN, damping=DAMPING, effects=(CoulombFriction(level=0.5),), free_damping=1.5)
+    found = identify(logged_free(rubbing, 5e-6), model="constant").constant
+    assert found.quantities["free_damping"].stderr is None
+    assert found.quantities["free_damping"].reason == (
+        "this model does not explain the records to noise level, so its error is not known"
+    )
+
+
+def test_a_sensor_that_drifts_while_the_motor_is_off_does_not_determine_the_free_damping():
+    """It was 4.9 ± 6.3, and `identify` said nothing of it."""
+    time = 1e-3 * np.arange(3900.0)
+    asked = Record(
+        name="off",
+        time=time,
+        position=0.0 * time,
+        reference=np.where(time >= 0.1, 0.1, 0.0),
+        controller=Controller(kp=60.0, kd=1.0),
+        enabled=(time < 3.0).astype(float),
+    )
+    run = simulate(Plant(gain=GAIN, damping=DAMPING, free_damping=1.5), asked)
+    noise = np.random.default_rng(5).normal(0.0, 5e-6, time.size) + 1e-4 * np.maximum(time - 3.0, 0.0)
+    record = asked.with_({"position": run.position + noise, "voltage": run.voltage})
+    sentence = "the data do not determine free_damping: the axis hardly moves while its motor is off."
+    found = identify(record, model="constant")
+    for told in (found, fit((), record), diagnose([record])):
+        quantity = told.model.quantities["free_damping"]
+        assert (quantity.stderr, quantity.reason) == (None, "the data do not determine it")
+        said = [finding.message for finding in told.findings if "free_damping" in finding.message]
+        assert said == [sentence]
+        assert told.model.quantities["damping"].stderr < 0.01
+
+
 def test_design_and_bridge_are_of_an_axis_whose_motor_is_on():
     """They know no other: the free damping stays with the model and changes nothing."""
     free = Plant(gain=GAIN, damping=DAMPING, free_damping=1.5)

@@ -23,10 +23,12 @@ from servolens.errors import InputError, NumericalError, as_progress, one_of
 from servolens.findings import Finding
 from servolens.identification.constant import contradicted
 from servolens.identification.fitted import fitted
-from servolens.identification.options import as_priors
+from servolens.identification.options import NO_FREE_DAMPING, as_priors
 from servolens.identification.restricted import counting_followed
+from servolens.identification.segments import runs_free
 from servolens.inputs import as_groups
 from servolens.model_evidence import MATERIAL
+from servolens.plant import FREE_DAMPING
 from servolens.processors import single_threaded_blas
 from servolens.quality.spikes import without_spikes
 from servolens.rounded_voltage import with_exact_voltage
@@ -227,7 +229,7 @@ def check_request(records: Sequence[Record], heldout: Sequence[Record], priors: 
         If a prior is on what no plant has, a held-out record is a copy of one that is fitted, or there is no such
         effort.
     """
-    _check_priors(priors)
+    _check_priors(priors, records)
     _check_copies(records, heldout)
     one_of(effort, EFFORT, "effort")
 
@@ -240,14 +242,16 @@ def _check_copies(records: Sequence[Record], heldout: Sequence[Record]) -> None:
                 raise InputError(f"{same}; hold out another run")
 
 
-def _check_priors(names: Iterable[str]) -> None:
+def _check_priors(names: Iterable[str], records: Sequence[Record]) -> None:
     known = {f"{effect.name}.{spec.name}" for effect in catalogue().values() for spec in effect.parameters()}
     for name in names:
-        if name not in known | {"gain", "damping"}:
+        if name not in known | {"gain", "damping", FREE_DAMPING.name}:
             raise InputError(
-                f"a prior on {name[:40]!r} is not possible; there are gain, damping and EFFECT.PARAMETER,"
-                " such as coulomb_friction.level"
+                f"a prior on {name[:40]!r} is not possible; there are gain, damping, {FREE_DAMPING.name} and"
+                " EFFECT.PARAMETER, such as coulomb_friction.level"
             )
+        if name == FREE_DAMPING.name and not any(map(runs_free, records)):
+            raise InputError(NO_FREE_DAMPING)
 
 
 def _verdict(case: Case, path: Sequence[Hypothesis], gains: Gains) -> Verdict:

@@ -11,20 +11,21 @@ import numpy as np
 from servolens.errors import NumericalError
 from servolens.findings import Finding
 from servolens.identification.explained import Explained, excerpt_of, explained
-from servolens.identification.fitted import AT_BOUND, GIVEN
+from servolens.identification.fitted import AT_BOUND, GIVEN, model_of
 from servolens.identification.integral import Pieces, assemble, constraints_on, solve_integral
-from servolens.identification.options import FitOptions
 from servolens.identification.score import FALSE_ALARM
+from servolens.identification.segments import runs_free
 from servolens.identification.uncertainty import LinearEstimate
-from servolens.identification.velocity import law_left
+from servolens.identification.velocity import first_samples, law_left, records_of
 from servolens.model import Model
+from servolens.plant import FREE_DAMPING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from servolens.identification.options import Prior
+    from servolens.identification.options import FitOptions, Prior
     from servolens.identification.segments import Segment
     from servolens.plant import Plant
 
@@ -33,6 +34,7 @@ __all__ = ["ConstantFit", "contradicted", "fit_constant"]
 CONTRADICTS = 3.0
 """Standard deviations from a prior from which on the records contradict it."""
 NAMES = ("damping", "gain")
+NOT_NOISE = "this model does not explain the records to noise level, so its error is not known"
 
 
 @final
@@ -48,42 +50,37 @@ class ConstantFit:
 def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFit:
     """Fit gain and damping to all `segments`; priors are combined with that by their variances.
 
-    Where something shakes the axis, or the controller answers to its noise, the fit by simulation is the answer.
+    Where something shakes the axis, the controller answers to its noise, or the motor is off while the axis moves, the
+    fit by simulation is the answer.
 
     Parameters
     ----------
     segments : sequence of Segment
         Stretches of motion.
     options : FitOptions
-        What is fixed or bounded, and priors; what is asked of parameters other than gain and damping is not used.
+        What is fixed or bounded, and priors; what is asked of parameters of the damping law is not used.
     """
-    options = options.of(NAMES)
+    beside, options = options.of((FREE_DAMPING.name,)), options.of((*NAMES, FREE_DAMPING.name))
     shares = [Pieces.whole(s.time.size) for s in segments]
     constraints = constraints_on(NAMES, options)
     solution = solve_integral(assemble(segments, shares), constraints=constraints)
-    estimate, known = solution.x, options.priors
-    begun = segments[0].plant(gain=float(estimate[1]), damping=float(estimate[0]))
+    estimate, known = solution.x, options.of(NAMES).priors
     stopped = {k for c in constraints if c.name in solution.active for k in c.coefficients}
     free, held = np.array([k not in stopped for k in range(2)]), tuple(NAMES[k] for k in sorted(stopped))
-    left = explained(begun, excerpt_of(segments)[0], FitOptions(held=held))
+    begun = segments[0].plant(gain=float(estimate[1]), damping=float(estimate[0])).with_named(beside.values)
+    left = explained(begun, excerpt_of(segments)[0], beside.holding(*held))
     covariance = LinearEstimate.of(segments, shares, free=free).covariance(estimate[:-1], left.noise)
-    others: tuple[Plant, NDArray[np.float64] | None]
-    others = begun if left.hypothesis is None else left.hypothesis.plant, None
+    rest = _without_errors(begun if left.hypothesis is None else left.hypothesis.plant)
     is_better_simulated = left.loop is not None or left.noise.rate > 0.0 or begun.free_damping is not None
-    if left.is_enough and free.any() and is_better_simulated:
-        refined = left.optimum(left.likelihood.records)
-        simulated, spread = np.array(refined.plant.values)[1::-1], np.nan_to_num(refined.covariance[1::-1, 1::-1])
-        if _agree((simulated - estimate)[free], covariance[np.ix_(free, free)]) and not _is_law_likelier(
-            left, segments
-        ):
-            estimate, covariance, others = simulated, spread, (refined.plant, refined.covariance)
+    if left.is_enough and is_better_simulated and (free.any() or begun.free_damping is not None):
+        refined = _simulated(left, segments, beside.holding(*held))
+        simulated = np.array(refined.plant.values)[1::-1]
+        agrees = not free.any() or _agree((simulated - estimate)[free], covariance[np.ix_(free, free)])
+        if agrees and not _is_law_likelier(left, segments, beside):
+            estimate, covariance, rest = simulated, _of_both(refined), refined
         else:
             left = replace(left, is_enough=False)
-    alone = _model(estimate, covariance, *others)
-    if known and not left.is_enough:
-        with suppress(NumericalError):  # else the prior is compared with gain and damping alone
-            refined = law_left(segments, FitOptions()).optimum(left.likelihood.records)
-            alone = Model(plant=refined.plant, covariance=refined.covariance)
+    alone = _alone(_model(estimate, covariance, rest), left, segments, options, held)
     for index, name in enumerate(NAMES):
         if name in known:
             weight = covariance[:, index] / (covariance[index, index] + known[name].deviation ** 2)
@@ -91,21 +88,60 @@ def fit_constant(segments: Sequence[Segment], options: FitOptions) -> ConstantFi
             covariance = covariance - np.outer(weight, covariance[index])
     estimate = np.clip(estimate, *np.array([options.range_of(name) for name in NAMES]).T)
     covariance[~free], covariance[:, ~free] = np.nan, np.nan
+    model = _model(estimate, covariance, rest)
+    inside = np.clip(model.plant.free_damping or 0.0, *options.range_of(FREE_DAMPING.name))
     model = replace(
-        _model(estimate, covariance, *others),
+        model,
+        plant=model.plant.with_named({FREE_DAMPING.name: float(inside)}),
         identified_from=tuple(dict.fromkeys(s.record.name for s in segments)),
-        reasons=dict.fromkeys(held, AT_BOUND) | dict.fromkeys(options.held, GIVEN),
+        reasons={**model.reasons, **dict.fromkeys(held, AT_BOUND), **dict.fromkeys(options.held, GIVEN)},
     )
-    return ConstantFit(model, left, contradicted(alone, known))
+    return ConstantFit(model, left, contradicted(alone, options.priors))
 
 
-def _model(
-    estimate: NDArray[np.float64], covariance: NDArray[np.float64], plant: Plant, others: NDArray[np.float64] | None
+def _without_errors(plant: Plant) -> Model:
+    """Return a model of which only gain and damping have errors, from elsewhere."""
+    return Model(plant=plant, reasons={FREE_DAMPING.name: NOT_NOISE})
+
+
+def _simulated(left: Explained, segments: Sequence[Segment], options: FitOptions) -> Model:
+    """Return the fit by simulation to what was judged, or to more where the motor is off only later."""
+    records = left.likelihood.records
+    is_later = segments[0].runs_free and not any(map(runs_free, records))
+    refined = left.optimum(records_of(first_samples(segments)[0]) if is_later else records)
+    return model_of(refined, records, options.held)
+
+
+def _of_both(model: Model) -> NDArray[np.float64]:
+    """Return the covariance of damping and gain, 0 of what was not free."""
+    return np.nan_to_num(np.array(model.covariance, dtype=np.float64))[1::-1, 1::-1]
+
+
+def _alone(
+    model: Model, left: Explained, segments: Sequence[Segment], options: FitOptions, held: Sequence[str]
 ) -> Model:
-    """Return the model of an estimate of damping and gain; what else it has follows them from where it is in `plant`.
+    """Return the model that priors are compared with: fitted without them, and where it is not the axis, with the law.
 
-    As the covariance of all, `others`, has it; where that is not known it stays.
+    Where that cannot be simulated, it is the `model` itself.
     """
+    if not options.priors or (left.is_enough and FREE_DAMPING.name not in options.priors):
+        return model
+    asked = replace(options.of((FREE_DAMPING.name,)), priors={})
+    with suppress(NumericalError):
+        if not left.is_enough:
+            other = law_left(segments, asked)
+        else:
+            other = explained(model.plant, left.likelihood.records, asked.holding(*held))
+        return _simulated(other, segments, asked)
+    return model
+
+
+def _model(estimate: NDArray[np.float64], covariance: NDArray[np.float64], beside: Model) -> Model:
+    """Return the model of an estimate of damping and gain; what else it has follows them from where it is `beside`.
+
+    As the covariance of all has it there; where that is not known it stays.
+    """
+    plant, others = beside.plant, beside.covariance
     new, size = estimate[::-1], len(plant.values)
     full = np.full((size, size), np.nan)
     values = np.array([*new, *plant.values[2:]])
@@ -119,12 +155,13 @@ def _model(
     full[:2, :2] = covariance[::-1, ::-1]
     stopped = np.isnan(np.diag(full))
     full[stopped], full[:, stopped] = np.nan, np.nan
-    return Model(plant=plant.with_values(values.tolist()), covariance=full)
+    reasons = {name: why for name, why in beside.reasons.items() if name == FREE_DAMPING.name}
+    return Model(plant=plant.with_values(values.tolist()), covariance=full, reasons=reasons)
 
 
-def _is_law_likelier(left: Explained, segments: Sequence[Segment]) -> bool:
+def _is_law_likelier(left: Explained, segments: Sequence[Segment], options: FitOptions) -> bool:
     """Tell whether damping against speed makes the records likelier: then what seems to shake the axis is its law."""
-    law = law_left(segments, FitOptions())
+    law = law_left(segments, options)
     if law.hypothesis is None or left.hypothesis is None:
         return law.hypothesis is not None
     added = len(law.hypothesis.plant.values) - len(left.hypothesis.plant.values)

@@ -9,16 +9,26 @@ import numpy as np
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
 from servolens.model_evidence import MATERIAL, UNRELIABLE
-from servolens.plant import ENDLESS
+from servolens.plant import ENDLESS, FREE_DAMPING
 
 if TYPE_CHECKING:
     from servolens.identification.refine import Refinement
 
-__all__ = ["above_noise", "findings_of", "is_beyond"]
+__all__ = [
+    "FREE_DAMPING_UNKNOWN",
+    "LEAST_DAMPING",
+    "above_noise",
+    "findings_of",
+    "is_beyond",
+    "not_determined",
+]
 
 PLACES = {"rad": 1.0, "{x}": np.inf}
 """Units of a phase and of a place, of which 0 is a value like any other, with the standard error from which on they are
 hardly determined: a radian; of a place there is none, for what is far depends on the machine."""
+LEAST_DAMPING = 1.0
+"""Damping [1/s] below which a standard error as large as the damping still says something."""
+FREE_DAMPING_UNKNOWN = f"the data do not determine {FREE_DAMPING.name}: the axis hardly moves while its motor is off."
 HARDLY_APART = 0.98
 """Correlation of two estimates from which on the data hardly tell them apart."""
 
@@ -42,6 +52,21 @@ def is_beyond(refined: Refinement, name: str) -> bool:
     effect, _, own = name.rpartition(".")
     found = refined.plant.effect(effect) if effect else None
     return found is not None and abs(found.absent_at.get(own, 0.0)) >= ENDLESS and name in refined.unfelt
+
+
+def not_determined(refined: Refinement) -> tuple[str, ...]:
+    """Return the parameters of which the data say nothing.
+
+    Beside those that the search found to be so, that is a free damping that may be anything from none to the whole
+    damping, which it is a part of: its error is larger than both. An axis that only creeps while its motor is off, or
+    a sensor that drifts then, tells no more.
+    """
+    found, names = refined.undetermined, list(refined.plant.parameters)
+    if FREE_DAMPING.name not in names or FREE_DAMPING.name in found:
+        return found
+    index, plant = names.index(FREE_DAMPING.name), refined.plant
+    whole = max(abs(plant.values[index]), abs(plant.damping), LEAST_DAMPING)
+    return (*found, FREE_DAMPING.name) if refined.covariance[index, index] > whole**2 else found
 
 
 def _unfinished(refined: Refinement) -> list[Finding]:
@@ -84,25 +109,29 @@ def _at_bounds(refined: Refinement) -> list[Finding]:
 
 def _vague(refined: Refinement) -> list[Finding]:
     """Name the parameters of which the data say nothing, and those that they hardly determine."""
-    found = [
-        Finding(
-            code="not_determined",
-            severity="note",
-            message=(
-                f"{name} is not seen by these records, which do not reach it."
-                if is_beyond(refined, name)
-                else f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}."
-            ),
-        )
-        for name in refined.undetermined
-    ]
+    unknown = not_determined(refined)
+    found = [Finding(code="not_determined", severity="note", message=_unknown(refined, name)) for name in unknown]
     for name, value, variance in zip(
         refined.plant.parameters, refined.plant.values, np.diag(refined.covariance), strict=True
     ):
-        if np.isfinite(variance) and value != 0.0 and variance > _vague_from(refined, name, value) ** 2:
+        if (
+            name not in unknown
+            and np.isfinite(variance)
+            and value != 0.0
+            and variance > _vague_from(refined, name, value) ** 2
+        ):
             message = f"the data hardly determine {name}: {value:.3g} ± {np.sqrt(variance):.2g}."
             found.append(Finding(code="not_determined", severity="note", message=message))
     return found
+
+
+def _unknown(refined: Refinement, name: str) -> str:
+    """Say that the data say nothing of a parameter."""
+    if is_beyond(refined, name):
+        return f"{name} is not seen by these records, which do not reach it."
+    if name == FREE_DAMPING.name:
+        return FREE_DAMPING_UNKNOWN
+    return f"the data do not determine {name}: others explain them as well as {_value(refined, name):.3g}."
 
 
 def _alike(refined: Refinement) -> list[Finding]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from servolens.identification.error_problem import Known
-from servolens.identification.fit_findings import findings_of, is_beyond
+from servolens.identification.fit_findings import findings_of, is_beyond, not_determined
 from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.shaking_spectra import counting_all_spectra
@@ -99,14 +99,16 @@ def with_error_bars(
 
 def model_of(refined: Refinement, records: Sequence[Record], held: Sequence[str]) -> Model:
     """Return the model that a search ended with, and why parameters have no error bar: those `held` were given."""
-    plant = refined.plant
+    plant, unknown, covariance = refined.plant, not_determined(refined), refined.covariance.copy()
     reasons = dict.fromkeys(plant.parameters, "its error could not be estimated")
-    reasons |= {name: NOT_REACHED if is_beyond(refined, name) else UNDETERMINED for name in refined.undetermined}
+    reasons |= {name: NOT_REACHED if is_beyond(refined, name) else UNDETERMINED for name in unknown}
+    lost = np.array([name in unknown for name in plant.parameters])
+    covariance[lost], covariance[:, lost] = np.nan, np.nan
     reasons |= dict.fromkeys(refined.at_bound, AT_BOUND)
     reasons |= dict.fromkeys(plant.derived, "it follows from other parameters")
     return Model(
         plant=plant,
-        covariance=refined.covariance,
+        covariance=covariance,
         identified_from=tuple(dict.fromkeys(record.name for record in records)),
         reasons=reasons | dict.fromkeys(held, GIVEN),
     )

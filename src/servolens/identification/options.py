@@ -9,8 +9,10 @@ from typing import Any, Literal, final, get_args
 import numpy as np
 
 from servolens.errors import InputError, as_number, by_name, described, mapped, names_like
+from servolens.plant import FREE_DAMPING
 
 __all__ = [
+    "NO_FREE_DAMPING",
     "Begin",
     "Bounds",
     "Compared",
@@ -53,6 +55,11 @@ Bounds = Mapping[str, tuple[float | None, float | None]]
 """Least and largest value by name; None for no bound."""
 Priors = Mapping[str, Prior | tuple[float, float]]
 """Value and standard deviation by name."""
+NO_FREE_DAMPING = (
+    f"{FREE_DAMPING.name} is the damping while the motor is off, and in none of the records that are fitted does the"
+    " axis move while `enabled` is 0; leave it out, or add such a record"
+)
+"""Why nothing can be asked of it."""
 
 
 @final
@@ -131,6 +138,8 @@ class FitOptions:
         known = list(parameters)
         for name in self.names:
             if name not in known:
+                if name == FREE_DAMPING.name:
+                    raise InputError(NO_FREE_DAMPING)
                 raise InputError(f"{name[:40]!r} is no parameter of this model; {names_like(name, known, 'those are')}")
 
     def of(self, parameters: Iterable[str]) -> FitOptions:

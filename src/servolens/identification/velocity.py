@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["SHAPE", "SIZE", "VelocityFit", "fit_velocity", "law_left"]
+__all__ = ["SHAPE", "SIZE", "VelocityFit", "first_samples", "fit_velocity", "law_left", "records_of"]
 
 SIGNIFICANT = 3.0
 """Standard errors that the extra damping must be away from zero."""
@@ -68,12 +68,12 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
     constant : Plant
         The axis with constant damping.
     """
-    used, is_all = _first_samples(segments)
+    used, is_all = first_samples(segments)
     start = _start(used, options)
     left, refined = _by_likelihood(start, used, options)
     depends = _depends_on_speed(refined)
     findings = [] if is_all else [_shortened(used)]
-    steps = () if left.is_enough or not all(s.record.has_loop for s in used) else _first_steps(_records_of(used))
+    steps = () if left.is_enough or not all(s.record.has_loop for s in used) else _first_steps(records_of(used))
     if steps:
         most = left.likelihood.most_substeps
         refined = _in_closed_loop((constant, start, refined.plant), used, steps, options, most) or refined
@@ -90,14 +90,14 @@ def fit_velocity(segments: Sequence[Segment], options: FitOptions, constant: Pla
 
 def law_left(segments: Sequence[Segment], options: FitOptions) -> Explained:
     """Return what the law leaves of the records, without error bars."""
-    used, _ = _first_samples(segments)
+    used, _ = first_samples(segments)
     return explained(_start(used, options), excerpt_of(used)[0], options)
 
 
 def _start(segments: Sequence[Segment], options: FitOptions) -> Plant:
-    """Return the law as it solves the integral equation."""
+    """Return the law as it solves the integral equation, with what is fixed beside it."""
     window = smoothing_window(piece_duration(segments), min(s.record.sample_time for s in segments))
-    return fit_law(segments, window, options)
+    return fit_law(segments, window, options).with_named(options.values)
 
 
 def _by_likelihood(start: Plant, segments: Sequence[Segment], options: FitOptions) -> tuple[Explained, Refinement]:
@@ -117,7 +117,7 @@ def _optimum(left: Explained, start: Plant, segments: Sequence[Segment], options
     if left.hypothesis is None and left.loop is None:
         runs = [VoltageRun(segment, 0) for segment in segments]
         return minimise_error(start, runs, options.holding(SHAPE), noise=max(s.noise for s in segments))
-    return left.optimum(_records_of(segments))
+    return left.optimum(records_of(segments))
 
 
 def _depends_on_speed(refined: Refinement) -> bool:
@@ -126,7 +126,8 @@ def _depends_on_speed(refined: Refinement) -> bool:
     return bool(refined.plant.values[index] > SIGNIFICANT * spread)
 
 
-def _records_of(segments: Sequence[Segment]) -> tuple[Record, ...]:
+def records_of(segments: Sequence[Segment]) -> tuple[Record, ...]:
+    """Return the records that `segments` are of, each once."""
     return tuple({id(s.record): s.record for s in segments}.values())
 
 
@@ -152,7 +153,7 @@ def _in_closed_loop(
     return min(found, key=lambda refined: refined.rms_error, default=None)
 
 
-def _first_samples(segments: Sequence[Segment]) -> tuple[tuple[Segment, ...], bool]:
+def first_samples(segments: Sequence[Segment]) -> tuple[tuple[Segment, ...], bool]:
     """Return `segments` up to so many samples that the likelihood takes seconds, and whether that is all of them."""
     records = tuple({id(s.record): s.record for s in segments}.values())
     if sum(map(len, records)) <= MOST_SAMPLES:

@@ -14,6 +14,7 @@ from servolens.findings import Finding
 from servolens.identification.constant import fit_constant
 from servolens.identification.damping_law import SHAPE, SIZE, law_from_pieces
 from servolens.identification.data_range import data_range
+from servolens.identification.fit_findings import FREE_DAMPING_UNKNOWN, LEAST_DAMPING
 from servolens.identification.later import Later, known
 from servolens.identification.model_error import model_error
 from servolens.identification.options import FitOptions, wanted
@@ -22,9 +23,9 @@ from servolens.identification.segments import motion_segments
 from servolens.identification.varying import VaryingDamping, fit_varying
 from servolens.identification.velocity import fit_velocity, law_left
 from servolens.inputs import as_records
-from servolens.model import Model, Quantity
+from servolens.model import UNDETERMINED, Model, Quantity
 from servolens.model_evidence import Evidence
-from servolens.plant import Plant
+from servolens.plant import FREE_DAMPING, Plant
 from servolens.prediction import RecordError, prediction_residual, record_error
 from servolens.processors import single_threaded_blas
 from servolens.result import Result
@@ -220,8 +221,8 @@ def identify(
     piece : float, optional
         Length of its pieces [s]; half the smallest interval between velocity zeros when None.
     fixed : mapping of str to float, optional
-        Values of parameters that are known: ``"gain"``, ``"damping"``, ``"velocity_decay_damping.alpha1"`` and
-        ``"velocity_decay_damping.alpha2"``.
+        Values of parameters that are known: ``"gain"``, ``"damping"``, ``"velocity_decay_damping.alpha1"``,
+        ``"velocity_decay_damping.alpha2"`` and, where the axis moves while its motor is off, ``"free_damping"``.
     bounds : mapping of str to (least, largest), optional
         Of the same parameters; that of damping, which is not negative, holds for each piece too.
     priors : mapping of str to Prior or (value, standard deviation), optional
@@ -250,8 +251,9 @@ def identify(
     runs = tuple(map(with_exact_voltage, as_records(records, settings)))
     _check(model, delta)
     piece = None if piece is None else number_within(piece, -np.inf, np.inf, "piece")
-    options = _wanted(fixed, bounds, priors)
+    options = wanted(fixed or {}, bounds, priors)
     segments = motion_segments(runs)
+    _check_names(options, segments)
     if model == "varying":
         return _varying_alone(runs, segments, (piece, delta, options))
     constant = fit_constant(segments, options)
@@ -265,6 +267,7 @@ def identify(
         result, told = replace(result, varying=varying), [*told, *findings]
     if law is not None:
         result, told = _with_velocity(result, law), [*told, *law.findings]
+    told += _undetermined(result)
     if not left.is_enough:
         told.append(BEYOND_THE_LAW)
     return replace(result, judged=known(_judged(result, told)))
@@ -280,12 +283,19 @@ def _check(model: str, delta: float | None) -> None:
         )
 
 
-def _wanted(fixed: Mapping[str, float] | None, bounds: Bounds | None, priors: Priors | None) -> FitOptions:
-    options = wanted(fixed or {}, bounds, priors)
-    options.check(("gain", "damping", SIZE, SHAPE))
+def _check_names(options: FitOptions, segments: Sequence[Segment]) -> None:
+    """Refuse what is asked of no parameter, and names without values."""
+    options.check((*segments[0].plant(gain=1.0, damping=0.0).parameters, SIZE, SHAPE))
     if set(options.held) - set(options.values):
         raise InputError(f"fixed must give values, such as {{{options.held[0]!r}: 1.9}}: nothing else gives them here")
-    return options
+
+
+def _undetermined(result: Identification) -> list[Finding]:
+    """Say that the free damping is not determined, where it is an unknown and a model says so."""
+    models = [model for model in (result.constant, result.velocity) if model and FREE_DAMPING.name in model.quantities]
+    if not any(model.quantities[FREE_DAMPING.name].reason == UNDETERMINED for model in models):
+        return []
+    return [Finding(code="not_determined", severity="note", message=FREE_DAMPING_UNKNOWN)]
 
 
 def _varying_alone(runs: tuple[Record, ...], segments: Sequence[Segment], request: Request) -> Identification:
@@ -327,7 +337,7 @@ def _varying(segments: Sequence[Segment], request: Request, noise: Callable[[], 
 
 def _vague(varying: VaryingDamping) -> tuple[Finding, ...]:
     errors = np.sqrt(np.diag(varying.covariance)[:-1])
-    vague = int(np.sum(~(errors < np.maximum(varying.damping, 1.0))))
+    vague = int(np.sum(~(errors < np.maximum(varying.damping, LEAST_DAMPING))))
     if not vague:
         return ()
     message = f"time-varying damping: the data hardly determine {vague} of its {errors.size} pieces."

@@ -19,6 +19,7 @@ from servolens.identification import as_priors, identify
 from servolens.identification.damping_law import SHAPE, SIZE
 from servolens.inputs import as_groups
 from servolens.model_evidence import Evidence
+from servolens.plant import FREE_DAMPING
 from servolens.processors import single_threaded_blas
 from servolens.quality import assess, fatal
 from servolens.study.amplifier import with_amplifier
@@ -43,11 +44,12 @@ __all__ = ["study_records"]
 
 Made = TypeVar("Made")
 
-OF_THE_LAW = ("gain", "damping", SIZE, SHAPE)
+OF_THE_LAW = ("gain", "damping", SIZE, SHAPE, FREE_DAMPING.name)
 """Parameters of the models of constant and of speed-dependent damping."""
 OF_SIMPLER_MODELS = frozenset(
     {
         "beyond_the_law",
+        "not_determined",
         "no_velocity_dependence",
         "not_simulated",
         "pieces_not_determined",

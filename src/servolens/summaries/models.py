@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.effects import VelocityDecayDamping
+from servolens.identification.fit_findings import LEAST_DAMPING
 from servolens.model import NORMAL_95, Quantity
 from servolens.plant import Plant
 from servolens.summaries.wording import (
@@ -43,8 +44,6 @@ MODEL_WORDS = {
     "varying": "damping that varies in time",
 }
 """In the order in which people are told."""
-LEAST_DAMPING = 1.0
-"""Damping [1/s] below which a standard error as large as the damping still says something."""
 DATA = {True: "held out", False: "used", None: "–"}
 """Whether a record is held out; None where it is not known what the models were identified from."""
 
