@@ -9,10 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 
 from servolens.bridge import to_control
 from servolens.campaign import read_records
+from servolens.cli import group
 from servolens.design import PDSpec
 from servolens.diagnosis import diagnose
 from servolens.dynamics import dynamics
@@ -37,6 +39,7 @@ from servolens.model import Model, read_model
 from servolens.plant import Plant
 from servolens.reading import read_record, record_from_dataframe
 from servolens.record import Controller, Record
+from servolens.results import write_json
 from servolens.simulation import plant_in, simulate, simulate_voltage
 from servolens.study import tune
 
@@ -470,6 +473,30 @@ def test_a_sensor_that_drifts_while_the_motor_is_off_does_not_determine_the_free
         said = [finding.message for finding in told.findings if "free_damping" in finding.message]
         assert said == [sentence]
         assert told.model.quantities["damping"].stderr < 0.01
+
+
+def test_held_out_record_whose_free_damping_no_fitted_record_shows_is_said_to_be_simulated_without(switched, tmp_path):
+    """So is it where a model's file predicts it."""
+    truth = Plant(gain=GAIN, damping=DAMPING, free_damping=1.5)
+    driven = logged_free(truth, 5e-6)
+    on = Record(
+        name="on", time=driven.time, position=driven.position, reference=driven.reference, controller=driven.controller
+    )
+    run = simulate(truth, on)
+    noise = np.random.default_rng(6).normal(0.0, 5e-6, on.time.size)
+    on = on.with_({"position": run.position + noise, "voltage": run.voltage})
+    told = diagnose([on], heldout=[switched])
+    said = [finding for finding in told.findings if finding.code == "free_damping_assumed"]
+    assert [finding.record for finding in said] == ["off"]
+    assert "simulated with the damping that it has with the motor on" in said[0].message
+    path, out = tmp_path / "off.csv", tmp_path / "told.json"
+    switched.to_csv(path)
+    for plant, count in ((truth, 0), (replace(truth, free_damping=None), 1)):
+        write_json(str(tmp_path / "model.json"), "model", Model(plant=plant).to_json())
+        done = CliRunner().invoke(group, ["predict", str(tmp_path / "model.json"), str(path), "--json", str(out)])
+        assert done.exit_code == 0
+        codes = [finding["code"] for finding in json.loads(out.read_text())["findings"]]
+        assert codes.count("free_damping_assumed") == count
 
 
 def test_design_and_bridge_are_of_an_axis_whose_motor_is_on():

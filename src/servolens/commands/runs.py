@@ -159,6 +159,7 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
 
     Each record's reference is simulated with its own gains; a record without them from its logged voltage.
     """
+    from servolens.identification.fit_findings import assumed_damping
     from servolens.inputs import as_records, check_units
     from servolens.prediction import Prediction, prediction_error
     from servolens.summaries import prediction_summary
@@ -181,7 +182,8 @@ def predict(model_file: str, recordings: Recordings, json_file: str | None) -> i
         raise NumericalError(next(iter(failed.values())))
     driven = [record.name for record in records if not record.has_loop]
     lost = [Finding(code="not_simulated", severity="error", message=f"{m}.", record=n) for n, m in failed.items()]
-    findings = together(quality_findings(records), _voltage_driven(driven), lost)
+    assumed = assumed_damping(model.plant, records)
+    findings = together(quality_findings(records), _voltage_driven(driven), assumed, lost)
     prediction = Prediction(
         models=("the model",), errors=tuple((error,) for error in errors), identified_from=model.identified_from
     )

@@ -11,6 +11,7 @@ from servolens.diagnosis.logs import apart, beyond
 from servolens.diagnosis.remainder import held_errors
 from servolens.errors import InputError, NumericalError
 from servolens.findings import Finding
+from servolens.identification.fit_findings import assumed_damping
 from servolens.identification.likelihood import SOME
 from servolens.identification.repeats import repeats, spread_of
 from servolens.identification.rounding import dominates
@@ -44,6 +45,7 @@ def said(
 ) -> list[Finding]:
     """Return the findings of a diagnosis beside those of its logs and its fit."""
     told = [*_noise(case, chosen, gains), *beyond(case.records, case.heldout), *_strangers(case, chosen, gains)]
+    told += assumed_damping(chosen.plant, case.heldout)
     ripple = case.ripple_beside(chosen)
     if ripple:
         lines = " and ".join(f"{f:g}" for f in ripple.frequencies)

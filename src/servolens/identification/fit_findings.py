@@ -8,16 +8,22 @@ import numpy as np
 
 from servolens.findings import Finding
 from servolens.identification.refine import AT_NOISE
+from servolens.identification.segments import runs_free
 from servolens.model_evidence import MATERIAL, UNRELIABLE
 from servolens.plant import ENDLESS, FREE_DAMPING
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servolens.identification.refine import Refinement
+    from servolens.plant import Plant
+    from servolens.record import Record
 
 __all__ = [
     "FREE_DAMPING_UNKNOWN",
     "LEAST_DAMPING",
     "above_noise",
+    "assumed_damping",
     "findings_of",
     "is_beyond",
     "not_determined",
@@ -45,6 +51,18 @@ def above_noise(error: float, noise: float) -> tuple[Finding, ...]:
     times = f"{error / noise:.3g} times the noise" if noise > 0.0 else "not noise"
     message = f"the simulation's error is {times}. {UNRELIABLE} Run servolens diagnose."
     return (Finding(code="above_noise", severity="warning", message=message),)
+
+
+def assumed_damping(plant: Plant, records: Sequence[Record]) -> tuple[Finding, ...]:
+    """Name the `records` in which the axis moves while its motor is off, if `plant` has no damping for that."""
+    if plant.free_damping is not None:
+        return ()
+    message = (
+        "the axis moves here while its motor is off; the model has no damping of its own for that, so the record was"
+        " simulated with the damping that it has with the motor on. Fit a record in which it moves so."
+    )
+    moving = [record.name for record in records if runs_free(record)]
+    return tuple(Finding(code="free_damping_assumed", severity="note", message=message, record=one) for one in moving)
 
 
 def is_beyond(refined: Refinement, name: str) -> bool:
