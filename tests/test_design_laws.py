@@ -131,6 +131,10 @@ def swing_of(record, seconds):
     """Amplitude and period of the last seconds of a log, by its extremes and its spectrum."""
     late = record.position[record.time > record.time[-1] - seconds]
     sides = np.sign(late - 0.5 * (late.max() + late.min()))
+        (
+            {"derivative": "velocity", "derivative_window": 3},
+            "derivative_window = 3 is for differences of the position, and derivative = velocity has none",
+        ),
     rising = np.flatnonzero(np.diff(sides[sides != 0]) > 0)
     return 0.5 * np.ptp(late), float(np.mean(np.diff(rising))) * record.sample_time
 

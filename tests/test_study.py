@@ -634,3 +634,7 @@ def test_a_gain_is_designed_for_the_derivative_of_the_records():
     wide = record.with_({"controller": replace(record.controller, derivative_window=3)})
     assert completed_spec([wide], {"settling_time": 0.5}).derivative_window == 3
     assert completed_spec([wide], {"settling_time": 0.5, "derivative_window": 1}).derivative_window == 1
+    signal = completed_spec([wide], {"settling_time": 0.5, "derivative": "velocity"})  # which has no differences
+    assert (signal.derivative, signal.derivative_window) == ("velocity", 1)
+    both = run.with_({"controller": replace(loop, derivative_window=3)})
+    assert completed_spec([both], {"settling_time": 0.5}).derivative_window == 1

@@ -240,6 +240,11 @@ def _check_numbers(spec: PDSpec) -> None:
         value = unwrapped(getattr(spec, field.name))
         object.__setattr__(spec, field.name, value)
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if window > 1 and spec.derivative == "velocity":
+        raise InputError(
+            f"derivative_window = {window:g} is for differences of the position, and derivative = velocity has none;"
+            " leave one of them out"
+        )
         if not (is_number or (value is None and field.default is None)):
             raise InputError(f"{field.name} must be a number, got {value!r}")
 

@@ -73,6 +73,8 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
         known = plain
     elif given.get("control") == "continuous" and "controller" not in known:
         known = {name: known[name] for name in ("kp", "sample_time") if name in known}
+    if given.get("derivative") == "velocity":
+        known.pop("derivative_window", None)  # there are no differences any more
     return PDSpec(**{**known, **_step_of(records if record is None else [record]), **given})
 
 
@@ -155,7 +157,7 @@ def _loop_of(record: Record) -> dict[str, Any]:
         "kp": loop.kp,
         "sample_time": float(f"{loop.control_period or record.sample_time:.6g}"),
         "derivative_filter": loop.derivative_filter,
-        "derivative_window": loop.derivative_window,
+        "derivative_window": 1 if loop.derivative == "velocity" else loop.derivative_window,
         "derivative": loop.derivative,
     }
     if loop.is_cascade and loop.kd > 0:
