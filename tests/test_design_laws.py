@@ -12,8 +12,22 @@ from click.testing import CliRunner
 
 from servolens import lab
 from servolens.cli import group
-from servolens.design import Hunting, PDSpec, evaluate, feedforward, hunting, recommend, tracking, trust, tune
-from servolens.design.command_noise import quiet
+from servolens.design import (
+    GainsFound,
+    GainWishes,
+    Hunting,
+    Light,
+    PDSpec,
+    evaluate,
+    feedforward,
+    hunting,
+    recommend,
+    tracking,
+    trust,
+    tune,
+)
+from servolens.design.command_noise import command_noise, quiet
+from servolens.design.margins import loop_margins
 from servolens.design.plant_inverse import smooth_move
 from servolens.effects import (
     Backlash,
@@ -26,10 +40,14 @@ from servolens.effects import (
     StribeckFriction,
 )
 from servolens.errors import InputError
+from servolens.findings import Finding
 from servolens.model import Model
-from servolens.model_evidence import DataRange, Evidence
+from servolens.model_evidence import DataRange, Evidence, Remainder
 from servolens.plant import Plant
 from servolens.record import Controller
+from servolens.study.lights import study_lights
+from servolens.summaries import design_summary, gains_summary
+from servolens.summaries.gains import asked_sentence
 
 H = 1e-3
 CART = Plant(gain=1.9, damping=6.0)
@@ -113,12 +131,79 @@ def test_search_of_a_cascade_ends_where_its_speed_loop_is_unstable():
         ({"derivative": "speed"}, "derivative must be 'position' or 'velocity', got 'speed'"),
         ({"derivative_window": 1.5}, "derivative_window must be a whole number of samples, at least 1, got 1.5"),
         ({"derivative": "velocity", "control": "continuous"}, "control = continuous is the ideal PD"),
+        (
+            {"derivative": "velocity", "derivative_window": 3},
+            "derivative_window = 3 is for differences of the position, and derivative = velocity has none",
+        ),
     ],
 )
 def test_wrong_laws_of_a_spec_are_refused(fields, sentence):
     with pytest.raises(InputError) as refused:
         PDSpec(kp=100, settling_time=0.5, **fields)
     assert str(refused.value).startswith(sentence)
+
+
+NO_SIGNAL_NOISE = "The noise of the velocity signal is not known and counts as none here."
+
+
+def test_light_of_a_gain_on_a_velocity_signal_says_that_its_noise_counts_as_none():
+    """The light was green, or named the noise of the position alone, and said nothing of it."""
+    remainder = Remainder(
+        rms=0.0,
+        times_noise=1.0,
+        of_travel=0.0,
+        acceleration_rms=0.0,
+        correlation_time=0.01,
+        of_motor=0.0,
+        depends_on_inputs=False,
+        material=False,
+    )
+    evidence = Evidence(range=DataRange(voltage=12.0, speed=1.0, step=0.1), noise=1e-7, remainder=remainder)
+    model = Model(plant=CART, covariance=np.diag([1e-8, 1e-8]), evidence=evidence)
+    for spec, count in ((SIGNAL, 1), (replace(SIGNAL, derivative="position"), 0)):
+        design = recommend(model, tune(CART, spec))
+        light = trust(model, design)[1]
+        assert light.sentence.count(NO_SIGNAL_NOISE) == count
+        assert light.light == "green"
+        told = design_summary(design, lights={"gain": light}).sentences
+        assert sum(sentence.count(NO_SIGNAL_NOISE) for sentence in told) == count
+        noisy = replace(model, evidence=replace(evidence, noise=0.02))
+        assert command_noise([noisy], spec, 5.0).count(NO_SIGNAL_NOISE) == count
+
+
+def test_asked_noise_gain_says_that_the_noise_of_a_velocity_signal_counts_as_none():
+    assert NO_SIGNAL_NOISE in asked_sentence(replace(SIGNAL, noise_gain=200.0), "m", "V")
+    assert NO_SIGNAL_NOISE not in asked_sentence(SIGNAL, "m", "V")
+
+
+@pytest.mark.parametrize(
+    ("fields", "phrase"),
+    [
+        ({}, "derivative_filter = 1"),
+        ({"derivative_window": 3, "derivative_filter": 0.5}, "derivative_filter = 0.5, derivative_window = 3"),
+        ({"derivative": "velocity"}, "derivative_filter = 1, derivative = velocity"),
+    ],
+)
+def test_for_which_derivative_a_gain_is_computed_is_said_in_full(fields, phrase):
+    """Window and signal were left out: a gain for a velocity signal seemed to be one for differences."""
+    spec = PDSpec(kp=100, settling_time=0.6, kd_max=30, **fields)
+    wrong = Finding(code="settings_contradict_log", severity="warning", message="another", record="run")
+    good = Light(light="green", sentence="Good.")
+    lights = study_lights(good, Model(plant=CART), tune(CART, spec), "", [wrong])
+    assert f"kp = 100 V/m, {phrase} and a sample time of 1 ms" in lights["gain"].sentence
+    found = GainsFound(
+        spec=spec,
+        wishes=GainWishes(),
+        kd=5.0,
+        margins=loop_margins([CART], spec, 5.0),
+        voltage_noise=0.1,
+        verified=(evaluate(CART, spec, 5.0),),
+    )
+    assert found.gains == {"kp": 100, "kd": 5.0, "derivative_filter": 1.0, **fields}
+    told = gains_summary(found).sentences
+    assert f"kd = 5 V s/m, {phrase}:" in told[0]
+    assert (NO_SIGNAL_NOISE in told) == ("derivative" in fields)
+    assert (phrase in asked_sentence(spec, "m", "V")) == bool(fields)
 
 
 @pytest.mark.parametrize("spec", [PID, SIGNAL, PDSpec(kp=100, settling_time=0.6, derivative_window=2)])
@@ -131,10 +216,6 @@ def swing_of(record, seconds):
     """Amplitude and period of the last seconds of a log, by its extremes and its spectrum."""
     late = record.position[record.time > record.time[-1] - seconds]
     sides = np.sign(late - 0.5 * (late.max() + late.min()))
-        (
-            {"derivative": "velocity", "derivative_window": 3},
-            "derivative_window = 3 is for differences of the position, and derivative = velocity has none",
-        ),
     rising = np.flatnonzero(np.diff(sides[sides != 0]) > 0)
     return 0.5 * np.ptp(late), float(np.mean(np.diff(rising))) * record.sample_time
 

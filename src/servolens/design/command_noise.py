@@ -70,10 +70,11 @@ def command_noise(models: Sequence[Model], spec: PDSpec, gain: float) -> str:
     helps = (
         "a finer sensor" if _share(noisiest, spec, 0.0) > RESTLESS else "a filter of the derivative or a finer sensor"
     )
-    return (
+    told = (
         f"While the axis rests, noise and rounding of the sensor, {readable(noise, plant.length_unit)}, may move the"
-        f" command by {size} (r.m.s.), {100.0 * share:.3g} % of {known}; {helps} helps."
+        f" command by {size} (r.m.s.), {100.0 * share:.3g} % of {known}; {helps} helps. {spec.noise_remark}"
     )
+    return told.rstrip()
 
 
 def _share(model: Model, spec: PDSpec, gain: float) -> float:

@@ -147,7 +147,7 @@ def _gain_light(models: Sequence[Model], design: Design, of_model: Light) -> Lig
     if warning:
         return Light(light="amber", sentence=warning)
     why = f"{design.spec.free} = {kd:.4g} meets the spec on the model" if chosen is None else chosen.why
-    return Light(light="green", sentence=_sentence(why))
+    return Light(light="green", sentence=f"{_sentence(why)} {design.spec.noise_remark}".rstrip())
 
 
 def _swing(design: Design) -> Hunting | None:

@@ -59,13 +59,13 @@ class GainsFound:
     reason: str | None = None
 
     @property
-    def gains(self) -> dict[str, float | None]:
-        """The gains by name, with the integral where the loop has one."""
+    def gains(self) -> dict[str, float | str | None]:
+        """The gains by name, and what the derivative is made of, with the integral where the loop has one."""
         found = self.kd is not None
-        gains = {
+        gains: dict[str, float | str | None] = {
             "kp": self.spec.kp if found else None,
             self.spec.free: self.kd,
-            "derivative_filter": self.spec.derivative_filter if found else None,
+            **(self.spec.derivative_settings if found else {"derivative_filter": None}),
         }
         integral = {name: value for name in ("ki", "kiv") if (value := getattr(self.spec, name)) and found}
         return gains | integral

@@ -140,6 +140,25 @@ class PDSpec:
         return self.controller == "pd" and self.ki == 0 and self.setpoint_weight == 1 and is_plain
 
     @property
+    def derivative_settings(self) -> dict[str, float | str]:
+        """What its derivative is made of: the filter, and where they are not the usual ones, window and signal."""
+        window = {"derivative_window": self.derivative_window} if self.derivative_window > 1 else {}
+        signal = {} if self.derivative == "position" else {"derivative": self.derivative}
+        return {"derivative_filter": self.derivative_filter, **window, **signal}
+
+    @property
+    def derivative_words(self) -> str:
+        """The same as a sentence has it, ``"derivative_filter = 1, derivative_window = 2"``."""
+        told = self.derivative_settings.items()
+        return ", ".join(f"{name} = {value if isinstance(value, str) else f'{value:.4g}'}" for name, value in told)
+
+    @property
+    def noise_remark(self) -> str:
+        """What the noise of its command leaves out, as a sentence; empty for nothing."""
+        is_signal = self.derivative == "velocity"
+        return "The noise of the velocity signal is not known and counts as none here." if is_signal else ""
+
+    @property
     def limits(self) -> dict[str, float]:
         """What the linearised loop must keep to, where that is stated."""
         stated = {name: getattr(self, name) for name in LINEAR_LIMITS}
@@ -221,6 +240,11 @@ def _check_window(spec: PDSpec) -> None:
     window = spec.derivative_window
     if not (window >= 1 and window % 1 == 0):
         raise InputError(f"derivative_window must be a whole number of samples, at least 1, got {window!r}")
+    if window > 1 and spec.derivative == "velocity":
+        raise InputError(
+            f"derivative_window = {window:g} is for differences of the position, and derivative = velocity has none;"
+            " leave one of them out"
+        )
     object.__setattr__(spec, "derivative_window", int(window))
 
 
@@ -240,11 +264,6 @@ def _check_numbers(spec: PDSpec) -> None:
         value = unwrapped(getattr(spec, field.name))
         object.__setattr__(spec, field.name, value)
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if window > 1 and spec.derivative == "velocity":
-        raise InputError(
-            f"derivative_window = {window:g} is for differences of the position, and derivative = velocity has none;"
-            " leave one of them out"
-        )
         if not (is_number or (value is None and field.default is None)):
             raise InputError(f"{field.name} must be a number, got {value!r}")
 

@@ -90,9 +90,7 @@ def _of_another_loop(wrong: Sequence[Finding], spec: PDSpec, model: Model) -> st
     """Say for which loop a gain was computed where the log says that its own is not the one that is stated."""
     plant, records = model.plant, listed(list(dict.fromkeys(str(finding.record) for finding in wrong)), MOST_NAMED)
     kp = f"kp = {spec.kp:.4g} {'1/s' if spec.controller == 'cascade' else f'{plant.command_unit}/{plant.length_unit}'}"
-    sampled = (
-        f", derivative_filter = {spec.derivative_filter:.4g} and a sample time of {readable(spec.sample_time, 's')}"
-    )
+    sampled = f", {spec.derivative_words} and a sample time of {readable(spec.sample_time, 's')}"
     loop = f"an ideal continuous PD with {kp}" if spec.control == "continuous" else f"a loop with {kp}{sampled}"
     fits = "fits another setting" if wrong[0].code in SETTINGS else "does not fit the loop that is stated for it"
     return f"Computed for {loop}; but the log of {records} {fits}: correct it and repeat."

@@ -113,13 +113,14 @@ def gains_summary(found: GainsFound, *, length_unit: str = "m", command_unit: st
     integral = f", kiv = {number(spec.kiv)} {unit}" if spec.kiv else integral
     told = [
         f"kp = {number(spec.kp)} {kp_unit}, {spec.free} = {number(found.kd)} {command_unit} s/{length_unit},"
-        f" derivative filter {number(spec.derivative_filter, 3)}{integral}: {aim} of all gains that meet what was"
+        f" {spec.derivative_words}{integral}: {aim} of all gains that meet what was"
         " asked.",
         f"Simulated with them, the step settles in {number(time)} s; Ms = {number(margins.peak_sensitivity, 3)},"
         f" Mt = {number(margins.peak_complementary, 3)}, delay margin {delay} (of the linearised loop).",
     ]
     if found.voltage_noise is not None:
         told.append(f"Measurement noise moves the command by {number(found.voltage_noise, 3)} {command_unit} r.m.s.")
+        told += [spec.noise_remark] if spec.noise_remark else []
     if found.probability is not None and found.interval is not None:
         low, high = (number(100 * end, 3) for end in found.interval)
         told.append(
@@ -163,6 +164,7 @@ def map_summary(
             f"Of these, kp = {number(pair[0])} and kd = {number(pair[1])} make the least noise, {number(least, 3)}"
             f" {command_unit}/{length_unit}: a pair at the edge, with no margin."
         )
+        sentences += [found.spec.noise_remark] if found.spec.noise_remark else []
     if recommended is not None:
         sentences.append(f"For kp = {number(recommended[0])}, the recommended kd is {number(recommended[1])}.")
     sentences += light_sentences({"Gain": light})
@@ -173,7 +175,7 @@ def map_summary(
 def light_sentences(lights: Mapping[str, Light], *, told: str = "") -> list[str]:
     """Return for each light its colour and, but for what is `told` beside it, why."""
     return [
-        f"{name.capitalize()}: {light.light}.{'' if light.sentence == told else f' {light.sentence}'}"
+        f"{name.capitalize()}: {light.light}. {light.sentence.removeprefix(told).strip()}".rstrip()
         for name, light in lights.items()
     ]
 
@@ -210,7 +212,8 @@ def asked_sentence(spec: PDSpec, length_unit: str, command_unit: str) -> str:
     parts += _limits(spec, length_unit, command_unit)
     if not spec.hunting:
         parts.append("comes to rest from all starts that are tried")
-    return f"Asked: {', '.join(parts)}; {_loop(spec, length_unit, command_unit)}."
+    remark = f" {spec.noise_remark}" if "noise_gain" in spec.limits and spec.noise_remark else ""
+    return f"Asked: {', '.join(parts)}; {_loop(spec, length_unit, command_unit)}.{remark}"
 
 
 def _limits(spec: PDSpec, length_unit: str, command_unit: str) -> list[str]:
@@ -239,12 +242,8 @@ def _loop(spec: PDSpec, length_unit: str, command_unit: str) -> str:
         added.append(f"ki = {number(spec.ki)} {command_unit}/({length_unit} s)")
     if spec.setpoint_weight != 1:
         added.append(f"a set-point weight of {number(spec.setpoint_weight)}")
-    if spec.derivative_filter < 1:
-        added.append(f"a derivative filter of {number(spec.derivative_filter)}")
-    if spec.derivative == "velocity":
-        added.append("a velocity signal in place of differences of the position")
-    elif spec.derivative_window > 1:
-        added.append(f"a difference over {spec.derivative_window} samples")
+    if spec.derivative_settings != {"derivative_filter": 1.0}:
+        added.append(spec.derivative_words)
     if spec.anti_windup != "none":
         added.append(f"{spec.anti_windup.replace('_', ' ')} against windup")
     tail = f" with {', '.join(added)}" if added else ""
