@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servolens import lab
-from servolens.control_law import controller_voltage
+from servolens.control_law import controller_voltage, felt_rounding, noise_gain
 from servolens.errors import InputError
 from servolens.record import Controller, Record
 
@@ -123,3 +123,26 @@ def test_what_is_missing_is_named(record, sentence):
     with pytest.raises(InputError) as refusal:
         controller_voltage(record)
     assert str(refusal.value) == sentence
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"kd": 0.1},
+        {"kd": 5.0, "derivative_filter": 0.2},
+        {"kd": 0.5, "derivative_filter": 0.1, "derivative_window": 4},
+        {"kd": 5.0, "control_period": 2e-3},
+        {"kd": 1.0, "derivative_on": "error"},
+        {"kd": 5.0, "derivative": "velocity"},
+    ],
+    ids=["small kd", "filter", "window", "slow loop", "of the error", "velocity signal"],
+)
+def test_what_the_law_makes_of_white_noise_and_of_rounding_is_what_its_simulation_makes(settings):
+    """Of rounding it was taken to be another than of noise: a quarter less, or twice as much in a slow loop."""
+    loop, count = Controller(kp=100.0, **settings), 100_000
+    noise, still = np.random.default_rng(1).normal(size=count), np.zeros(count)
+    velocity = still if "derivative" in settings else None
+    record = Record(time=1e-3 * np.arange(count), position=noise, reference=still, velocity=velocity, controller=loop)
+    found = float(controller_voltage(record).std())
+    assert noise_gain(loop, record.sample_time) == pytest.approx(found, rel=0.02)
+    assert felt_rounding(loop, 1e-5, record.sample_time) == pytest.approx(1e-5 / np.sqrt(12.0) * found, rel=0.02)

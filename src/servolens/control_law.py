@@ -20,7 +20,16 @@ if TYPE_CHECKING:
     from servolens.record import Record
     from servolens.ticks import Ticks
 
-__all__ = ["HOLDS", "command_at", "controller_voltage", "felt_rounding", "rms", "with_history", "with_seen_integral"]
+__all__ = [
+    "HOLDS",
+    "command_at",
+    "controller_voltage",
+    "felt_rounding",
+    "noise_gain",
+    "rms",
+    "with_history",
+    "with_seen_integral",
+]
 
 FORGOTTEN_SHARE = 1e-3
 """Share of the derivative's memory that no longer matters."""
@@ -175,10 +184,28 @@ def with_seen_integral(record: Record) -> Record:
 
 def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:
     """Return the voltage, r.m.s., that the law makes of a position rounded to a `step`, as white noise."""
-    if controller.derivative == "velocity":
-        return step / math.sqrt(12.0) * abs(controller.kp)
-    slope = math.sqrt(2.0) * controller.kd * controller.derivative_filter / controller.derivative_window / sample_time
-    return step / math.sqrt(12.0) * math.hypot(controller.kp, slope)
+    return step / math.sqrt(12.0) * noise_gain(controller, sample_time)
+
+
+def noise_gain(controller: Controller, sample_time: float) -> float:
+    """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the law alone.
+
+    The digital PD answers to one sample by kp and by a = kd/(w h) times the derivative filter's response φ(1−φ)ʲ, less
+    the same w samples later: the squares sum to kp² + 2 a φ kp + 2 a² φ (1 − (1−φ)ʷ)/(2 − φ). Without an integral,
+    which sums up noise slowly, and without the noise of a velocity signal, which is not known.
+
+    Parameters
+    ----------
+    controller : Controller
+        The law.
+    sample_time : float
+        Between its ticks [s], if it has no period of its own.
+    """
+    share, window, kp = controller.derivative_filter, controller.derivative_window, controller.kp
+    period = controller.control_period or sample_time
+    slope = controller.kd / (window * period) if controller.derivative == "position" else 0.0
+    own = 2.0 * slope**2 * share * (1.0 - (1.0 - share) ** window) / (2.0 - share)
+    return math.sqrt(kp**2 + 2.0 * slope * share * kp + own)
 
 
 def rms(values: NDArray[np.float64]) -> float:

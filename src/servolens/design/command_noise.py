@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 from scipy.optimize import brentq
 
+from servolens.control_law import noise_gain as law_noise_gain
 from servolens.effects import Saturation
 from servolens.units import readable
 
@@ -26,16 +26,11 @@ deviations are all of it."""
 
 
 def noise_gain(spec: PDSpec, kd: float) -> float:
-    """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position [V/m], from the controller alone.
+    """Return the r.m.s. voltage for white noise of r.m.s. 1 in the measured position, from the controller alone [V/m].
 
-    The digital PD answers to one sample by kp and by a = kd/(w h) times the derivative filter's response φ(1−φ)ʲ, less
-    the same w samples later: the squares sum to kp² + 2 a φ kp + 2 a² φ (1 − (1−φ)ʷ)/(2 − φ). Without an integral,
-    which sums up noise slowly, and without the noise of a velocity signal, which is not known.
+    See :func:`servolens.control_law.noise_gain`.
     """
-    share, window, loop = spec.derivative_filter, spec.derivative_window, spec.loop(kd)
-    slope = kd / (window * spec.sample_time) if spec.derivative == "position" else 0.0
-    own = 2.0 * slope**2 * share * (1.0 - (1.0 - share) ** window) / (2.0 - share)
-    return float(np.sqrt(loop.kp**2 + 2.0 * slope * share * loop.kp + own))
+    return law_noise_gain(spec.loop(kd), spec.sample_time)
 
 
 def quiet(models: Sequence[Model], spec: PDSpec, intervals: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
