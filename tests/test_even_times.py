@@ -53,7 +53,7 @@ def test_the_command_says_of_stamps_and_integral_what_python_says(tmp_path):
     truth = lab.Truth(gain=2.0, damping=6.0, effects={"constant_force": {"acceleration": 5.0}})
     loop = Controller(kp=60.0, kd=4.0, ki=300.0, integral_before=2.5)
     held = lab.step_record(truth, seed=3, reference=(0.1, 0.02), noise=5e-6, setup=lab.Setup(controller=loop))
-    unstated = replace(stamped(held, 5e-4), controller=replace(loop, integral_before=0.0))
+    unstated = replace(stamped(held, 5e-4), controller=replace(loop, integral_before=None))
     unstated.to_csv(tmp_path / "held.csv")
     result = CliRunner().invoke(group, ["check", str(tmp_path / "held.csv"), "--json", "-"])
     told = [finding["code"] for finding in json.loads(result.stdout)["findings"]]

@@ -360,7 +360,7 @@ def held(world, *, rounding=0.0, **settings):
     rig = lab.Setup(controller=loop, surroundings=lab.surroundings(world, seed=1))
     record = lab.step_record(truth, seed=3, reference=(0.1, 0.02, 0.07), duration=0.8, setup=rig)
     voltage = np.round(record.voltage / rounding) * rounding if rounding else record.voltage
-    return record.with_({"voltage": voltage, "controller": replace(loop, integral_before=0.0)})
+    return record.with_({"voltage": voltage, "controller": replace(loop, integral_before=None)})
 
 
 @pytest.mark.parametrize("world", WORLDS)
@@ -390,7 +390,7 @@ def test_an_integral_is_read_where_the_law_without_it_would_reach_the_limit():
         position=np.concatenate([still, record.position]),
         reference=np.concatenate([still, record.reference]),
         voltage=np.concatenate([still + 2.5, record.voltage]),
-        controller=replace(loop, integral_before=0.0),
+        controller=replace(loop, integral_before=None),
     )
     assert np.abs(before.voltage).max() < 6.0
     assert np.abs(controller_voltage(before)).max() > 6.0
@@ -411,12 +411,24 @@ def test_an_integral_is_not_read_off_a_log_of_another_law(wrong):
     record = held("white")
     other = record.with_({"controller": replace(record.controller, **wrong)})
     (found,) = as_records(other)
-    assert found.controller.integral_before == 0.0
+    assert found.controller.integral_before is None
     assert told(other) != {}
 
 
-def test_an_integral_that_is_stated_stays_as_it_is():
+@pytest.mark.parametrize("value", [2.0, 0.0])
+def test_an_integral_that_is_stated_stays_as_it_is(value):
+    """That of 0 counted as unstated, and another was read off the log."""
     record = held("white")
-    stated = record.with_({"controller": replace(record.controller, integral_before=2.0)})
-    assert as_records(stated)[0].controller.integral_before == 2.0
-    assert "integral_before = 2.5 V, not 2" in told(stated)["settings_contradict_log"]
+    stated = record.with_({"controller": replace(record.controller, integral_before=value)})
+    assert as_records(stated)[0].controller.integral_before == value
+    assert f"integral_before = 2.5 V, not {value:g}" in told(stated)["settings_contradict_log"]
+
+
+@pytest.mark.parametrize("law", ["pid", "cascade"])
+def test_a_stated_integral_of_nothing_is_read_from_a_file_and_written_to_one(law, tmp_path):
+    record = held("white")
+    loop = Controller.cascade(kp=15.0, kv=4.0, kiv=60.0) if law == "cascade" else record.controller
+    for value in (0.0, None):
+        record.with_({"controller": replace(loop, integral_before=value)}).to_csv(tmp_path / "run.csv")
+        assert ("integral_before" in (tmp_path / "run.csv").read_text()) == (value is not None)
+        assert read_record(tmp_path / "run.csv").controller.integral_before == value

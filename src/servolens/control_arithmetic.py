@@ -213,12 +213,12 @@ def _integral(
         return nothing, nothing
     growth = period * (controller.ki * error + controller.integral_rate * command)
     if controller.anti_windup == "none" or limit is None:
-        found = controller.integral_before + np.cumsum(growth)
+        found = controller.initial_integral + np.cumsum(growth)
         return found, found
     total = command if added is None else command + added
     clamps = controller.anti_windup == "clamping"
     pull = 0.0 if clamps else period / controller.tracking
-    integral, left, state = np.empty_like(error), np.empty_like(error), controller.integral_before
+    integral, left, state = np.empty_like(error), np.empty_like(error), controller.initial_integral
     for k, (grown, rest) in enumerate(zip(growth.tolist(), total.tolist(), strict=True)):
         asked = rest + state + grown
         if not (clamps and abs(asked) > limit and grown * asked > 0.0):

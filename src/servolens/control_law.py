@@ -128,7 +128,7 @@ def with_history(record: Record) -> Record:
     ratio = samples_a_tick(controller, record.sample_time)
     if controller.ki != 0 or controller.integral_rate != 0:
         lacking = (voltage - controller_voltage(record))[remembered : 2 * remembered + ratio]
-        begun = controller.integral_before + (float(np.median(lacking)) if lacking.size else 0.0)
+        begun = controller.initial_integral + (float(np.median(lacking)) if lacking.size else 0.0)
         record = record.with_({"controller": replace(controller, integral_before=begun)})
     added = np.zeros(len(record)) if record.feedforward is None else record.feedforward.copy()
     added[:remembered] += (voltage - controller_voltage(record))[:remembered]
@@ -159,7 +159,7 @@ def with_seen_integral(record: Record) -> Record:
     controller, voltage = record.controller, record.voltage
     if controller is None or voltage is None or not record.has_loop:
         return record
-    if not controller.integrates or controller.integral_before != 0.0:
+    if not controller.integrates or controller.integral_before is not None:
         return record
     try:
         if record.ticks > 1:

@@ -58,8 +58,8 @@ class Controller:
         Back-calculation: h (sat V − V)/tracking_time is added to it, from the next tick on.
     tracking_time : float or None
         Of back-calculation [s], positive; None is √(kd/ki), kp/ki where kd = 0, 1/integral_rate where ki = 0.
-    integral_before : float
-        I before the first sample [V], finite.
+    integral_before : float or None
+        I before the first sample [V], finite. None is unstated: 0, unless the log shows it.
     derivative_filter : float
         Share of the new difference in the derivative, in (0, 1]; 1 is no filter.
     derivative_window : int
@@ -94,7 +94,7 @@ class Controller:
     integral_rate: float = 0.0
     anti_windup: AntiWindup = "none"
     tracking_time: float | None = None
-    integral_before: float = 0.0
+    integral_before: float | None = None
     derivative_filter: float = 1.0
     derivative_window: int = 1
     derivative_on: Literal["measurement", "error"] = "measurement"
@@ -118,7 +118,7 @@ class Controller:
             )
         if self.integral_rate < 0:
             raise InputError(f"integral_rate must not be negative, got {self.integral_rate!r}")
-        for name in OPTIONAL:
+        for name in TIMES:
             value = getattr(self, name)
             if not (value is None or value > 0):
                 raise InputError(f"{name} must be positive, got {value!r}")
@@ -135,7 +135,7 @@ class Controller:
         feedforward_speed: float = 0.0,
         anti_windup: AntiWindup = "none",
         tracking_time: float | None = None,
-        integral_before: float = 0.0,
+        integral_before: float | None = None,
         derivative_filter: float = 1.0,
         derivative_window: int = 1,
         derivative: Literal["position", "velocity"] = "position",
@@ -200,7 +200,12 @@ class Controller:
     @property
     def integrates(self) -> bool:
         """Whether the law has an integral."""
-        return self.ki != 0 or self.integral_rate != 0 or self.integral_before != 0
+        return self.ki != 0 or self.integral_rate != 0 or self.initial_integral != 0
+
+    @property
+    def initial_integral(self) -> float:
+        """I before the first sample [V]: as stated, else 0."""
+        return 0.0 if self.integral_before is None else self.integral_before
 
     @property
     def is_limited(self) -> bool:
@@ -247,10 +252,8 @@ class Controller:
         """Return the loop whose whole command is multiplied by `factor`, as by an amplifier's gain."""
         return replace(
             self,
-            **{
-                name: factor * getattr(self, name)
-                for name in ("kp", "kd", "ki", "velocity_feedforward", "integral_before")
-            },
+            **{name: factor * getattr(self, name) for name in ("kp", "kd", "ki", "velocity_feedforward")},
+            integral_before=None if self.integral_before is None else factor * self.integral_before,
         )
 
 
@@ -277,4 +280,5 @@ def _check_number(name: str, value: object, *, optional: bool = False) -> None:
 
 
 NUMBERS = tuple(name for name in Controller.__slots__ if name not in TEXT_CHOICES)
-OPTIONAL = ("tracking_time", "control_period")
+TIMES = ("tracking_time", "control_period")
+OPTIONAL = (*TIMES, "integral_before")

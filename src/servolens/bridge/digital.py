@@ -106,7 +106,7 @@ class _Law:
 
     def at_rest(self, position: float, reference: float) -> NDArray[np.float64]:
         signal = position - reference if self.controller.derivative_on == "error" else position
-        before = self.controller.integral_before
+        before = self.controller.initial_integral
         return np.array([before, 0.0, reference, *([signal] * self.controller.derivative_window)])
 
     def next_state(self, t: float, x: ArrayLike, u: ArrayLike, params: Mapping[str, float]) -> NDArray[np.float64]:

@@ -63,12 +63,12 @@ def rest_of(plant: Plant, loop: Controller, reference: float, feedforward: float
     """
     held = held_by(plant, loop, reference, feedforward)
     if held is None:
-        return Rest(reference, 0.0, loop.integral_before)
+        return Rest(reference, 0.0, loop.initial_integral)
     ahead = loop.kp * (loop.setpoint_weight - 1.0) * reference + feedforward
     if loop.integrates:
         return Rest(reference, held.voltage, held.voltage - ahead)
     away = (ahead - held.voltage) / (loop.kp + held.slope)
-    return Rest(reference + away, ahead - loop.kp * away, loop.integral_before)
+    return Rest(reference + away, ahead - loop.kp * away, loop.initial_integral)
 
 
 def held_by(plant: Plant, loop: Controller, reference: float, feedforward: float = 0.0) -> Held | None:

@@ -40,7 +40,7 @@ class DigitalController:
         self._signals: list[Any] = []
         self._before: float | None = None
         self._derivative: Any = 0.0
-        self._stored: Any = float(c.integral_before)
+        self._stored: Any = float(c.initial_integral)
         self._held: Any = 0.0
 
     def ask(self, k: int, reference: float, seen: Any, velocity: Any, added: float) -> Any:

@@ -104,7 +104,7 @@ class LawFit:
         A voltage beyond the limit says so by itself; just below it only its growth does.
         """
         parts, voltage = self.columns[:4], voltage_of(record)
-        weights, _ = _weights(np.array([getattr(controller, name) for name in PARAMETERS]))
+        weights, _ = _weights(_values(controller))
         grown = _growth(record, controller) * (weights[4:8] @ parts)
         grows = np.diff(self.voltage - weights[:4] @ parts, prepend=math.nan)
         stands = (np.abs(grows) < np.abs(grows - grown)) | (np.abs(voltage) > _limit(record))
@@ -119,7 +119,7 @@ class LawFit:
     def fitted(self, free: Collection[str]) -> Controller:
         """Return the controller whose `free` parameters fit the voltage best; the others are as stated."""
         at = [PARAMETERS.index(name) for name in free]
-        values = np.array([getattr(self.controller, name) for name in PARAMETERS])
+        values = _values(self.controller)
         sizes = _positive(np.sqrt(np.diag(self.gram)))
         gram, shared = self.gram / np.outer(sizes, sizes), self.shared / sizes
         for _ in range(ROUNDS if at else 0):
@@ -135,11 +135,12 @@ class LawFit:
             if np.all(np.abs(step) <= CONVERGED * np.abs(values[at])):
                 break
         values[-1] = max(values[-1], 0.0)
-        return replace(self.controller, **dict(zip(PARAMETERS, values.tolist(), strict=True)))
+        found = dict(zip(PARAMETERS, values.tolist(), strict=True))
+        return replace(self.controller, **{name: found[name] for name in free})
 
     def asked(self, controller: Controller) -> Array:
         """Return what the law asks for with these gains, shape (n,)."""
-        values = np.array([getattr(controller, name) for name in PARAMETERS])
+        values = _values(controller)
         return np.asarray(_weights(values)[0] @ self.columns)
 
     def missed(self, controller: Controller) -> Array:
@@ -184,6 +185,11 @@ def remembered(controller: Controller, record: Record) -> int:
     return min(past * samples_a_tick(controller, record.sample_time), len(record) // 4)
 
 
+def _values(controller: Controller) -> Array:
+    """Return the numbers of the `PARAMETERS`, 0 of what is not stated."""
+    return np.array([getattr(controller, name) or 0.0 for name in PARAMETERS])
+
+
 def tick_phase(record: Record) -> int:
     """Return the first sample at which a loop slower than the log runs: there its voltage changes."""
     count = samples_a_tick(controller_of(record), record.sample_time)
@@ -222,7 +228,7 @@ def _growth(record: Record, controller: Controller) -> Array:
 def _clamped(record: Record, stated: Controller | None, error: Array) -> NDArray[np.bool_]:
     """Mark the samples at which the integral does not grow: its own, or while the voltage is beyond the limit."""
     if stated is not None and stated.integrates:
-        return np.asarray(np.diff(record.answer(stated).integral, prepend=stated.integral_before) == 0.0)
+        return np.asarray(np.diff(record.answer(stated).integral, prepend=stated.initial_integral) == 0.0)
     voltage = voltage_of(record)
     return np.asarray((np.abs(voltage) > _limit(record)) & (voltage * error > 0.0))
 

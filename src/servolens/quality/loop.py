@@ -189,7 +189,7 @@ def _ratio_to_kp(record: Record) -> float | None:
     loop, voltage, reference = record.controller, record.voltage, record.reference
     if loop is None or voltage is None or reference is None or record.feedforward is not None:
         return None
-    if loop.is_cascade or loop.ki != 0.0 or loop.integral_before != 0.0:
+    if loop.is_cascade or loop.ki != 0.0 or loop.initial_integral != 0.0:
         return None
     asked = loop.kp * (reference - record.position)
     slowed = np.abs(loop.kd * np.gradient(record.position, record.time))
@@ -256,7 +256,7 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding | 
         return Finding(code="measured_intervals", severity="note", message=message)
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:
         message = (
-            f"the log fits with a constant {loop.integral_before:.3g} {unit} added to the control law"
+            f"the log fits with a constant {loop.initial_integral:.3g} {unit} added to the control law"
             f" ({left}); log what is added as feedforward."
         )
         return Finding(code="added_to_law", severity="warning", message=message)
@@ -278,7 +278,8 @@ def _name(record: Record, name: str) -> str:
 
 def _as_stated(controller: Controller, name: str) -> Any:
     """Return the value of a setting as the law states it: a cascade's integral gain, its share of the velocity."""
-    value, kv = getattr(controller, name), controller.kd
+    value = controller.initial_integral if name == "integral_before" else getattr(controller, name)
+    kv = controller.kd
     if not controller.is_cascade or name not in STATED_AS or kv == 0.0:
         return value
     return value * kv if name == "integral_rate" else value / kv

@@ -75,7 +75,7 @@ def law_settings(plant: Plant, controller: Controller, period: float, limit: flo
         np.inf if limit is None else limit,
         controller.anti_windup == "clamping",
         samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
-        controller.integral_before,
+        controller.initial_integral,
         0.0,
     ]
 
