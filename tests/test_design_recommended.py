@@ -249,7 +249,7 @@ def test_unexplained_but_immaterial_tunes_well(least):
     known = Evidence(range=SHOWN, verdict="unexplained", remainder=leaving(0.01), heldout_of_step=0.001)
     of_model, of_gain = lights(least, known)
     assert (of_model.light, of_gain.light) == ("green", "green")
-    assert of_model.sentence.startswith("Unexplained: ")
+    assert of_model.sentence.startswith("Unexplained, but what is left is immaterial: ")
 
 
 def test_material_remainder_is_carried_by_the_scenarios(least):

@@ -348,8 +348,8 @@ def test_sticking_and_delay_are_found_though_the_linear_gain_is_far_off():
     assert_at_noise(fit)
     assert "above_noise" in codes(bare)
     assert codes(bare)["above_noise"].endswith(
-        " noise. This model does not explain the data to noise level: the error bars"
-        " hold only if it is right. Do not rely on them. Run servolens diagnose."
+        " noise. This model does not explain the data to noise level. Do not rely on the"
+        " error bars: they hold only if it is right. Run servolens diagnose."
     )
     told = bare.summary()
     assert told.tables[0].note.endswith(codes(bare)["above_noise"][1:])

@@ -20,7 +20,7 @@ How = Literal["held_out", "left_out", "end"]
 MATERIAL = 0.005
 """Share of the travel from which on a remainder matters to whoever tunes: half the usual band of 1 %."""
 UNRELIABLE = (
-    "This model does not explain the data to noise level: the error bars hold only if it is right. Do not rely on them."
+    "This model does not explain the data to noise level. Do not rely on the error bars: they hold only if it is right."
 )
 """What stands beside the error bars of a model that leaves more than noise."""
 

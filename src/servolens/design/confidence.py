@@ -110,7 +110,8 @@ def _model_light(model: Model) -> Light:
             ),
         )
     tested = "" if missed is None else f", and {_untaught(evidence, unit)}"
-    verdict = "" if evidence.verdict is None else f"{evidence.verdict.replace('_', ' ').capitalize()}: "
+    verdict = "" if evidence.verdict is None else f"{evidence.verdict.replace('_', ' ').capitalize()}"
+    verdict += {"": "", "Healthy": ": ", "Explained": ": "}.get(verdict, ", but what is left is immaterial: ")
     return Light(light="green", sentence=f"{verdict}the simulation misses {share} beyond the noise{tested}.")
 
 

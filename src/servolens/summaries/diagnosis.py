@@ -280,9 +280,10 @@ def _verdict(diagnosis: Diagnosis) -> str:
             " where the phase is fitted to each record. No simulation can predict that phase: the"
             f" {held}error is {after} with {them}, {before} without."
         )
-    if before == after or falls:
-        goes = "stays at" if before == after else f"falls from {before} to"
-        return f"{start}; with {them} the {held}error {goes} {after} (r.m.s., the noise is {noise})."
+    if before == after:
+        return f"{start}; but the {held}error stays at {after} with {them} (r.m.s., the noise is {noise})."
+    if falls:
+        return f"{start}; with {them} the {held}error falls from {before} to {after} (r.m.s., the noise is {noise})."
     return (
         f"{start}; but simulations{loop} miss more with {them}: the {held}error is {after} with {them}, {before}"
         f" without (r.m.s., the noise is {noise})."
