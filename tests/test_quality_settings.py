@@ -282,6 +282,44 @@ def test_loop_with_late_stamps_is_simulated_as_it_ran(seed):
     assert error.rms_error < 2e-5  # the sensor's noise is half of that, and the loop answers to it
 
 
+@pytest.mark.parametrize("stamps", [late, wandering])
+@pytest.mark.parametrize("on", ["measurement", "error"])
+def test_loop_that_divides_by_measured_intervals_is_simulated_so(stamps, on):
+    (record,) = as_records(own_loop(stamps, on=on))
+    assert record.controller.time_step == "measured"
+    assert record.voltage == pytest.approx(controller_voltage(record), abs=1e-9)
+    ((error,),) = predict(Plant(gain=1.9, damping=6.0), own_loop(stamps, on=on)).errors
+    assert error.rms_error < 2e-5  # the sensor's noise is half of that, and the loop answers to it
+    by_cycle = own_loop(stamps, on=on, by_interval=False)
+    assert as_records(by_cycle)[0].controller.time_step == "cycle"
+
+
+MEASURING = {
+    "window": Controller(kp=60, kd=3, derivative_window=3, derivative_filter=0.5, time_step="measured"),
+    "pid": Controller(kp=60, kd=3, ki=200, velocity_feedforward=1, time_step="measured"),
+    "clamped": Controller(kp=200, kd=3, ki=200, anti_windup="clamping", time_step="measured"),
+    "pulled": Controller(kp=200, kd=3, ki=200, anti_windup="back_calculation", time_step="measured"),
+    "cascade": Controller.cascade(kp=20, kv=4, kiv=20, time_step="measured"),
+}
+
+
+@pytest.mark.parametrize("law", MEASURING)
+def test_laws_with_measured_time_steps_are_those_of_the_bench(law):
+    around = lab.Surroundings(encoder=0.0, jitter=lab.Jitter(share=0.15))
+    rig = lab.Setup(controller=MEASURING[law], surroundings=around, voltage_limit=12.0)
+    run = lab.step_record(
+        lab.Truth(gain=1.9, damping=6.0), sample_time=5e-3, reference=(0.1, 0.02), duration=0.6, seed=4, setup=rig
+    )
+    assert controller_voltage(run) == pytest.approx(
+        run.voltage, abs=1e-4
+    )  # the first step is the cycle, of which a log knows the median
+    ((error,),) = predict(Plant(gain=1.9, damping=6.0), run).errors
+    by_cycle = run.with_({"controller": replace(MEASURING[law], time_step="cycle"), "voltage": None})
+    ((wrong,),) = predict(Plant(gain=1.9, damping=6.0), by_cycle).errors
+    assert error.rms_error < 1e-6
+    assert wrong.rms_error > 100 * error.rms_error
+
+
 def test_stated_period_that_the_log_contradicts_is_no_wrong_unit_of_time():
     record = logged("white", kd=0.0, stated={"kd": 0.0, "control_period": 0.005})
     assert not fatal(check(record))

@@ -97,19 +97,20 @@ def answer(controller: Controller, seen: LoopSignals) -> Answer:
     at = slice(None) if ticks is None else ticks
     time, reference, position = seen.time[at], seen.reference[at], seen.position[at]
     error = reference - position
-    slope = _differences(reference, time, 1, period)
+    steps = _steps(controller, time, period)
+    slope = _differences(reference, time, 1, steps)
     if controller.derivative == "velocity":
         if seen.velocity is None:
             raise InputError("the loop used a velocity of its own (derivative = velocity); log it")
         raw = seen.velocity[at]
     else:
         signal = position - reference if controller.derivative_on == "error" else position
-        raw = _differences(signal, time, controller.derivative_window, period)
+        raw = _differences(signal, time, controller.derivative_window, steps)
     derivative = _filtered(raw, controller.derivative_filter)
     ahead = controller.kp * (controller.setpoint_weight - 1.0) * reference + controller.velocity_feedforward * slope
     command = controller.kp * error - controller.kd * derivative + ahead
     added = None if seen.added is None else seen.added[at]
-    integral, left = _integral(controller, period, (error, command), added, seen.limit)
+    integral, left = _integral(controller, steps, (error, command), added, seen.limit)
     found = {"error": error, "derivative": derivative, "ahead": ahead, "integral": integral, "remembered": left}
     if ticks is not None:
         held = np.searchsorted(ticks, np.arange(seen.time.size), side="right") - 1
@@ -181,16 +182,25 @@ def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None
     return np.concatenate(([0], np.flatnonzero(np.diff(period)) + 1))
 
 
-def _differences(signal: Signal, time: Signal, window: int, period: float) -> Signal:
+def _steps(controller: Controller, time: Signal, period: float) -> Signal:
+    """Return h of the law at each tick: the `period`, or what the loop measured since its last tick."""
+    steps = np.full(time.size, period)
+    if controller.time_step == "measured":
+        steps[1:] = np.diff(time)
+    return steps
+
+
+def _differences(signal: Signal, time: Signal, window: int, steps: Signal) -> Signal:
     """Return ``(s[k] − s[k−w]) / (w h)`` with s[−1] = s[0], over the true time where samples are lost."""
     n = signal.size
     rise = signal - signal[0]
-    span = np.full(n, window * period)
+    span = np.full(n, window * steps[0])
     if window < n:
         rise[window:] = signal[window:] - signal[:-window]
         counts = np.concatenate(([0.0], np.cumsum(cycles_passed(time))))
-        passed = time[window:] - time[:-window]
-        span[window:] = np.where(counts[window:] - counts[:-window] > window, passed, window * period)
+        taken = np.concatenate(([0.0], np.cumsum(steps)))
+        passed, lost = time[window:] - time[:-window], counts[window:] - counts[:-window] > window
+        span[window:] = np.where(lost, passed, taken[window + 1 :] - taken[1:-window])
     return np.asarray(rise / span)
 
 
@@ -204,22 +214,23 @@ def _filtered(raw: Signal, share: float) -> Signal:
 
 
 def _integral(
-    controller: Controller, period: float, columns: tuple[Signal, Signal], added: Signal | None, limit: float | None
+    controller: Controller, steps: Signal, columns: tuple[Signal, Signal], added: Signal | None, limit: float | None
 ) -> tuple[Signal, Signal]:
     """Return the integral as it is in the command, and as it is left to the next tick."""
     error, command = columns
     if not controller.integrates:
         nothing = np.zeros_like(error)
         return nothing, nothing
-    growth = period * (controller.ki * error + controller.integral_rate * command)
+    growth = steps * (controller.ki * error + controller.integral_rate * command)
     if controller.anti_windup == "none" or limit is None:
         found = controller.initial_integral + np.cumsum(growth)
         return found, found
     total = command if added is None else command + added
     clamps = controller.anti_windup == "clamping"
-    pull = 0.0 if clamps else period / controller.tracking
+    pulls = np.zeros_like(steps) if clamps else steps / controller.tracking
     integral, left, state = np.empty_like(error), np.empty_like(error), controller.initial_integral
-    for k, (grown, rest) in enumerate(zip(growth.tolist(), total.tolist(), strict=True)):
+    each = zip(growth.tolist(), total.tolist(), pulls.tolist(), strict=True)
+    for k, (grown, rest, pull) in enumerate(each):
         asked = rest + state + grown
         if not (clamps and abs(asked) > limit and grown * asked > 0.0):
             state += grown

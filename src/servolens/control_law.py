@@ -29,6 +29,7 @@ __all__ = [
     "rms",
     "with_history",
     "with_seen_integral",
+    "with_seen_time_step",
 ]
 
 FORGOTTEN_SHARE = 1e-3
@@ -173,13 +174,57 @@ def with_seen_integral(record: Record) -> Record:
             return record
         begun = replace(controller, integral_before=float(np.median(missed[first:last])))
         found = record.with_({"controller": begun})
-        left = voltage - controller_voltage(found)
+        return found if _holds(found) and not _holds(record) else record
     except InputError:  # of a law that the record contradicts, which is told elsewhere
         return record
+
+
+def with_seen_time_step(record: Record) -> Record:
+    """Return the record of a loop that measured its time steps, where its voltage shows that and the cycle is stated.
+
+    A small computer's loop often divides by the time that it measured from tick to tick. Believed where the law then
+    holds to what rounding leaves, and does not with its cycle; the integral with which the loop began is read off
+    beside either (:func:`with_seen_integral`).
+
+    Parameters
+    ----------
+    record : Record
+        Of a loop that ran once a sample; others are returned as they are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from servolens.record import Controller, Record
+    >>> time = np.cumsum(np.random.default_rng(1).uniform(0.009, 0.011, 50))
+    >>> loop, speed = Controller(kp=10, kd=1), np.where(time > time[0], 1.0, 0.0)
+    >>> run = Record(time=time, position=time, reference=time, voltage=-speed, controller=loop)
+    >>> with_seen_time_step(run).controller.time_step
+    'measured'
+    """
+    stated = with_seen_integral(record)
+    loop = record.controller
+    if loop is None or record.voltage is None or not record.has_loop or loop.time_step == "measured":
+        return stated
+    try:
+        if record.ticks > 1 or _holds(stated):
+            return stated
+        found = with_seen_integral(record.with_({"controller": replace(loop, time_step="measured")}))
+        return found if _holds(found) else stated
+    except InputError:  # as above
+        return stated
+
+
+def _holds(record: Record) -> bool:
+    """Tell whether the law asks for the logged voltage, to what rounding leaves, once it has forgotten its past."""
+    voltage, controller = record.voltage, _controller(record)
+    if voltage is None:
+        return False
+    limit = np.inf if record.voltage_limit is None else record.voltage_limit
+    asked = np.clip(controller_voltage(record), -limit, limit)
     rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(6.0)  # of the samples, and of their median
     felt = felt_rounding(controller, quantisation_step(record.position) or 0.0, record.sample_time)
-    holds = max(HOLDS * rms(voltage), math.hypot(rounding, felt))
-    return found if rms(left[first:]) <= holds < rms(missed[first:]) else record
+    missed = (np.clip(voltage, -limit, limit) - asked)[_remembered(record) :]
+    return rms(missed) <= max(HOLDS * rms(voltage), math.hypot(rounding, felt))
 
 
 def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:

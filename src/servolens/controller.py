@@ -21,6 +21,7 @@ TEXT_CHOICES = {
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
     "anti_windup": ("none", "clamping", "back_calculation"),
+    "time_step": ("cycle", "measured"),
 }
 
 
@@ -70,6 +71,9 @@ class Controller:
         ``"velocity"``: the loop used a velocity signal of its own instead of a difference.
     control_period : float or None
         Period of the loop [s] where it is slower or faster than the log; None means every sample.
+    time_step : {"cycle", "measured"}
+        What h is: the loop's cycle, or the time that it measured since its last tick (``dt = now - last``); these
+        differ where it runs unevenly.
     law : {"pd", "cascade"}
         By which names its gains are stated and told: those of PD and PID, or of a drive's cascade.
 
@@ -100,6 +104,7 @@ class Controller:
     derivative_on: Literal["measurement", "error"] = "measurement"
     derivative: Literal["position", "velocity"] = "position"
     control_period: float | None = None
+    time_step: Literal["cycle", "measured"] = "cycle"
     law: Literal["pd", "cascade"] = "pd"
 
     def __post_init__(self) -> None:
@@ -140,6 +145,7 @@ class Controller:
         derivative_window: int = 1,
         derivative: Literal["position", "velocity"] = "position",
         control_period: float | None = None,
+        time_step: Literal["cycle", "measured"] = "cycle",
     ) -> Controller:
         """Return the cascade of drives: P of the position, PI of the speed.
 
@@ -156,8 +162,10 @@ class Controller:
             Its integral gain [V/m or V/rad], of the sign of `kv`.
         feedforward_speed : float
             Share of the reference's velocity that the speed loop is given, finite.
-        anti_windup, tracking_time, integral_before, derivative_filter, derivative_window, derivative, control_period
+        anti_windup, tracking_time, integral_before
             As of the class; the default tracking time is kv/kiv.
+        derivative_filter, derivative_window, derivative, control_period, time_step
+            As of the class.
 
         Raises
         ------
@@ -189,6 +197,7 @@ class Controller:
             derivative_window=derivative_window,
             derivative=derivative,
             control_period=control_period,
+            time_step=time_step,
             law="cascade",
         )
 

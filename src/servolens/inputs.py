@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from servolens.campaign import read_records
-from servolens.control_law import with_seen_integral
+from servolens.control_law import with_seen_time_step
 from servolens.effects import Effect, check_effect, effect_class
 from servolens.encoder import with_seen_encoder
 from servolens.errors import InputError, described, names_like
@@ -100,6 +100,7 @@ class RecordSettings(TypedDict, total=False):
     derivative_filter: float | str
     derivative_window: float | str
     control_period: float | str
+    time_step: str
     sample_time: float | str
     reference: str
     reference_file: str
@@ -163,8 +164,11 @@ def as_records(
 
 
 def as_it_ran(record: Record) -> Record:
-    """Return `record` at even times where only its stamps are uneven, with the integral with which its loop began."""
-    return with_seen_integral(with_even_times(record))
+    """Return `record` at even times where only its stamps are uneven, with what its voltage shows of its loop.
+
+    That is whether it divided by times that it measured, and the integral with which it began.
+    """
+    return with_seen_time_step(with_even_times(record))
 
 
 def _check_units(records: Sequence[Record]) -> None:

@@ -19,7 +19,7 @@ __all__ = ["csv_text", "loop_settings"]
 DEFAULT = Controller(kp=0.0)
 SHARED = (
     "anti_windup", "tracking_time", "integral_before", "derivative_filter", "derivative_window", "derivative",
-    "control_period",
+    "control_period", "time_step",
 )  # fmt: skip
 """Settings that PID and cascade have in common."""
 NEIGHBOURS = 4

@@ -37,15 +37,18 @@ class DigitalController:
         self._rate = float(c.integral_rate)
         self._every = samples_a_period(c, sample_time)
         self._period = sample_time if self._every == 1 else c.control_period or sample_time
-        self._signals: list[Any] = []
+        self._step, self._signals, self._instants = self._period, list[Any](), list[float]()
         self._before: float | None = None
         self._derivative: Any = 0.0
         self._stored: Any = float(c.initial_integral)
         self._held: Any = 0.0
 
-    def ask(self, k: int, reference: float, seen: Any, velocity: Any, added: float) -> Any:
+    def ask(self, k: int, time: float, reference: float, seen: Any, velocity: Any, added: float) -> Any:
         """Return the voltage asked for at sample `k`, held between the ticks of a slow loop, with what is `added`."""
         if k % self._every == 0:
+            if self._settings.time_step == "measured" and self._instants:
+                self._step = time - self._instants[-1]
+            self._instants = [*self._instants, time][-1 - int(self._settings.derivative_window) :]
             raw = velocity if self._settings.derivative == "velocity" else self._slope(reference, seen)
             self._derivative = self._derivative + self._share * (raw - self._derivative)
             direct = self._kp * (self._weight * reference - seen) - self._kd * self._derivative
@@ -55,7 +58,7 @@ class DigitalController:
 
     def _integral(self, error: Any, direct: Any, added: float) -> Any:
         """Return the integral part of this sample, and store what the next one begins with."""
-        candidate = self._stored + self._period * (self._ki * error + self._rate * direct)
+        candidate = self._stored + self._step * (self._ki * error + self._rate * direct)
         if not self._settings.is_limited or self._limit is None:
             self._stored = candidate
             return candidate
@@ -68,14 +71,14 @@ class DigitalController:
             return self._stored
         asked = direct + candidate + added
         given = m.minimum(m.maximum(asked, -limit), limit)
-        self._stored = candidate + self._period / self._settings.tracking * (given - asked)
+        self._stored = candidate + self._step / self._settings.tracking * (given - asked)
         return candidate
 
     def _speed(self, reference: float) -> float:
         """Return how fast the reference moves, by its last two values."""
         before = reference if self._before is None else self._before
         self._before = reference
-        return (reference - before) / self._period
+        return (reference - before) / self._step
 
     def _slope(self, reference: float, seen: Any) -> Any:
         """Return the raw difference over the window; before the record all was as at its first sample."""
@@ -84,4 +87,7 @@ class DigitalController:
         del self._signals[: -window - 1]
         if len(self._signals) <= window:
             self._signals = [self._signals[0]] * window + self._signals[-1:]
-        return (self._signals[-1] - self._signals[-1 - window]) / (window * self._period)
+        span = window * self._period
+        if self._settings.time_step == "measured" and len(self._instants) > window:
+            span = self._instants[-1] - self._instants[0]
+        return (self._signals[-1] - self._signals[-1 - window]) / span

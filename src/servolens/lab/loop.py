@@ -137,7 +137,7 @@ def _close(
         seen = shown + noise
         if step:
             seen = m.floor(seen / step + 0.5) * step
-        asked = controller.ask(k, reference[k], seen, moving, added[k])
+        asked = controller.ask(k, t, reference[k], seen, moving, added[k])
         for signal, value in zip(signals, (seen, asked, moving), strict=True):
             signal.append(value)
         felt = asked if unmodelled is None else unmodelled.turns(t, asked, place)

@@ -148,11 +148,7 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
     if record.reference is None:
         message = "no reference is logged; the loop cannot be simulated, only the axis driven by its voltage."
         yield Finding(code="no_reference", severity="note", message=message)
-    if record.voltage is None:
-        message = "no voltage is logged; it is reconstructed from kp and kd, which therefore cannot be verified."
-        yield Finding(code="voltage_reconstructed", severity="note", message=message)
-    elif record.has_loop and fit is None and _is_slow(record):
-        yield _unverified(record)
+    yield from _verified(record, fit)
     beyond = beyond_limit(record)
     if beyond:
         message = (
@@ -167,6 +163,18 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         if contradiction:
             yield contradiction
         yield from _gains(record, fit)
+
+
+def _verified(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
+    """Yield what of the law the log cannot verify, and that it shows time steps that the loop measured."""
+    if record.voltage is None:
+        message = "no voltage is logged; it is reconstructed from kp and kd, which therefore cannot be verified."
+        yield Finding(code="voltage_reconstructed", severity="note", message=message)
+    elif record.has_loop and fit is None and _is_slow(record):
+        yield _unverified(record)
+    elif record.controller is not None and record.controller.time_step == "measured":
+        message = "the loop divides by the time from sample to sample, not by its cycle; so do simulations of it."
+        yield Finding(code="measured_intervals", severity="note", message=message)
 
 
 def _unverified(record: Record) -> Finding:
@@ -245,15 +253,10 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding | 
         )
         return Finding(code="unsigned_voltage", severity="error", message=message)
     loop = other.controller
-    settings = [name for name in other.changed if name not in GAINS and not _is_alike(record, loop, name)]
+    seen = (*GAINS, "time_step")  # which is read off the log, once all else is right
+    settings = [name for name in other.changed if name not in seen and not _is_alike(record, loop, name)]
     if not (settings or other.kind):
         return None
-    if other.kind == "measured" and not settings:
-        message = (
-            "the derivative is that over the intervals of the time column, not over the loop's cycle"
-            f" ({left}); the gains are compared with such a loop, but simulations divide by the cycle."
-        )
-        return Finding(code="measured_intervals", severity="note", message=message)
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:
         message = (
             f"the log fits with a constant {loop.initial_integral:.3g} {unit} added to the control law"

@@ -58,8 +58,6 @@ RESCALED = ("voltage", "time")
 """Columns of which another sign or unit looks like other gains."""
 MOST = 20
 """Samples up to which a shift is looked for: 20 ms at 1 kHz, more than buses and buffers delay."""
-FIXED = {"control_period", "derivative"}
-"""Settings of a loop with which it does not divide by the interval from each sample to the next."""
 FILTERS = np.geomspace(0.02, 1.0, 24)
 """Derivative filters that are tried before the best is refined: neighbours differ by 18 %."""
 STRIDE, REFINED = 4, 3
@@ -85,9 +83,8 @@ class Alternative:
         Gains and settings that fit.
     changed : tuple of str
         Those of its fields that differ from what is stated.
-    kind : {"", "shift", "scale", "unsigned", "measured"}
-        What is wrong with a column, if one is; of an unsigned one the magnitude was logged. Nothing is wrong with a
-        derivative over the intervals that the loop has measured.
+    kind : {"", "shift", "scale", "unsigned"}
+        What is wrong with a column, if one is; of an unsigned one the magnitude was logged.
     column : str
         Which.
     value : float
@@ -107,8 +104,6 @@ class Alternative:
     def applied(self, record: Record) -> Record:
         """Return the record as if this had been stated; a shift costs the samples that then lack a value."""
         case = _Case(self.kind, self.column, self.value)
-        if self.kind == "measured":
-            return case.applied(record.with_({"controller": replace(self.controller, derivative="position")}))
         mended = case.applied(record)
         if self.kind == "shift":
             first, last = max(-self.value, 0), len(record) - 1 - max(self.value, 0)
@@ -132,8 +127,6 @@ class _Case(NamedTuple):
             return record.with_({self.column: _moved(getattr(record, self.column), int(self.value))})
         if self.kind == "scale":
             return record.with_({self.column: getattr(record, self.column) / self.value})
-        if self.kind == "measured":
-            return _over_measured_intervals(record)
         return _signed(record) if self.kind == "unsigned" else record
 
     def with_filter(self, share: float) -> _Case:
@@ -328,23 +321,13 @@ def _shifts() -> Iterator[_Case]:
 
 
 def _derivatives(record: Record) -> Iterator[_Case]:
-    """Yield other discrete settings of the loop, first none; then over the intervals that it has measured."""
+    """Yield other discrete settings of the loop, first none; then with time steps that it has measured."""
     yield from (_Case(settings=settings) for settings in _settings(record))
     stated = controller_of(record)
     is_uneven = np.ptp(np.diff(record.time)) > EXACT * record.sample_time
-    if is_uneven and stated.derivative == "position" and samples_a_tick(stated, record.sample_time) == 1:
-        yield from (_Case("measured", settings=one) for one in _settings(record) if not {*dict(one)} & FIXED)
-
-
-def _over_measured_intervals(record: Record) -> Record:
-    """Return the record with the derivative of a loop that divides by the time since its last samples, as measured."""
-    stated = controller_of(record)
-    signal, window = record.position, stated.derivative_window
-    if stated.derivative_on == "error" and record.reference is not None:
-        signal = signal - record.reference
-    velocity = np.zeros(len(record))
-    velocity[window:] = (signal[window:] - signal[:-window]) / (record.time[window:] - record.time[:-window])
-    return record.with_({"velocity": velocity, "controller": replace(stated, derivative="velocity")})
+    if is_uneven and stated.time_step == "cycle" and samples_a_tick(stated, record.sample_time) == 1:
+        other = ("time_step", "measured")
+        yield from (_Case(settings=(*one, other)) for one in _settings(record) if "control_period" not in dict(one))
 
 
 def _settings(record: Record) -> Iterator[tuple[tuple[str, Any], ...]]:

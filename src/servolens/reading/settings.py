@@ -32,6 +32,7 @@ WORDS = {
     "anti_windup": ("none", "clamping", "back_calculation"),
     "derivative_on": ("measurement", "error"),
     "derivative": ("position", "velocity"),
+    "time_step": ("cycle", "measured"),
 }
 KEYS = ("name", *DIMENSIONED, *PURE, *WORDS, *TEXTS)
 """Keys that are understood."""

@@ -111,5 +111,5 @@ def _settings(spec: PDSpec, plant: Plant) -> list[float]:
         return [*OPEN_LOOP, *still, *NO_LAW]
     controller = spec.loop(1.0)
     limit = None if plant.effect(Saturation.name) is not None else np.inf
-    law = law_settings(plant, controller, spec.sample_time, limit)
+    law = law_settings(plant, controller, limit)
     return [1.0, *loop_settings(controller, spec.sample_time), 0.0, *still, *law]

@@ -29,7 +29,7 @@ const servolensSimulator = (rule, plants) => {
     if (integrates && design.antiWindup === "back_calculation") {
       const ki = loop[place.KI], kd = loop[place.KD];
       const tracking = ki === 0 ? 1 / loop[place.INTEGRAL_RATE] : kd === 0 ? loop[place.KP] / ki : Math.sqrt(kd / ki);
-      loop[place.PULL] = loop[place.PERIOD] / tracking;
+      loop[place.PULL] = 1 / tracking;
     }
     return loop;
   };

@@ -14,15 +14,15 @@ from servolens.simulation.elementary import OPTIONS
 
 __all__ = ["MOVED", "applied_before", "asked", "law_beyond_pd"]
 
-CLOSED, KP, KD, FILTER, WINDOW, ON_ERROR, OWN_VELOCITY, RATIO, PERIOD, RESOLUTION = range(10)
-MOST_PIECES_GRANTED, IS_KNOWN_BEFORE, BEFORE, CORRECTS, COARSE, SHAKING_LEFT = range(10, 16)
-KI, INTEGRAL_RATE, WEIGHT, FORWARD, LIMIT, CLAMPS, PULL, INTEGRAL_BEFORE = range(16, 24)
-IS_PD, MOVED = 24, 25
+CLOSED, KP, KD, FILTER, WINDOW, ON_ERROR, OWN_VELOCITY, RATIO, PERIOD, MEASURES_TIME, RESOLUTION = range(11)
+MOST_PIECES_GRANTED, IS_KNOWN_BEFORE, BEFORE, CORRECTS, COARSE, SHAKING_LEFT = range(11, 17)
+KI, INTEGRAL_RATE, WEIGHT, FORWARD, LIMIT, CLAMPS, PULL, INTEGRAL_BEFORE = range(17, 25)
+IS_PD, MOVED = 25, 26
 """Whether the law is nothing but kp and kd; where it begins to stand which states an observer moves."""
 SHAKEN = 2.0
 """Of what corrects the motion: no observer, but an acceleration that shakes the axis, and an error of the sensor."""
 _NUMBERS = types.CPointer(float64)
-BEYOND_PD = float64(int64, float64, float64, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
+BEYOND_PD = float64(int64, float64, float64, float64, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
 beyond_pd = types.ExternalFunction("servolens_beyond_pd", BEYOND_PD)
 """The law below as a call: written out, it would slow down the loops that do without it."""
 
@@ -32,6 +32,7 @@ def asked(  # noqa: PLR0913 - every array is an argument
     k: int,
     seen: float,
     speed: float,
+    time: Any,
     reference: Any,
     measured: Any,
     held: Any,
@@ -41,30 +42,36 @@ def asked(  # noqa: PLR0913 - every array is an argument
     is_pd: bool,
 ) -> float:
     """Return what the digital controller asks for at sample `k` beside what is `held`; carry its memories along."""
-    window, ratio, period = int(loop[WINDOW]), int(loop[RATIO]), loop[PERIOD]
+    window, ratio, step = int(loop[WINDOW]), int(loop[RATIO]), loop[PERIOD]
+    span = window * step
+    if loop[MEASURES_TIME] != 0.0:
+        step = time[k] - time[k - ratio] if k >= ratio else step
+        span = time[k] - time[k - window * ratio] if k >= window * ratio else span
     if loop[OWN_VELOCITY] != 0.0:
         raw = speed
     else:
         past = max(k - window * ratio, 0)
-        raw = (seen - measured[past]) / (window * period)
+        raw = (seen - measured[past]) / span
         if loop[ON_ERROR] != 0.0:
-            raw -= (reference[k] - reference[past]) / (window * period)
+            raw -= (reference[k] - reference[past]) / span
     derivative[0] += loop[FILTER] * (raw - derivative[0])
     command: float = loop[KP] * (reference[k] - seen) - loop[KD] * derivative[0]
-    return command if is_pd else beyond_pd(k, command, reference[k] - seen, reference, held, loop, integral)
+    return command if is_pd else beyond_pd(k, step, command, reference[k] - seen, reference, held, loop, integral)
 
 
-def law_beyond_pd(k: int, command: float, error: float, reference: Any, held: Any, loop: Any, integral: Any) -> float:
+def law_beyond_pd(
+    k: int, step: float, command: float, error: float, reference: Any, held: Any, loop: Any, integral: Any
+) -> float:
     """Return the command of a law that has more than kp and kd, and keep its integral from running away."""
     command += loop[KP] * (loop[WEIGHT] - 1.0) * reference[k]
-    command += loop[FORWARD] * (reference[k] - reference[max(k - int(loop[RATIO]), 0)]) / loop[PERIOD]
+    command += loop[FORWARD] * (reference[k] - reference[max(k - int(loop[RATIO]), 0)]) / step
     limit, state = loop[LIMIT], integral[0]
-    growth = loop[PERIOD] * (loop[KI] * error + loop[INTEGRAL_RATE] * command)
+    growth = step * (loop[KI] * error + loop[INTEGRAL_RATE] * command)
     total = command + state + growth + held[k]
     if not (loop[CLAMPS] != 0.0 and abs(total) > limit and growth * total > 0.0):
         state += growth
     total = command + state + held[k]
-    integral[0] = state + loop[PULL] * (min(max(total, -limit), limit) - total)
+    integral[0] = state + step * loop[PULL] * (min(max(total, -limit), limit) - total)
     answer: float = command + state
     return answer
 

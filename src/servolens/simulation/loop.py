@@ -205,7 +205,7 @@ def simulate_loop(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     held = np.zeros(grid.size) if feedforward is None else as_floats(feedforward, "feedforward")
     period = sample_time_of(grid)
     step = number_within(resolution, 0.0, inf, "resolution")
-    law = law_settings(plant, controller, period, None if limit is None else as_limit(limit))
+    law = law_settings(plant, controller, None if limit is None else as_limit(limit))
     corrects, shaken = _shaking(acceleration, sensor_error, grid)
     settings = [1.0, *loop_settings(controller, period), step, ANY_NUMBER, *known(before), *corrects, *law]
     count = _substeps(substeps, plant, period)

@@ -32,7 +32,7 @@ __all__ = [
 
 ANY_NUMBER = 0.0
 """Most pieces into which substeps may be split, where there is no such limit."""
-OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0]
+OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
 NO_OBSERVER = (0.0, 0.0, 0.0)
 """What it is told where no measurement corrects the axis."""
@@ -54,10 +54,11 @@ def loop_settings(controller: Controller, period: float) -> list[float]:
         controller.derivative == "velocity",
         ratio,
         ratio * period,
+        controller.time_step == "measured",
     ]
 
 
-def law_settings(plant: Plant, controller: Controller, period: float, limit: float | None) -> list[float]:
+def law_settings(plant: Plant, controller: Controller, limit: float | None) -> list[float]:
     """Return what the rule is told of the rest of the law."""
     if controller.is_pd:
         return NO_LAW
@@ -74,7 +75,7 @@ def law_settings(plant: Plant, controller: Controller, period: float, limit: flo
         controller.velocity_feedforward,
         np.inf if limit is None else limit,
         controller.anti_windup == "clamping",
-        samples_a_period(controller, period) * period / controller.tracking if pulls else 0.0,
+        1.0 / controller.tracking if pulls else 0.0,
         controller.initial_integral,
         0.0,
     ]

@@ -205,7 +205,7 @@ def run(
         seen = rounded(erring(output[0], loop, gains, k), resolution)
         results[k], results[n + k], measured[k] = output[2], output[1], seen
         if closed and wait == 0:
-            voltage = asked(k, seen, output[1], reference, measured, held, loop, derivative, integral, is_pd)
+            voltage = asked(k, seen, output[1], time, reference, measured, held, loop, derivative, integral, is_pd)
             wait = ratio
         wait -= 1
         results[2 * n + k] = voltage + held[k]

@@ -109,7 +109,7 @@ def closed_trial(
 
     def settings(plant: Plant, substeps: int) -> list[float]:
         granted = patience * time.size * max(substeps, ONE_OF, fixed_substeps_for(plant, period))
-        law = law_settings(plant, controller, period, limit)
+        law = law_settings(plant, controller, limit)
         return [1.0, *loop, 0.0, granted, *known(before), *corrects, *law]
 
     added = np.zeros(time.size) if feedforward is None else feedforward
