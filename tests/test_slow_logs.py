@@ -11,7 +11,7 @@ from servolens import Controller, Plant, Record, diagnose, fit, lab, predict, re
 from servolens.control_law import command_at, controller_voltage
 from servolens.diagnosis import loop_rate
 from servolens.diagnosis.effort import EFFORT
-from servolens.diagnosis.loop_rate import decided_beside_loop_rate
+from servolens.diagnosis.loop_rate import decided_beside_loop
 from servolens.effects import CoulombFriction, Delay
 from servolens.errors import InputError
 from servolens.findings import Finding
@@ -393,7 +393,7 @@ def test_faster_loops_are_tried_unless_the_command_shows_each_tick(monkeypatch, 
     monkeypatch.setattr(Record, "with_ticks", with_ticks)
     asked = pytest.raises(AskedError) if asks else nullcontext()
     with asked:
-        decided_beside_loop_rate((slow_log(count, step),), (), {}, 24, EFFORT["quick"], lambda *_: None)
+        decided_beside_loop((slow_log(count, step),), (), {}, 24, EFFORT["quick"], lambda *_: None)
 
 
 def test_light_of_the_data_is_amber_beside_a_loop_that_was_not_stated():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import log
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHANGED", "JITTERS", "MEDIAN", "Clock", "clock_of", "cycle_of", "cycles_passed"]
+__all__ = ["CHANGED", "JITTERS", "MEDIAN", "Clock", "clock_of", "cycle_of", "cycles_passed", "fitted_cycle"]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
@@ -74,7 +75,7 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
 def cycle_of(time: NDArray[np.float64]) -> float:
     """Return the cycle of time stamps [s], shape (n,), rising, n ≥ 2: the median interval.
 
-    Of a clock that jitters, the time that has passed over the number of cycles in it, lost ones included.
+    Of a clock that jitters, the slope of the stamps over the number of cycles that have passed, lost ones included.
 
     Examples
     --------
@@ -85,7 +86,31 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     usual = float(np.median(intervals))
     if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual or not _beside(intervals, usual)[1]:
         return usual
-    return float((time[-1] - time[0]) / np.sum(cycles_passed(time)))
+    return fitted_cycle(time, np.concatenate([[0.0], np.cumsum(cycles_passed(time))]))[0]
+
+
+def fitted_cycle(time: NDArray[np.float64], place: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the cycle [s], and how far the stamps are off whole ones (r.m.s.) [s].
+
+    It is rounded as far as the stamps allow, a digit for odds of ten to one: controllers run at round cycles, and
+    records of one axis are to agree.
+
+    Parameters
+    ----------
+    time, place : ndarray, shape (n,)
+        Stamps [s]; how many cycles have passed at each.
+    """
+    centred = place - np.mean(place)
+    found = float(centred @ time / (centred @ centred))
+    error = float(np.std(time - found * place))
+    own = error / float(np.linalg.norm(centred))
+    if error <= JITTERS * found:
+        return found, error
+
+    def unlikely(digits: int) -> float:
+        return 0.5 * ((float(f"{found:.{digits}g}") - found) / own) ** 2 + digits * log(10.0)
+
+    return float(f"{found:.{min(range(1, 16), key=unlikely)}g}"), error
 
 
 def cycles_passed(time: NDArray[np.float64]) -> NDArray[np.float64]:

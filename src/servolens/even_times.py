@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import log
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.clock import JITTERS, MEDIAN, clock_of, cycles_passed
+from servolens.clock import JITTERS, MEDIAN, clock_of, cycles_passed, fitted_cycle
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,7 +53,7 @@ def with_even_times(record: Record) -> Record:
     if np.ptp(cycles) > 0.0 or time.size <= 2 * SIDE:
         return record
     place = np.concatenate([[0.0], np.cumsum(cycles_passed(time))])
-    cycle, error = _cycle(time, place)
+    cycle, error = fitted_cycle(time, place)
     even = cycle * place + float(np.mean(time - cycle * place))
     off = np.abs(median_filter(time - even, size=MEDIAN, mode="nearest"))
     if error <= JITTERS * cycle or float(off.max()) >= 0.5 * cycle:
@@ -65,25 +64,6 @@ def with_even_times(record: Record) -> Record:
     if not 0.0 < taken < stamped or 0.5 * own * np.log(stamped / taken) <= ODDS:
         return record
     return replace(record, time=even, jump_leads=None, stamp_error=error)
-
-
-def _cycle(time: Signal, place: Signal) -> tuple[float, float]:
-    """Return the cycle [s], and how far the stamps are off whole ones (r.m.s.) [s].
-
-    It is rounded as far as the stamps allow, a digit for odds of ten to one: controllers run at round cycles, and
-    records of one axis are to agree.
-    """
-    centred = place - np.mean(place)
-    found = float(centred @ time / (centred @ centred))
-    error = float(np.std(time - found * place))
-    own = error / float(np.linalg.norm(centred))
-    if error <= JITTERS * found:
-        return found, error
-
-    def unlikely(digits: int) -> float:
-        return 0.5 * ((float(f"{found:.{digits}g}") - found) / own) ** 2 + digits * log(10.0)
-
-    return float(f"{found:.{min(range(1, 16), key=unlikely)}g}"), error
 
 
 def _smooth(record: Record, place: Signal) -> NDArray[np.bool_]:

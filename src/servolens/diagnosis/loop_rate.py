@@ -1,4 +1,8 @@
-"""Logs slower than their loop: whether the command went on to change between the samples, and when it jumped there."""
+"""What a log does not say of its loop: how often it ran between the samples, and by which time it divided.
+
+Of logs slower than their loop it is asked whether the command went on to change between the samples, and when it jumped
+there; of uneven ones without a voltage whether the loop measured its time steps.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import controller_voltage, rms
+from servolens.control_law import HOLDS, controller_voltage, rms
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
 from servolens.diagnosis.knocks import KNOCKED
@@ -28,7 +32,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.record import Record
 
-__all__ = ["decided_beside_loop_rate"]
+__all__ = ["decided_beside_loop"]
 
 USUAL = 1.5e-3
 """Sample time up to which a log is taken to hold every tick of its loop [s]: position loops seldom run faster than
@@ -41,7 +45,57 @@ LIKELIER = 13.8
 1 to 1000."""
 
 
-def decided_beside_loop_rate(
+def decided_beside_loop(
+    records: tuple[Record, ...],
+    heldout: tuple[Record, ...],
+    priors: Mapping[str, Prior],
+    candidates: int,
+    effort: Effort,
+    tell: Callable[[str, float], None],
+) -> Decision:
+    """Decide on the causes beside the loop that makes the records likeliest, as far as they do not state it.
+
+    Where no causes explain uneven records without a voltage, or something seems to shake their axis, and they are
+    likelier if their loop divided by the time from sample to sample, it is decided again beside such a loop.
+
+    Parameters
+    ----------
+    records, heldout, priors, candidates
+        As of :class:`~servolens.diagnosis.case.Case`.
+    effort, tell
+        As of :func:`~servolens.diagnosis.decision.decided`.
+
+    Raises
+    ------
+    InputError, NumericalError
+        As :class:`~servolens.diagnosis.case.Case`.
+    """
+    found = _beside_loop_rate(records, heldout, priors, candidates, effort, tell)
+    others = [tuple(map(_measuring, group)) for group in (records, heldout)]
+    is_known = all(new is old for new, old in zip(others[0], records, strict=True))
+    is_calm = _explains(found) and found.path[-1].noise.rate == 0.0
+    if is_known or is_calm or found.contradiction is not None:
+        return found
+    with suppress(InputError, NumericalError):
+        plain = Case(records, heldout, priors, candidates) if found.case.likelihood.simulates else found.case
+        case = Case(others[0], others[1], priors, candidates)
+        if _beside(case, found) < _beside(plain, found) - LIKELIER:
+            again = _told_of_time_steps(decided(case, effort, tell))
+            return min(found, again, key=lambda one: (not _explains(one), _simulated_error(one)))
+    return found
+
+
+def _measuring(record: Record) -> Record:
+    """Return the record with a loop that measured its time steps, where it may have and its log does not show it."""
+    loop = record.controller
+    if loop is None or record.voltage is not None or not record.has_loop or loop.time_step == "measured":
+        return record
+    other, stated = record.with_({"controller": replace(loop, time_step="measured")}), controller_voltage(record)
+    differs = rms(controller_voltage(other) - stated) > HOLDS * rms(stated)
+    return other if differs and record.ticks == 1 else record
+
+
+def _beside_loop_rate(
     records: tuple[Record, ...],
     heldout: tuple[Record, ...],
     priors: Mapping[str, Prior],
@@ -228,4 +282,13 @@ def _told(decision: Decision) -> Decision:
         " the loop, so that predictions and designs use it too."
     )
     finding = Finding(code="loop_faster_than_log", severity="warning", message=message)
+    return replace(decision, findings=(*decision.findings, finding))
+
+
+def _told_of_time_steps(decision: Decision) -> Decision:
+    message = (
+        "no voltage is logged, and the motion is likelier if the loop divided by the time from sample to sample, which"
+        " is assumed here. State time_step = measured, so that predictions use it too."
+    )
+    finding = Finding(code="time_steps_assumed", severity="warning", message=message)
     return replace(decision, findings=(*decision.findings, finding))

@@ -12,7 +12,7 @@ from servolens.diagnosis.errors import pooled, residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
 from servolens.diagnosis.logs import is_blamed, log_findings, lower_limit
-from servolens.diagnosis.loop_rate import decided_beside_loop_rate
+from servolens.diagnosis.loop_rate import decided_beside_loop
 from servolens.diagnosis.messages import missed_by_far, said
 from servolens.diagnosis.next_experiment import proposed
 from servolens.diagnosis.reasons import causes_of, may_be_nothing, own_quantities, rival_plants
@@ -108,7 +108,7 @@ def diagnose(
     runs, others = (tuple(with_exact_voltage(without_spikes(run)) for run in group) for group in (runs, others))
     try:
         tell = _never_back(progress)
-        decision = decided_beside_loop_rate(runs, others, known, len(catalogue()), EFFORT[effort], tell)
+        decision = decided_beside_loop(runs, others, known, len(catalogue()), EFFORT[effort], tell)
         ticks = [record.ticks for record in (*decision.case.records, *decision.case.heldout)]
         is_whole = len(ticks) == len(given)  # no record is left out, as one that was knocked
         if is_whole and ticks != [record.ticks for record in given]:  # their law, too, ran at the ticks that were found

@@ -21,7 +21,13 @@ if TYPE_CHECKING:
 __all__ = ["data_light", "diagnosis_lights", "is_fit", "study_lights"]
 
 MOST_NAMED = 3
-OF_ALL_RECORDS = ("records_contradict", "limit_contradicts_log", "loop_faster_than_log", "knocked_axis")
+OF_ALL_RECORDS = (
+    "records_contradict",
+    "limit_contradicts_log",
+    "loop_faster_than_log",
+    "time_steps_assumed",
+    "knocked_axis",
+)
 """Findings of a diagnosis that speak against the records."""
 SETTINGS = ("settings_contradict_log", "gains_contradict_log")
 """Findings that name the setting which a log fits."""
