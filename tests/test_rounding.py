@@ -16,6 +16,7 @@ from servolens.identification.rounding import (
     before_rounding,
     dominates,
     drawn_noise,
+    draws_for,
     is_rounded,
     law_of_squares,
     own_spectra,
@@ -267,6 +268,28 @@ def test_slow_noise_does_not_make_rounding_white():
     assert is_rounded(slow)
     quick = replace(slow, scales=STEP * np.array([4.0, 1.2]))
     assert not is_rounded(quick)
+
+
+def test_slow_noise_of_half_a_step_is_found_beside_an_axis_that_rests():
+    """It takes the axis over many steps: what an axis shows that rests without it is not to be taken off."""
+    axis, spread, pole = Plant(gain=1.9, damping=6.0), 1.1e-5, 0.97
+    around = lab.Surroundings(noise=lab.SensorNoise(deviation=spread, autoregression=(pole,)), encoder=2e-5)
+    angle = np.linspace(0.0, np.pi, 4097)
+    slowly = (1.0 - pole**2) * spread**2 / (1.0 + pole**2 - 2.0 * pole * np.cos(angle))
+    filters, scales = filters_of(slowly + (2e-5) ** 2 / 12.0, 24)
+    noise = replace(NoiseModel.white(1.0, 2e-5), filters=filters, scales=scales, spread=float(scales[0]))
+    setup = lab.Setup(surroundings=around)
+    record = lab.step_record(TRUTH, kp=80, kd=1, reference=(0.1, 0.03), seed=4, setup=setup)
+    run = ObservedRun(Signals.of(record, 2e-5, axis, 10.0), 0, noise)
+    found = own_spectra([run], [axis], [np.zeros(2)]).mean(axis=0)
+    share = found[:20] / np.interp(np.linspace(0.0, np.pi, found.size), angle, slowly)[:20]
+    assert np.mean(share) == pytest.approx(1.0, abs=0.25)
+    assert share.min() > 0.5  # without a second look next to nothing
+
+
+def test_error_bars_are_of_more_draws_where_these_cost_little():
+    assert draws_for(1_000) == draws_for(9_000) == 4 * DRAWS
+    assert draws_for(1_000_000) == DRAWS
 
 
 @pytest.mark.parametrize("slow", [0.5, 3.0])

@@ -23,13 +23,12 @@ from servolens.identification.refine import (
     minimise_error,
 )
 from servolens.identification.restricted import counting_followed, parts_at
-from servolens.identification.rounding import DRAWS, FEW_DRAWS, about_mean, before_rounding, spectrum_of
+from servolens.identification.rounding import FEW_DRAWS, about_mean, before_rounding, draws_for, spectrum_of
 from servolens.identification.runs import ClosedRun, closed_runs
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import begins_with_its_step, noise_level, resting_noise, white_noise
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import depends_on_inputs, is_shaking
-from servolens.identification.uncertainty import MOST_SAMPLES
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:
@@ -55,8 +54,6 @@ __all__ = [
     "simulation_error",
 ]
 
-OFTENER = 4
-"""Times as often as elsewhere noise is drawn through the loop: an error bar is then known to 6 %."""
 ROUNDS = 2
 """Times that a residual in closed loop is whitened by what it is found to be."""
 INERTIAS = (0.5, 2.0, 4.0, 8.0)
@@ -251,8 +248,7 @@ def _fed_back(
     So many draws of so many samples as elsewhere, or more of short records.
     """
     plants = [refined.plant_of(run.group) for run in runs]
-    often = np.clip(MOST_SAMPLES / sum(run.samples for run in runs), 1.0, OFTENER)
-    count = int(DRAWS * often)
+    count = draws_for(sum(run.samples for run in runs))
     smooth = [replace(run.record, encoder_resolution=None) for run in runs]  # as a fit simulates them
     draws = drawn_loop_errors(plants, smooth, noise, unrounded=own, count=count)
     if len(draws) < count // 2:

@@ -11,7 +11,7 @@ from servolens.identification.conditioning import determined, open_directions
 from servolens.identification.error_problem import COARSE, FINE, Known, Point, Problem
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, beside, by_way_of, descend, lowest_minimum
 from servolens.identification.observed import ObservedRun
-from servolens.identification.rounding import has_mean, own_spectra, parted, rounded
+from servolens.identification.rounding import draws_for, has_mean, own_spectra, parted, rounded
 from servolens.identification.uncertainty import robust_covariance
 from servolens.identification.widths import linearised_widely
 
@@ -297,7 +297,8 @@ def _less_rounding(problem: Problem, begun: Point) -> tuple[Point, _Rounding]:
     point, before = begun, begun.values
     for _ in range(CORRECTED):
         before, plants = point.values, [problem.plant_at(point.values, i) for i in range(len(runs))]
-        draws = rounded(runs, plants, point.starts, own_spectra(runs, plants, point.starts))
+        own, count = own_spectra(runs, plants, point.starts), draws_for(problem.samples)
+        draws = rounded(runs, plants, point.starts, own[np.arange(count) * len(own) // count])
         means, drawn = zip(*map(parted, runs, draws), strict=True)
         problem.runs = [run.less(mean) for run, mean in zip(runs, means, strict=True)]
         point = replace(point, cost=problem.cost(point))

@@ -19,6 +19,7 @@ from servolens.errors import NumericalError
 from servolens.identification.autoregression import burg
 from servolens.identification.error_problem import COARSE, Problem
 from servolens.identification.noise import MOST_ORDER, NoiseModel
+from servolens.identification.rounding import has_mean
 from servolens.identification.slow_noise import FREQUENCIES, LONGEST, filters_of, spectra
 
 if TYPE_CHECKING:
@@ -78,7 +79,11 @@ def counting_followed(likelihood: Likelihood, hypothesis: Hypothesis) -> Hypothe
     if sum(part.left.size for part in parts) <= parts[0].sensitivity.shape[1]:
         return found
     spectrum, slow = mean_spectrum(parts, FREQUENCIES + 1)
-    whiteners = [run.whiten for run in likelihood.runs(noise)]
+    runs = likelihood.runs(noise)
+    whiteners = [run.whiten for run in runs]
+    if has_mean(runs):  # what an encoder's rounding adds to slow noise is not white
+        noise = with_followed(noise, parts, whiteners)
+        whiteners = [w.beside(noise) for w in whiteners]
     whitened = [Part(w(p.left), w(p.sensitivity)) for w, p in zip(whiteners, parts, strict=True)]
     filtered = estimated(whitened, sum(w.log_determinant for w in whiteners)).misfit + 2.0 * noise.parameters
     is_slow = noise.order == 1 or noise.parameters == SLOW < noise.order  # of the same kind, of one time constant only

@@ -15,6 +15,7 @@ import numpy as np
 from servolens.effects import Sensor
 from servolens.errors import NumericalError
 from servolens.identification.runs import place_of
+from servolens.identification.uncertainty import MOST_SAMPLES
 from servolens.prediction import Beginning
 from servolens.processors import in_parallel, in_processes
 from servolens.simulation.rates import substeps_for
@@ -36,6 +37,7 @@ __all__ = [
     "before_rounding",
     "dominates",
     "drawn_noise",
+    "draws_for",
     "has_mean",
     "is_coarse",
     "is_rounded",
@@ -53,8 +55,9 @@ DITHERED = 0.5
 """Standard deviation of quick noise, in steps of the encoder, from which on rounding is one more white noise: its mean,
 wherever the axis is, is less than exp(−2π²/4)/π of a step, 0.2 % (Widrow and Kollár, *Quantization Noise*, 2008)."""
 
-DRAWS = 40
-"""Draws of a noise that is rounded: its variance in a direction is then known to 20 %."""
+DRAWS, OFTENER = 40, 4
+"""Draws of a noise that is rounded: its variance in a direction is then known to 20 %. Times as many for error bars,
+which are then known to 6 %."""
 FREQUENCIES, BAND = 1024, 5
 """Frequencies of a spectrum; of them, those over which one of draws is smoothed."""
 FEW_DRAWS = 8
@@ -64,7 +67,7 @@ SHARES = (0.0, *(HALF_DECADE**power for power in (-4, -3, -2, -1, 0)))
 """Standard deviations of quick noise that are looked at first, in steps of the encoder."""
 FINER = tuple(HALF_DECADE**0.5**power for power in (1, 2, 3, 4))
 """Factors by which the likeliest one is changed: records of some thousand samples know it to a few per cent."""
-LOOPS = DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
+LOOPS = 2 * DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
 """Loops that are simulated in all, of each record, at most."""
 
 
@@ -105,13 +108,18 @@ def has_mean(runs: Sequence[ObservedRun | SimulatedRun]) -> bool:
     return is_rounded(noise) and share > DOMINATES and not noise.is_model_error
 
 
+def draws_for(samples: int) -> int:
+    """Return how many draws error bars of so many `samples` are made of: those of few cost little."""
+    return int(DRAWS * np.clip(MOST_SAMPLES / samples, 1.0, OFTENER))
+
+
 def rounded(
     runs: Sequence[ObservedRun | SimulatedRun],
     plants: Sequence[Plant],
     starts: Sequence[NDArray[np.float64]],
     spectra: NDArray[np.float64],
 ) -> list[NDArray[np.float64]]:
-    """Return draws of each run's whitened residual if its plant is the axis, shape (n, DRAWS).
+    """Return draws of each run's whitened residual if its plant is the axis, shape (n, draws).
 
     The position, with noise of these `spectra`, rounded as the encoder does. In closed loop the position is that of a
     loop with this encoder, begun anywhere within one of its steps: an axis comes to rest where the command vanishes,
@@ -125,12 +133,12 @@ def rounded(
         Without an observer's correction.
     plants, starts : sequence
         The plant of each run and its initial state.
-    spectra : ndarray, shape (DRAWS, m)
+    spectra : ndarray, shape (draws, m)
         See :func:`own_spectra`.
     """
     stream = np.random.default_rng(0)
     return [
-        np.column_stack([w(error) for w, error in _drawn(run, (plant, start), position, spectra, stream)])
+        np.column_stack([w(error) for w, error in _drawn(run, (plant, start), position, spectra, stream, len(spectra))])
         for run, plant, start, position in zip(runs, plants, starts, _whole(runs, plants, starts), strict=True)
     ]
 
@@ -168,7 +176,9 @@ def own_spectra(
     changes: an encoder shows noise far smaller than its step only where the axis is between two steps, and a loop may
     go to and fro over a step by itself, less so beside some noise. Draws have each size as often as it is likely
     (synthetic likelihood: Wood 2010, doi:10.1038/nature09319). What the records have more of in all is slow, with the
-    spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507).
+    spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507). An axis that
+    rests shows the same step for long, but no more so beside slow noise, which takes it over many steps: so draws
+    beside what was found tell what is still lacking.
 
     Parameters
     ----------
@@ -181,31 +191,41 @@ def own_spectra(
         In variance a sample.
     """
     positions, shown = _whole(runs, plants, starts), spectrum_of(runs[0].noise)
+    of_runs = list(zip(runs, plants, starts, positions, strict=True))
     step, samples = runs[0].noise.rounding, sum(position.size for position in positions)
 
-    def looked(share: float) -> tuple[float, NDArray[np.float64]]:
-        """Return how likely the records are beside white noise of so many steps, and the spectrum that it leaves."""
-        own, stream = np.full(shown.size, (share * step) ** 2), np.random.default_rng(1)
-        chance, power = 0.0, np.zeros(shown.size)
-        for run, plant, start, position in zip(runs, plants, starts, positions, strict=True):
-            drawn = [*_drawn(run, (plant, start), position, own, stream, FEW_DRAWS)]
-            power += sum(_power(error) for _, error in drawn) / samples / FEW_DRAWS
+    def looked(own: NDArray[np.float64], draws: int) -> tuple[float, NDArray[np.float64]]:
+        """Return how likely the records are beside noise of a spectrum, or of one a draw, and what that leaves."""
+        chance, power, stream = 0.0, np.zeros(shown.size), np.random.default_rng(1)
+        for run, plant, start, position in of_runs:
+            drawn = [*_drawn(run, (plant, start), position, own, stream, draws)]
+            power += sum(_power(error) for _, error in drawn) / samples / draws
             seen = _quickness(run.whiten.position, position - run.whiten.position, step)
             chance += _chance(seen, np.array([_quickness(w.position, error, step) for w, error in drawn]))
         return chance, power
 
-    found = dict(zip(SHARES, in_processes(looked, SHARES), strict=True))
+    def beside(share: float) -> tuple[float, NDArray[np.float64]]:
+        return looked(np.full(shown.size, (share * step) ** 2), FEW_DRAWS)
+
+    found = dict(zip(SHARES, in_processes(beside, SHARES), strict=True))
     for finer in FINER:
         likeliest = max(found, key=lambda share: found[share][0])
         between = [likeliest / finer, likeliest * finer] if likeliest else []
-        found |= dict(zip(between, in_processes(looked, between), strict=True))
-    seen, spectra = sorted(found), []
-    for share in (seen[i] for i in _likely(seen, [found[share][0] for share in seen])):
-        _, drawn = found[share]
-        slow = np.maximum(shown - drawn, 0.0)
-        lacking = max(float(np.mean(shown) - np.mean(drawn)), 0.0)
-        spectra.append((share * step) ** 2 + slow * lacking / max(float(np.mean(slow)), 1e-300))
-    return np.array(spectra)
+        found |= dict(zip(between, in_processes(beside, between), strict=True))
+    seen = sorted(found)
+    shares = [seen[i] for i in _likely(seen, [found[share][0] for share in seen])]
+    quick = np.square(np.array(shares) * step)[:, None]
+    slow = np.array([_with_more(np.zeros(shown.size), shown - found[share][1]) for share in shares])
+    if slow.any():
+        _, left = looked(quick + slow, DRAWS)
+        slow = np.array([_with_more(one, shown - left) for one in slow])
+    return np.asarray(quick + slow)
+
+
+def _with_more(slow: NDArray[np.float64], more: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a spectrum with so much `more`, shape (m,): nowhere less than none, and in all as much as that makes."""
+    found, total = np.maximum(slow + more, 0.0), max(float(np.mean(slow + more)), 0.0)
+    return np.asarray(found * (total / max(float(np.mean(found)), 1e-300)))
 
 
 def _likely(shares: Sequence[float], chances: Sequence[float]) -> NDArray[np.intp]:
@@ -249,7 +269,7 @@ def _drawn(
     position: NDArray[np.float64],
     spectrum: NDArray[np.float64],
     stream: np.random.Generator,
-    draws: int = DRAWS,
+    draws: int,
 ) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
     """Yield what the encoder would make of draws of noise of this `spectrum`, and the filter that whitens it.
 
