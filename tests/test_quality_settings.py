@@ -320,6 +320,50 @@ def test_laws_with_measured_time_steps_are_those_of_the_bench(law):
     assert wrong.rms_error > 100 * error.rms_error
 
 
+def bench_run(controller, *, jitter=0.15, seed=4):
+    around = lab.Surroundings(encoder=0.0, jitter=lab.Jitter(share=jitter) if jitter else None)
+    rig = lab.Setup(controller=controller, surroundings=around)
+    pushed = lab.Truth(gain=1.9, damping=6.0, effects={"constant_force": {"acceleration": 5.0}})
+    return lab.step_record(pushed, sample_time=5e-3, reference=(0.1, 0.02), duration=0.6, seed=seed, setup=rig)
+
+
+def stated_as(record, **settings):
+    return record.with_({"controller": replace(record.controller, **settings)})
+
+
+@pytest.mark.parametrize(
+    "law", [Controller(kp=60, kd=3, ki=400), Controller.cascade(kp=20, kv=4, kiv=40)], ids=["pid", "cascade"]
+)
+def test_lost_samples_of_an_even_clock_are_no_measured_time_steps(law):
+    whole = bench_run(law, jitter=0.0)
+    kept = np.delete(np.arange(len(whole)), [90, 91, 92])
+    names = ("time", "position", "reference", "voltage")
+    record = Record(**{name: getattr(whole, name)[kept] for name in names}, controller=law)
+    assert as_records(record)[0].controller.time_step == "cycle"
+    assert set(told(record)) == {"gaps"}
+
+
+def test_measured_time_steps_that_noise_of_the_voltage_hides_are_to_be_stated():
+    record = bench_run(Controller(kp=60, kd=3, time_step="measured"))
+    noisy = record.voltage + 0.01 * np.random.default_rng(1).normal(scale=np.std(record.voltage), size=len(record))
+    found = told(stated_as(record.with_({"voltage": noisy}), time_step="cycle"))
+    assert "the log fits time_step = measured, not cycle " in found["settings_contradict_log"]
+
+
+def test_measured_time_steps_that_the_log_contradicts_are_named():
+    found = told(stated_as(bench_run(Controller(kp=60, kd=3)), time_step="measured"))
+    assert "the log fits time_step = cycle, not measured " in found["settings_contradict_log"]
+    assert "measured_intervals" not in found
+
+
+def test_wrong_integral_gain_of_a_loop_with_measured_time_steps_is_named_alone():
+    record = bench_run(Controller(kp=60, kd=3, ki=400, time_step="measured"))
+    found = told(stated_as(record, ki=380.0))["settings_contradict_log"]
+    assert "the log fits ki = 400 V/(m s), " in found
+    assert "kp" not in found
+    assert "kd" not in found
+
+
 def test_stated_period_that_the_log_contradicts_is_no_wrong_unit_of_time():
     record = logged("white", kd=0.0, stated={"kd": 0.0, "control_period": 0.005})
     assert not fatal(check(record))

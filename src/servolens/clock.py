@@ -23,6 +23,9 @@ HAMPEL = 3.0
 """Robust standard deviations beyond which a running median differs from the usual value (Hampel's filter)."""
 SIDE = 6
 """Stamps before and after an interval that tell whether the clock is late from there on."""
+WANDERS = -0.25
+"""Correlation of neighbouring intervals above which a clock wanders: midway between 0, of intervals that vary by
+themselves, and -1/2, of stamps that do."""
 COMPARED = 10_000
 """Intervals, about, among which it is looked how far stamps shift where nothing is lost."""
 
@@ -75,7 +78,8 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
 def cycle_of(time: NDArray[np.float64]) -> float:
     """Return the cycle of time stamps [s], shape (n,), rising, n ≥ 2: the median interval.
 
-    Of a clock that jitters, the slope of the stamps over the number of cycles that have passed, lost ones included.
+    Of a clock that jitters, of a line through the stamps over the number of cycles that have passed, lost ones
+    included; where each interval varies by itself, so that no clock keeps the stamps together, their mean.
 
     Examples
     --------
@@ -86,7 +90,12 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     usual = float(np.median(intervals))
     if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual or not _beside(intervals, usual)[1]:
         return usual
-    return fitted_cycle(time, np.concatenate([[0.0], np.cumsum(cycles_passed(time))]))[0]
+    passed = cycles_passed(time)
+    mean = float((time[-1] - time[0]) / np.sum(passed))
+    off = intervals - mean * passed
+    if float(off[1:] @ off[:-1]) > WANDERS * float(off @ off):
+        return mean
+    return fitted_cycle(time, np.concatenate([[0.0], np.cumsum(passed)]))[0]
 
 
 def fitted_cycle(time: NDArray[np.float64], place: NDArray[np.float64]) -> tuple[float, float]:

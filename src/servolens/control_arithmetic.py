@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     Signal = NDArray[np.float64]
 
-__all__ = ["Answer", "LoopSignals", "answer", "samples_a_period", "samples_a_tick", "ticks_a_sample"]
+__all__ = ["Answer", "LoopSignals", "answer", "samples_a_period", "samples_a_tick", "steps_of", "ticks_a_sample"]
 
 MOST_TICKS = 1000
 """Of a loop from one sample to the next: a log a thousand times slower than its loop shows nothing of it."""
@@ -97,7 +97,7 @@ def answer(controller: Controller, seen: LoopSignals) -> Answer:
     at = slice(None) if ticks is None else ticks
     time, reference, position = seen.time[at], seen.reference[at], seen.position[at]
     error = reference - position
-    steps = _steps(controller, time, period)
+    steps = steps_of(controller, time, period)
     slope = _differences(reference, time, 1, steps)
     if controller.derivative == "velocity":
         if seen.velocity is None:
@@ -116,6 +116,16 @@ def answer(controller: Controller, seen: LoopSignals) -> Answer:
         held = np.searchsorted(ticks, np.arange(seen.time.size), side="right") - 1
         found = {name: signal[held] for name, signal in found.items()}
     return Answer(**found)
+
+
+def steps_of(controller: Controller, time: Signal, period: float) -> Signal:
+    """Return h of the law at the ticks `time`, shape (n,): the `period`, or what the loop measured since its last tick.
+
+    Ticks that a log has lost are counted in.
+    """
+    steps = np.full(time.size, period)
+    steps[1:] = np.diff(time) if controller.time_step == "measured" else period * cycles_passed(time)
+    return steps
 
 
 def samples_a_period(controller: Controller, sample_time: float) -> int:
@@ -180,14 +190,6 @@ def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None
         return None
     period = np.rint((seen.time - seen.time[0]) / seen.sample_time).astype(np.int64) // count
     return np.concatenate(([0], np.flatnonzero(np.diff(period)) + 1))
-
-
-def _steps(controller: Controller, time: Signal, period: float) -> Signal:
-    """Return h of the law at each tick: the `period`, or what the loop measured since its last tick."""
-    steps = np.full(time.size, period)
-    if controller.time_step == "measured":
-        steps[1:] = np.diff(time)
-    return steps
 
 
 def _differences(signal: Signal, time: Signal, window: int, steps: Signal) -> Signal:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from servolens.clock import cycles_passed
 from servolens.control_arithmetic import answer, samples_a_tick
 from servolens.encoder import quantisation_step
 from servolens.errors import InputError
@@ -24,6 +25,7 @@ __all__ = [
     "HOLDS",
     "command_at",
     "controller_voltage",
+    "differs_by_time_steps",
     "felt_rounding",
     "noise_gain",
     "rms",
@@ -189,7 +191,7 @@ def with_seen_time_step(record: Record) -> Record:
     Parameters
     ----------
     record : Record
-        Of a loop that ran once a sample; others are returned as they are.
+        Of a loop that is no faster than its log; others are returned as they are.
 
     Examples
     --------
@@ -223,8 +225,21 @@ def _holds(record: Record) -> bool:
     asked = np.clip(controller_voltage(record), -limit, limit)
     rounding = (quantisation_step(voltage) or 0.0) / math.sqrt(6.0)  # of the samples, and of their median
     felt = felt_rounding(controller, quantisation_step(record.position) or 0.0, record.sample_time)
-    missed = (np.clip(voltage, -limit, limit) - asked)[_remembered(record) :]
-    return rms(missed) <= max(HOLDS * rms(voltage), math.hypot(rounding, felt))
+    missed, remembered = np.clip(voltage, -limit, limit) - asked, _remembered(record)
+    known = np.ones(missed.size, dtype=bool)
+    for first in (0, *(np.flatnonzero(cycles_passed(record.time) > 1.0) + 1).tolist()):
+        known[first : first + remembered] = False  # nor is what was lost known to the law
+    return rms(missed[known]) <= max(HOLDS * rms(voltage), math.hypot(rounding, felt))
+
+
+def differs_by_time_steps(record: Record) -> bool:
+    """Tell whether a law with measured time steps asks for another voltage than one with its cycle."""
+    controller = _controller(record)
+    one, other = (
+        controller_voltage(record.with_({"controller": replace(controller, time_step=kind)}))
+        for kind in ("cycle", "measured")
+    )
+    return rms(other - one) > HOLDS * rms(one)
 
 
 def felt_rounding(controller: Controller, step: float, sample_time: float) -> float:

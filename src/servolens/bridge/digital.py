@@ -88,7 +88,10 @@ class ControllerSystem(ct.NonlinearIOSystem):  # type: ignore[misc]  # control s
 @final
 @dataclass(frozen=True, slots=True)
 class _Law:
-    """One tick of the controller; the state is [integral, derivative, last reference, last signals, newest first]."""
+    """One tick of the controller; the state is [integral, derivative, last reference, last signals, newest first].
+
+    It runs at even ticks, where a time step that is measured is the cycle.
+    """
 
     controller: Controller
     period: float

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.control_law import HOLDS, controller_voltage, rms
+from servolens.control_law import controller_voltage, differs_by_time_steps, rms
 from servolens.diagnosis.case import Case
 from servolens.diagnosis.decision import Decision, decided
 from servolens.diagnosis.knocks import KNOCKED
@@ -63,7 +63,7 @@ def decided_beside_loop(
     records, heldout, priors, candidates
         As of :class:`~servolens.diagnosis.case.Case`.
     effort, tell
-        As of :func:`~servolens.diagnosis.decision.decided`.
+        As of :func:`~servolens.diagnosis.decision.decided`; a further search takes half of the effort.
 
     Raises
     ------
@@ -71,16 +71,17 @@ def decided_beside_loop(
         As :class:`~servolens.diagnosis.case.Case`.
     """
     found = _beside_loop_rate(records, heldout, priors, candidates, effort, tell)
-    others = [tuple(map(_measuring, group)) for group in (records, heldout)]
-    is_known = all(new is old for new, old in zip(others[0], records, strict=True))
+    own = found.case.records, found.case.heldout
+    others = [tuple(map(_measuring, group)) for group in own]
+    is_known = all(new is old for new, old in zip(others[0], own[0], strict=True))
     is_calm = _explains(found) and found.path[-1].noise.rate == 0.0
     if is_known or is_calm or found.contradiction is not None:
         return found
     with suppress(InputError, NumericalError):
-        plain = Case(records, heldout, priors, candidates) if found.case.likelihood.simulates else found.case
+        plain = Case(*own, priors, candidates) if found.case.likelihood.simulates else found.case
         case = Case(others[0], others[1], priors, candidates)
         if _beside(case, found) < _beside(plain, found) - LIKELIER:
-            again = _told_of_time_steps(decided(case, effort, tell))
+            again = _told_of_time_steps(found, decided(case, replace(effort, work=0.5 * effort.work), tell))
             return min(found, again, key=lambda one: (not _explains(one), _simulated_error(one)))
     return found
 
@@ -90,9 +91,9 @@ def _measuring(record: Record) -> Record:
     loop = record.controller
     if loop is None or record.voltage is not None or not record.has_loop or loop.time_step == "measured":
         return record
-    other, stated = record.with_({"controller": replace(loop, time_step="measured")}), controller_voltage(record)
-    differs = rms(controller_voltage(other) - stated) > HOLDS * rms(stated)
-    return other if differs and record.ticks == 1 else record
+    if record.ticks > 1 or not differs_by_time_steps(record):
+        return record
+    return record.with_({"controller": replace(loop, time_step="measured")})
 
 
 def _beside_loop_rate(
@@ -285,10 +286,12 @@ def _told(decision: Decision) -> Decision:
     return replace(decision, findings=(*decision.findings, finding))
 
 
-def _told_of_time_steps(decision: Decision) -> Decision:
+def _told_of_time_steps(before: Decision, decision: Decision) -> Decision:
     message = (
-        "no voltage is logged, and the motion is likelier if the loop divided by the time from sample to sample, which"
-        " is assumed here. State time_step = measured, so that predictions use it too."
+        "no voltage is logged, and the motion is likelier if the controller computed speeds with the time that it"
+        " measured between samples, not with a fixed period; that is assumed here. State time_step = measured, so that"
+        " predictions do the same."
     )
     finding = Finding(code="time_steps_assumed", severity="warning", message=message)
-    return replace(decision, findings=(*decision.findings, finding))
+    left_out = (finding for finding in before.findings if finding.code == KNOCKED)
+    return replace(decision, findings=(*left_out, *decision.findings, finding))

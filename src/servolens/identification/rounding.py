@@ -176,9 +176,9 @@ def own_spectra(
     changes: an encoder shows noise far smaller than its step only where the axis is between two steps, and a loop may
     go to and fro over a step by itself, less so beside some noise. Draws have each size as often as it is likely
     (synthetic likelihood: Wood 2010, doi:10.1038/nature09319). What the records have more of in all is slow, with the
-    spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507). An axis that
-    rests shows the same step for long, but no more so beside slow noise, which takes it over many steps: so draws
-    beside what was found tell what is still lacking.
+    spectrum of the noise model (indirect inference: Gourieroux et al. 1993, doi:10.1002/jae.3950080507). A
+    resting axis shows the same step for long, a constant error; beside slow noise it crosses many steps, and has no
+    such error. So the draws are made once more, beside the slow noise that was found, and correct it.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.control_arithmetic import samples_a_tick
+from servolens.control_arithmetic import samples_a_tick, steps_of
 from servolens.control_law import rms
 from servolens.record import Controller
 
@@ -221,8 +221,10 @@ def _with_integrals(parts: Array, growth: Array) -> Array:
 
 def _growth(record: Record, controller: Controller) -> Array:
     """Return by how much the integral of 1 grows at each sample, while nothing clamps it [s]."""
+    growth, ticks = np.zeros(len(record)), np.flatnonzero(_ticks(record, controller))
     period = samples_a_tick(controller, record.sample_time) * record.sample_time
-    return np.where(_ticks(record, controller), period, 0.0)
+    growth[ticks] = steps_of(controller, record.time[ticks], period)
+    return growth
 
 
 def _clamped(record: Record, stated: Controller | None, error: Array) -> NDArray[np.bool_]:
@@ -240,8 +242,8 @@ def _known(record: Record) -> Array:
     if stated.anti_windup != "back_calculation" or not stated.integrates or voltage is None:
         return added
     count = samples_a_tick(stated, record.sample_time)
-    beyond = np.where(_ticks(record, stated), np.clip(voltage, -_limit(record), _limit(record)) - voltage, 0.0)
-    pulled = np.cumsum(beyond) * count * record.sample_time / stated.tracking
+    beyond = np.clip(voltage, -_limit(record), _limit(record)) - voltage
+    pulled = np.cumsum(_growth(record, stated) * beyond) / stated.tracking
     return np.asarray(added + np.concatenate((np.zeros(count), pulled))[: pulled.size])
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from servolens.control_law import controller_voltage, felt_rounding, rms
+from servolens.control_law import controller_voltage, differs_by_time_steps, felt_rounding, rms
 from servolens.controller import Controller
 from servolens.errors import InputError
 from servolens.findings import Finding
@@ -172,9 +172,17 @@ def _verified(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         yield Finding(code="voltage_reconstructed", severity="note", message=message)
     elif record.has_loop and fit is None and _is_slow(record):
         yield _unverified(record)
-    elif record.controller is not None and record.controller.time_step == "measured":
-        message = "the loop divides by the time from sample to sample, not by its cycle; so do simulations of it."
+    elif fit is not None and fit.alternative is None and _measures_time(record):
+        message = (
+            "the controller computes speeds and integrals with the time that it measured between samples, not with a"
+            " fixed period (time_step = measured); simulations do the same."
+        )
         yield Finding(code="measured_intervals", severity="note", message=message)
+
+
+def _measures_time(record: Record) -> bool:
+    loop = record.controller
+    return loop is not None and loop.time_step == "measured" and differs_by_time_steps(record)
 
 
 def _unverified(record: Record) -> Finding:
@@ -253,8 +261,9 @@ def _alternative(record: Record, fit: LoopFit, other: Alternative) -> Finding | 
         )
         return Finding(code="unsigned_voltage", severity="error", message=message)
     loop = other.controller
-    seen = (*GAINS, "time_step")  # which is read off the log, once all else is right
-    settings = [name for name in other.changed if name not in seen and not _is_alike(record, loop, name)]
+    settings = [name for name in other.changed if name not in GAINS and not _is_alike(record, loop, name)]
+    if loop.time_step == "measured" and settings != ["time_step"]:  # it is read off the log once the others are right
+        settings = [name for name in settings if name != "time_step"]
     if not (settings or other.kind):
         return None
     if settings == ["integral_before"] and loop.ki == loop.integral_rate == 0:

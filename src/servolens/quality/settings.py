@@ -321,12 +321,12 @@ def _shifts() -> Iterator[_Case]:
 
 
 def _derivatives(record: Record) -> Iterator[_Case]:
-    """Yield other discrete settings of the loop, first none; then with time steps that it has measured."""
+    """Yield other discrete settings of the loop, first none; then those with the other kind of time steps."""
     yield from (_Case(settings=settings) for settings in _settings(record))
     stated = controller_of(record)
     is_uneven = np.ptp(np.diff(record.time)) > EXACT * record.sample_time
-    if is_uneven and stated.time_step == "cycle" and samples_a_tick(stated, record.sample_time) == 1:
-        other = ("time_step", "measured")
+    if is_uneven and samples_a_tick(stated, record.sample_time) == 1:
+        other = ("time_step", "measured" if stated.time_step == "cycle" else "cycle")
         yield from (_Case(settings=(*one, other)) for one in _settings(record) if "control_period" not in dict(one))
 
 

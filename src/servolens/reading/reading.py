@@ -46,7 +46,7 @@ class Reading:
 
 
 GAINS = ("kp", "kd")
-LOOP = (*GAINS, "derivative_filter", "derivative_window", "derivative_on", "derivative", "control_period", "time_step")
+LOOP = (*GAINS, "derivative_filter", "derivative_window", "derivative_on", "derivative", "control_period")
 
 
 def units_of(record: Record) -> dict[str, str]:
