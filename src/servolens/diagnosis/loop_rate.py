@@ -71,11 +71,13 @@ def decided_beside_loop(
         As :class:`~servolens.diagnosis.case.Case`.
     """
     found = _beside_loop_rate(records, heldout, priors, candidates, effort, tell)
+    if found.contradiction is not None:
+        return found
     own = found.case.records, found.case.heldout
     others = [tuple(map(_measuring, group)) for group in own]
     is_known = all(new is old for new, old in zip(others[0], own[0], strict=True))
     is_calm = _explains(found) and found.path[-1].noise.rate == 0.0
-    if is_known or is_calm or found.contradiction is not None:
+    if is_known or is_calm:
         return found
     with suppress(InputError, NumericalError):
         plain = Case(*own, priors, candidates) if found.case.likelihood.simulates else found.case
