@@ -638,3 +638,5 @@ def test_a_gain_is_designed_for_the_derivative_of_the_records():
     assert (signal.derivative, signal.derivative_window) == ("velocity", 1)
     both = run.with_({"controller": replace(loop, derivative_window=3)})
     assert completed_spec([both], {"settling_time": 0.5}).derivative_window == 1
+    asked = completed_spec([run.with_({"controller": loop})], {"settling_time": 0.5, "derivative_window": 3})
+    assert (asked.derivative, asked.derivative_window) == ("position", 3)

@@ -75,6 +75,8 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
         known = {name: known[name] for name in ("kp", "sample_time") if name in known}
     if given.get("derivative") == "velocity":
         known.pop("derivative_window", None)  # there are no differences any more
+    elif "derivative_window" in given and "derivative" not in given:
+        known.pop("derivative", None)  # a window is one of differences
     return PDSpec(**{**known, **_step_of(records if record is None else [record]), **given})
 
 
