@@ -97,20 +97,20 @@ def answer(controller: Controller, seen: LoopSignals) -> Answer:
     at = slice(None) if ticks is None else ticks
     time, reference, position = seen.time[at], seen.reference[at], seen.position[at]
     error = reference - position
-    steps = steps_of(controller, time, period)
-    slope = _differences(reference, time, 1, steps)
+    measures = controller.time_step == "measured"
+    slope = _differences(reference, time, 1, period, measures=measures)
     if controller.derivative == "velocity":
         if seen.velocity is None:
             raise InputError("the loop used a velocity of its own (derivative = velocity); log it")
         raw = seen.velocity[at]
     else:
         signal = position - reference if controller.derivative_on == "error" else position
-        raw = _differences(signal, time, controller.derivative_window, steps)
+        raw = _differences(signal, time, controller.derivative_window, period, measures=measures)
     derivative = _filtered(raw, controller.derivative_filter)
     ahead = controller.kp * (controller.setpoint_weight - 1.0) * reference + controller.velocity_feedforward * slope
     command = controller.kp * error - controller.kd * derivative + ahead
     added = None if seen.added is None else seen.added[at]
-    integral, left = _integral(controller, steps, (error, command), added, seen.limit)
+    integral, left = _integral(controller, steps_of(controller, time, period), (error, command), added, seen.limit)
     found = {"error": error, "derivative": derivative, "ahead": ahead, "integral": integral, "remembered": left}
     if ticks is not None:
         held = np.searchsorted(ticks, np.arange(seen.time.size), side="right") - 1
@@ -192,17 +192,16 @@ def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None
     return np.concatenate(([0], np.flatnonzero(np.diff(period)) + 1))
 
 
-def _differences(signal: Signal, time: Signal, window: int, steps: Signal) -> Signal:
-    """Return ``(s[k] − s[k−w]) / (w h)`` with s[−1] = s[0], over the true time where samples are lost."""
+def _differences(signal: Signal, time: Signal, window: int, period: float, *, measures: bool) -> Signal:
+    """Return ``(s[k] − s[k−w]) / (w h)`` with s[−1] = s[0], over the true time if it is measured or samples are lost."""
     n = signal.size
     rise = signal - signal[0]
-    span = np.full(n, window * steps[0])
+    span = np.full(n, window * period)
     if window < n:
         rise[window:] = signal[window:] - signal[:-window]
         counts = np.concatenate(([0.0], np.cumsum(cycles_passed(time))))
-        taken = np.concatenate(([0.0], np.cumsum(steps)))
         passed, lost = time[window:] - time[:-window], counts[window:] - counts[:-window] > window
-        span[window:] = np.where(lost, passed, taken[window + 1 :] - taken[1:-window])
+        span[window:] = np.where(lost | measures, passed, window * period)
     return np.asarray(rise / span)
 
 
