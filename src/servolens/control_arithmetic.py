@@ -193,7 +193,7 @@ def _ticks(controller: Controller, seen: LoopSignals) -> NDArray[np.intp] | None
 
 
 def _differences(signal: Signal, time: Signal, window: int, period: float, *, measures: bool) -> Signal:
-    """Return ``(s[k] − s[k−w]) / (w h)`` with s[−1] = s[0], over the true time if it is measured or samples are lost."""
+    """Return ``(s[k] − s[k−w]) / (w h)`` with s[−1] = s[0], over the true time if measured or across lost samples."""
     n = signal.size
     rise = signal - signal[0]
     span = np.full(n, window * period)
