@@ -55,7 +55,7 @@ class Effort:
 
 EFFORT = {
     "quick": Effort(causes=2, fitted=6, judged=2, beam=1, work=5e7),
-    "normal": Effort(causes=4, fitted=10, judged=3, beam=1, work=2e8),
+    "normal": Effort(causes=4, fitted=10, judged=3, beam=1, work=1e8),
     "thorough": Effort(causes=5, fitted=24, judged=5, beam=3, work=2e9),
 }
 """A hundred million take ten to twenty seconds of one processor, all that goes with simulating them included. A

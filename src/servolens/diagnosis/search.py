@@ -6,6 +6,7 @@ What decides is −2 log-likelihood beside each hypothesis' own noise model, plu
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -48,8 +49,9 @@ def search(
     An axis that seems to be shaken is looked at in two ways: as if nothing shook it, where a single cause is not
     blurred, but one that lacks another is far off; and beside an observer, which follows what causes do before all are
     found, and so shows each of them by itself, but may hide that together they leave nothing. Each looks for a first
-    cause, then the former goes on and then the latter, which begins with what the former has found, until what is found
-    leaves nothing that depends on the inputs. Of what leaves something the likelier is returned.
+    cause. Then the latter goes on if what it found is likelier, and ends the search with what needs no observer; else
+    the former goes on, and then the latter with what the former has found, until that leaves nothing that depends on
+    the inputs. Of what leaves something the likelier is returned.
 
     Parameters
     ----------
@@ -81,21 +83,27 @@ def search(
     observed: Search | None = None
     unshaken: Search | None = None
     try:
-        unshaken = alone and alone.first()
+        unshaken = alone and alone.first((0.0, 0.25))
         if unshaken and _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
             return _after(trials, base, unshaken)
-        observed = observing.first()
+        observed = observing.first((0.25, 0.5))
+        if observed is None and alone and observing.likeliest.total < alone.likeliest.total:
+            left = 1.0 - (observing.work + alone.work) / effort.work
+            ahead = observing.whole(part=(0.5, 0.7), share=max(left, SPENT))
+            observed = ahead if ahead.chosen.noise.rate == 0.0 and is_answer(ahead.chosen) else None
         if observed is None and alone:
-            unshaken = unshaken or alone.whole(longer=LIKELIER, promising=base.total)
+            unshaken = unshaken or alone.whole(part=(0.7, 0.85), longer=LIKELIER, promising=base.total)
             if _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
                 return _after(trials, base, unshaken)
         if observed is None:
             left = 1.0 - (observing.work + (alone.work if alone else 0)) / effort.work
             begun = _telling(unshaken, effort, is_overtaken=alone.has_ended) if alone and unshaken else ()
-            observed = observing.whole(begun, share=max(left, SPENT))  # where the other has spent it all, too
+            # where the other has spent it all, too
+            observed = observing.whole(begun, part=(0.85, 1.0), share=max(left, SPENT))
     finally:
         trials.likelihood.tally.add(observing.work + (alone.work if alone else 0))
-    if not (observing.has_asked(observed.chosen) and is_enough(observed.chosen)):
+    is_improved = observed.chosen.noise.rate == 0.0 and not observing.has_ended
+    if not (is_improved or (observing.has_asked(observed.chosen) and is_enough(observed.chosen))):
         observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
         return observed
@@ -164,8 +172,7 @@ def _observing(
         shaken.likelihood.tally.add(alone.work)
         return other if other and other.total < again.total else again
 
-    parts = (0.25, 0.5), (0.75, 1.0)  # each way in turn a quarter
-    return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, parts=parts)
+    return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, likely=-math.inf)
 
 
 def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enough: Enough) -> Walk | None:
@@ -188,11 +195,10 @@ def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enou
         begun = unshaken.base()
     except NumericalError:
         return None
-    parts = (0.0, 0.25), (0.5, 0.75)
     # what an encoder's coarse steps do not show moving is rather a cause that is missing
     share = LIKELIER if dominates(trials.likelihood.white) else UNSHAKEN
     begins = unshaken.observed(begun)
-    return Walk(unshaken, begun, effort, tell, is_enough, (), share, begins, ends=shaken_likewise, parts=parts)
+    return Walk(unshaken, begun, effort, tell, is_enough, (), share, begins, shaken_likewise, likely=base.total)
 
 
 def improved_path(

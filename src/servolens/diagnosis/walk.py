@@ -83,8 +83,6 @@ class Walk:
         How far to go.
     tell : callable
         Is told what is done and the share of the whole search that is.
-    parts : pair of (float, float)
-        Of the whole search, where :meth:`first` and :meth:`whole` begin and end.
     is_enough : callable
         Tells whether a hypothesis leaves nothing that depends on the inputs.
     known : sequence of Hypothesis
@@ -110,7 +108,7 @@ class Walk:
     begins: Hypothesis | None = None
     ends: MadeOf = lambda _found, _work: None
     unobserved: MadeOf = lambda _found, _work: None
-    parts: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 1.0))
+    likely: float = math.inf
     explorer: Explorer = field(init=False)
     _looked: tuple[list[Hypothesis], list[Hypothesis]] | None = field(init=False, default=None)
     _asked: set[frozenset[str]] = field(init=False, default_factory=set)
@@ -126,6 +124,11 @@ class Walk:
         return self.trials.likelihood.work
 
     @property
+    def likeliest(self) -> Hypothesis:
+        """The likeliest of all that was fitted so far."""
+        return min([self.base, *self.explorer.judged], key=by_total)
+
+    @property
     def has_ended(self) -> bool:
         """Whether it has ended at once, with what `ends` or `unobserved` finds."""
         return self._has_ended
@@ -138,14 +141,15 @@ class Walk:
         low, high = self._part
         self.tell(what, low + (high - low) * share)
 
-    def first(self) -> Search | None:
+    def first(self, part: tuple[float, float]) -> Search | None:
         """Look for one cause, or a pair, and return the whole search where that is the end of it.
 
         That is so if it leaves nothing that depends on the inputs, and nothing shakes the axis. What is beside shaking
-        may be an impostor of which an observer follows the rest.
+        may be an impostor of which an observer follows the rest. Told is this `part` of all that is looked for.
         """
-        self._part = self.parts[0]
-        found, pairs = self._looked = self._next([self.base], self._beam([self.base]))
+        self._part = part
+        found, pairs = looked = self._next([self.base], self._beam([self.base]))
+        self._looked = looked if pairs or not self._others_wait(found) else None
         alone = self._without_observer(pairs)
         if alone:
             return self._found([self.base, alone])
@@ -156,6 +160,7 @@ class Walk:
         self,
         begun: Sequence[Hypothesis] = (),
         *,
+        part: tuple[float, float] = (0.0, 1.0),
         goes_on: bool = False,
         share: float | None = None,
         longer: float = 0.0,
@@ -167,6 +172,8 @@ class Walk:
         ----------
         begun : sequence of Hypothesis
             What was found beside other noise.
+        part : (float, float)
+            Of all that is looked for, where this begins and ends.
         goes_on : bool
             Whether to begin there even if that leaves something which depends on the inputs.
         share : float, optional
@@ -174,7 +181,8 @@ class Walk:
         longer, promising : float
             Share of the effort to take if a total less than this has been found.
         """
-        self._part = self.parts[1]
+        self._part, self._has_ended = part, False
+        self.likely = math.inf if math.isfinite(self.likely) else self.likely
         if share is not None:
             self.share = share + self.work / max(self.effort.work, 1.0)
             self.explorer.grant(SIMPLE * self.share)
@@ -219,15 +227,15 @@ class Walk:
         return Search(tuple(path), best_of_each(self.explorer.judged), singles, ended_early=early)
 
     def _path_to_the_best(self, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the way to the best of those `begun`, if one is likelier than gain and damping alone.
+        """Return the way to the best of those `begun`, if one is likelier than all that was fitted before.
 
         Those that were found as if nothing shook an axis that seems shaken are fitted beside the noise of the latter
         too.
         """
-        base, explorer = self.base, self.explorer
+        base, explorer, before = self.base, self.explorer, self.likeliest
         explorer.singles += distinct([h for h in begun if len(h.causes) == 1])
         found = explorer.fitted([(h.plant, h) for h in beside_shaking(distinct(begun), base.noise)])
-        if not found or found[0].total >= base.total:
+        if not found or found[0].total >= before.total:
             return [base]
         best = explorer.improved(found[0])
         return self._steps([base], best) if best.causes else [best]
@@ -280,15 +288,20 @@ class Walk:
         hidden = self.trials.likelihood.simulates  # where no model is the axis, two effects may hide each other
         if not path[-1].causes and (found or hidden) and not (found and self.is_enough(found[0])):
             pairs = self._beside_likeliest(path[-1], found)
-            if not pairs:
+            is_waiting = self._others_wait(found)
+            if not (pairs or is_waiting):
                 pairs = self.explorer.paired(beam[0], found[0] if found else beam[0])
             # what leaves something is compared with what single effects come to with a second one
             is_answered = any(self.is_enough(h) for h in pairs)
-            if not (hidden or is_answered):
+            if not (hidden or is_answered or is_waiting):
                 found = sorted([*found, *self._general(found[:1])], key=by_total)
             if hidden or found[0].total >= path[-1].total or is_answered:
                 found = sorted([*found, *pairs], key=by_total)
         return found, pairs
+
+    def _others_wait(self, singles: Sequence[Hypothesis]) -> bool:
+        """Tell whether other pairs than that of the likeliest cause, and last resorts, are not looked for yet."""
+        return bool(singles) and singles[0].total > self.likely and not self.explorer.with_last_resorts
 
     def _general(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return a last resort in the place of a cause of the likeliest single or pair, if it leaves nothing.
