@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from servolens.diagnosis.effort import SPENT
@@ -79,7 +80,7 @@ def search(
         return Walk(trials, base, effort, tell, is_enough, known).whole(begun, goes_on=bool(begun))
     is_answer = is_enough if is_answer is None else is_answer
     observing = _observing(trials, base, effort, tell, known, is_enough, is_answer)
-    alone = _alone(trials, base, effort, tell, is_enough)
+    alone = _alone(trials, base, effort, tell, is_enough, observing)
     observed: Search | None = None
     unshaken: Search | None = None
     try:
@@ -175,18 +176,21 @@ def _observing(
     return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, likely=-math.inf)
 
 
-def _alone(trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enough: Enough) -> Walk | None:
+def _alone(
+    trials: Trials, base: Hypothesis, effort: Effort, tell: Tell, is_enough: Enough, observing: Walk
+) -> Walk | None:
     """Return the search that takes the axis for one that nothing shakes; None where gain and damping have no fit.
 
-    It ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs, unless a
-    last resort in their place is likelier.
+    It ends as soon as, beside the causes found so far and shaking, nothing that is left depends on the inputs, as the
+    search that is `observing` may have found, unless a last resort in their place is likelier.
     """
     unshaken = trials.unshaken()
 
     def shaken_likewise(found: Hypothesis, work: float) -> Hypothesis | None:
-        shaken = trials.shaken().likelihood
+        shaken, observed = trials.shaken().likelihood, observing.explorer.judged
+        known = (h for h in observed if set(h.causes) == set(found.causes))
         fits = (shaken.judged(found.plant, like, allowance=0.5 * work) for like in beside_shaking([found], base.noise))
-        telling = (h for h in fits if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
+        telling = (h for h in chain(known, fits) if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
         other = next(telling, None)
         unshaken.likelihood.tally.add(shaken.work)
         return other
