@@ -117,11 +117,13 @@ def reversal_time(v: float, series: Any, h: float) -> float:
 
 
 @njit(**OPTIONS)
-def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, h: float) -> None:
+def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, known: Any, z: int, h: float) -> None:
     """Write the ramps over `h` seconds of the relaxing states into `x`, their values at the end into `after`.
 
-    `kept` are their values at the beginning, `begin` and `end` hold A and B of each.
+    `kept` are their values at the beginning, `begin` and `end` hold A and B of each, and `known` what was worked out
+    last: B times the step, and φ₁ to φ₄ of that, which mostly stay.
     """
+    nz = relaxing_states()
     for i in range(nz):
         a0, b0, a1, b1 = begin[2 * i], begin[2 * i + 1], end[2 * i], end[2 * i + 1]
         b = 0.5 * (b0 + b1)
@@ -130,7 +132,10 @@ def relax(x: Any, after: Any, kept: Any, begin: Any, end: Any, z: int, nz: int, 
             target = a0 / b0 if b0 > 0.0 else a1 / b1
             early, late = b * target, b * (a1 / b1 if b1 > 0.0 else target)
             bend = 0.5 * h * (b1 - b0) * (kept[i] - target)  # B is not the same all the time
-        first, second, third, fourth = averages(b * h)
+        if known[5 * i] != b * h:
+            known[5 * i] = b * h
+            known[5 * i + 1], known[5 * i + 2], known[5 * i + 3], known[5 * i + 4] = averages(b * h)
+        first, second, third, fourth = known[5 * i + 1], known[5 * i + 2], known[5 * i + 3], known[5 * i + 4]
         early, gain = h * early, h * (late - early)
         mean = kept[i] * first + early * second + gain * third + bend * (second - 2.0 * third)
         moment = kept[i] * second + early * third + gain * fourth + bend * (2.0 * third - 6.0 * fourth)
@@ -266,7 +271,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
     """Carry the axis in `x` over `h` seconds under the held input; return in how many pieces."""
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     z, left, tau = STATES + ns, h, h
-    e, series, kept, begin, end, before, after = room
+    e, series, kept, begin, end, known, before, after = room
     for piece in range(1, MOST_PIECES + 1):
         choose_direction(x, p, series)
         if ns + nz == 0 and x[MOVING] == 0.0:
@@ -276,7 +281,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
         remember(x, p, kept, begin, end, z, nz)
         part, again, sets_out, weight = left, nz > 0, x[V] == 0.0 and x[MOVING] == 1.0, 1.0
         for _ in range(MOST_PASSES):
-            relax(x, e, kept, begin, end, z, nz, part)
+            relax(x, e, kept, begin, end, known, z, part)
             taylor(x, p, series)
             if is_rough(series, x[Y], x[V], part, coarse) and part > SHORTEST * h:
                 part *= 0.5
@@ -289,7 +294,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
             if nz > 0 and tau < part:
                 tau = max(tau, SHORTEST * h) if again and part > SHORTEST * h else tau  # it comes later than that
                 shorten(begin, end, nz, tau / part)
-                relax(x, e, kept, begin, end, z, nz, tau)
+                relax(x, e, kept, begin, end, known, z, tau)
             if again and (drifts() != 0 or tau < part):
                 part, again = tau, False
                 relaxation(e, p, end)

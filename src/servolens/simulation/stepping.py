@@ -68,15 +68,18 @@ FARTHEST = 1e6  # where an axis is taken to have run away, SI
 
 
 @njit(**OPTIONS)
-def set_out(x: Any, p: Any, states: Any, time: float, command: float, start: Any) -> None:
+def set_out(x: Any, p: Any, states: Any, known: Any, time: float, command: float, start: Any) -> None:
     """Put the axis at its beginning into `x`: what the effects remember is as if it had been at rest for long.
 
-    `start` holds position and velocity, and how far the motor is ahead of the load.
+    `start` holds position and velocity, and how far the motor is ahead of the load. What is `known` of the relaxing
+    states is nothing yet.
     """
     count, nz = smooth_states() + relaxing_states(), relaxing_states()
     x[Y], x[V], x[T], x[U], x[D], x[MOVING], x[SHAKING] = start[0], start[1], time, command, 1.0, 1.0, 0.0
     for i in range(count + nz):
         x[STATES + i] = 0.0
+    for i in range(nz):
+        known[5 * i] = -1.0  # no rate is negative
     beginning(x, p, states)
     for i in range(count):
         x[STATES + i] = states[i]
@@ -189,14 +192,14 @@ def run(
     """
     ns, nz, nk = smooth_states(), relaxing_states(), kinks()
     size, series = STATES + ns + 2 * nz, numbers(SERIES + 3 * ns)
-    p, x, states, output = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3)
-    room = (numbers(size), series, numbers(nz), numbers(2 * nz), numbers(2 * nz), numbers(nk), numbers(nk))
+    p, x, states, output, known = numbers(parameters()), numbers(size), numbers(ns + nz), numbers(3), numbers(5 * nz)
+    room = (numbers(size), series, numbers(nz), numbers(2 * nz), numbers(2 * nz), known, numbers(nk), numbers(nk))
     for i in range(parameters()):
         p[i] = values[i]  # a copy that nobody else can write, so that LLVM keeps what hangs on it alone
     closed, is_pd, ratio = loop[CLOSED] != 0.0, loop[IS_PD] != 0.0, int(loop[RATIO])
     resolution, granted = loop[RESOLUTION], loop[MOST_PIECES_GRANTED]
     before = applied_before(held[0], reference[0], start[0], loop)
-    set_out(x, p, states, time[0], before, start)
+    set_out(x, p, states, known, time[0], before, start)
     derivative, integral = numbers(1), numbers(1)  # apart, for the second is seen by a function that is called
     derivative[0], integral[0], voltage, wait, pieces, arrived = 0.0, loop[INTEGRAL_BEFORE], 0.0, 0, 0, -1
     for k in range(n):
