@@ -255,7 +255,7 @@ class Explorer:
         names = [n for n in asked if (frozenset((*hypothesis.causes, n)), is_observed) not in self._seen]
         self._seen |= {(frozenset((*hypothesis.causes, name)), is_observed) for name in names}
         scored = trials.starts_of_each(test, names)
-        if not hypothesis.causes and not self.with_last_resorts:
+        if names and not hypothesis.causes and not self.with_last_resorts:
             self._scored = test, scored
         share = 1.0 if is_enough else PROMISING
         scored = [s for s in scored if s[0].gain > share * trials.price(effect_class(s[0].effect))]

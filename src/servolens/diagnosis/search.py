@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from servolens.diagnosis.effort import SPENT
 from servolens.diagnosis.explorer import Explorer
-from servolens.diagnosis.ordering import beside_shaking, best_of_each, is_last_resort
+from servolens.diagnosis.ordering import beside_shaking, best_of_each, by_total, is_last_resort
 from servolens.diagnosis.walk import Search, Walk
 from servolens.errors import NumericalError
 from servolens.identification.rounding import dominates
@@ -50,9 +50,9 @@ def search(
     An axis that seems to be shaken is looked at in two ways: as if nothing shook it, where a single cause is not
     blurred, but one that lacks another is far off; and beside an observer, which follows what causes do before all are
     found, and so shows each of them by itself, but may hide that together they leave nothing. Each looks for a first
-    cause. Then the latter goes on if what it found is likelier, and ends the search with what needs no observer; else
-    the former goes on, and then the latter with what the former has found, until that leaves nothing that depends on
-    the inputs. Of what leaves something the likelier is returned.
+    cause. If what the search beside an observer has found is likelier, it goes on, and its answer counts if that needs
+    no observer. Otherwise the search without one goes on, and then the one beside it with what that has found, until it
+    leaves nothing that depends on the inputs. Of what leaves something the likelier is returned.
 
     Parameters
     ----------
@@ -88,7 +88,8 @@ def search(
         if unshaken and _is_unshaken(trials, base, unshaken, is_answer, SPENT * effort.work):
             return _after(trials, base, unshaken)
         observed = observing.first((0.25, 0.5))
-        if observed is None and alone and observing.likeliest.total < alone.likeliest.total:
+        ahead: Search | None = None
+        if observed is None and alone and _leads(observing, alone):
             left = 1.0 - (observing.work + alone.work) / effort.work
             ahead = observing.whole(part=(0.5, 0.7), share=max(left, SPENT))
             observed = ahead if ahead.chosen.noise.rate == 0.0 and is_answer(ahead.chosen) else None
@@ -101,15 +102,22 @@ def search(
             begun = _telling(unshaken, effort, is_overtaken=alone.has_ended) if alone and unshaken else ()
             # where the other has spent it all, too
             observed = observing.whole(begun, part=(0.85, 1.0), share=max(left, SPENT))
+            observed = min(observed, ahead or observed, key=lambda found: found.chosen.total)
     finally:
         trials.likelihood.tally.add(observing.work + (alone.work if alone else 0))
-    is_improved = observed.chosen.noise.rate == 0.0 and not observing.has_ended
+    is_improved = observed.chosen.noise.rate == 0.0 and not (observing.has_ended or observed.ended_early)
     if not (is_improved or (observing.has_asked(observed.chosen) and is_enough(observed.chosen))):
         observed = _without_observer(trials, observed, effort, is_enough)
     if not unshaken:
         return observed
     likelier = min(observed, _after(trials, base, unshaken), key=lambda found: found.chosen.total)
     return replace(likelier, judged=best_of_each((*observed.judged, *unshaken.judged)))
+
+
+def _leads(observing: Walk, alone: Walk) -> bool:
+    """Tell whether the search that is `observing` has found causes that are likelier than all of the other one."""
+    found = observing.likeliest
+    return bool(found.causes) and found.total < alone.likeliest.total
 
 
 def _after(trials: Trials, base: Hypothesis, found: Search) -> Search:
@@ -171,7 +179,7 @@ def _observing(
         # the records may begin elsewhere than where an observer, which soon forgets that, has them begin
         other = alone.judged(again.plant, replace(again, noise=alone.white, starts=()), allowance=work)
         shaken.likelihood.tally.add(alone.work)
-        return other if other and other.total < again.total else again
+        return other if other and other.total < again.total and is_answer(other) else again
 
     return Walk(shaken, base, effort, tell, is_enough, known, unobserved=unobserved, likely=-math.inf)
 
@@ -188,7 +196,7 @@ def _alone(
 
     def shaken_likewise(found: Hypothesis, work: float) -> Hypothesis | None:
         shaken, observed = trials.shaken().likelihood, observing.explorer.judged
-        known = (h for h in observed if set(h.causes) == set(found.causes))
+        known = sorted((h for h in observed if set(h.causes) == set(found.causes)), key=by_total)
         fits = (shaken.judged(found.plant, like, allowance=0.5 * work) for like in beside_shaking([found], base.noise))
         telling = (h for h in chain(known, fits) if h and h.noise.rate > 0.0 and h.total < found.total and is_enough(h))
         other = next(telling, None)

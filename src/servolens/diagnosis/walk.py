@@ -96,6 +96,9 @@ class Walk:
         resorts.
     unobserved : callable
         It ends at once with what this makes of a hypothesis, if anything.
+    likely : float
+        While the total of the likeliest single cause is larger than this, pairs without it, and last resorts in its
+        place, wait: until :meth:`whole` goes on, or, where this is −∞, until all last resorts are tried.
     """
 
     trials: Trials
@@ -114,6 +117,8 @@ class Walk:
     _asked: set[frozenset[str]] = field(init=False, default_factory=set)
     _has_ended: bool = field(init=False, default=False)
     _part: tuple[float, float] = field(init=False, default=(0.0, 1.0))
+    _is_repeated: bool = field(init=False, default=False)
+    _goes_on: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
         self.explorer = Explorer(self.trials, self.effort, self._told, self.known, self.is_enough, SIMPLE * self.share)
@@ -145,11 +150,12 @@ class Walk:
         """Look for one cause, or a pair, and return the whole search where that is the end of it.
 
         That is so if it leaves nothing that depends on the inputs, and nothing shakes the axis. What is beside shaking
-        may be an impostor of which an observer follows the rest. Told is this `part` of all that is looked for.
+        may be an impostor of which an observer follows the rest. The progress that is told begins and ends with `part`.
         """
         self._part = part
         found, pairs = looked = self._next([self.base], self._beam([self.base]))
-        self._looked = looked if pairs or not self._others_wait(found) else None
+        self._is_repeated = not pairs and self._others_wait(found)
+        self._looked = None if self._is_repeated else looked
         alone = self._without_observer(pairs)
         if alone:
             return self._found([self.base, alone])
@@ -173,7 +179,7 @@ class Walk:
         begun : sequence of Hypothesis
             What was found beside other noise.
         part : (float, float)
-            Of all that is looked for, where this begins and ends.
+            Where the progress that is told begins and ends, 0 to 1.
         goes_on : bool
             Whether to begin there even if that leaves something which depends on the inputs.
         share : float, optional
@@ -181,8 +187,7 @@ class Walk:
         longer, promising : float
             Share of the effort to take if a total less than this has been found.
         """
-        self._part, self._has_ended = part, False
-        self.likely = math.inf if math.isfinite(self.likely) else self.likely
+        self._part, self._has_ended, self._goes_on = part, False, True
         if share is not None:
             self.share = share + self.work / max(self.effort.work, 1.0)
             self.explorer.grant(SIMPLE * self.share)
@@ -227,7 +232,9 @@ class Walk:
         return Search(tuple(path), best_of_each(self.explorer.judged), singles, ended_early=early)
 
     def _path_to_the_best(self, begun: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """Return the way to the best of those `begun`, if one is likelier than all that was fitted before.
+        """Return the way to the best of those `begun`, if it is likelier than all that was fitted before.
+
+        Or likelier than gain and damping alone and leaves nothing that depends on the inputs.
 
         Those that were found as if nothing shook an axis that seems shaken are fitted beside the noise of the latter
         too.
@@ -235,7 +242,8 @@ class Walk:
         base, explorer, before = self.base, self.explorer, self.likeliest
         explorer.singles += distinct([h for h in begun if len(h.causes) == 1])
         found = explorer.fitted([(h.plant, h) for h in beside_shaking(distinct(begun), base.noise)])
-        if not found or found[0].total >= before.total:
+        limit = base.total if found and self.is_enough(found[0]) else before.total
+        if not found or found[0].total >= limit:
             return [base]
         best = explorer.improved(found[0])
         return self._steps([base], best) if best.causes else [best]
@@ -250,7 +258,8 @@ class Walk:
             if not (explorer.budget.has_more(work) if steps else explorer.budget.left > 0.0):
                 return self._to_the_likeliest(path), True
             looked, self._looked = None if path[-1].causes else self._looked, None
-            steps += looked is None  # what was looked at before is paid for
+            steps += looked is None and not self._is_repeated  # what was looked at before is paid for
+            self._is_repeated = False
             found, pairs = looked or self._next(path, beam)
             path[-1] = explorer.beside_noise_of(found[:1], path[-1])
             better = [h for h in found if h.total < path[-1].total]
@@ -301,7 +310,8 @@ class Walk:
 
     def _others_wait(self, singles: Sequence[Hypothesis]) -> bool:
         """Tell whether other pairs than that of the likeliest cause, and last resorts, are not looked for yet."""
-        return bool(singles) and singles[0].total > self.likely and not self.explorer.with_last_resorts
+        may_wait = not (self.explorer.with_last_resorts or (self._goes_on and math.isfinite(self.likely)))
+        return may_wait and bool(singles) and singles[0].total > self.likely
 
     def _general(self, singles: Sequence[Hypothesis]) -> list[Hypothesis]:
         """Return a last resort in the place of a cause of the likeliest single or pair, if it leaves nothing.
