@@ -50,9 +50,10 @@ def search(
     An axis that seems to be shaken is looked at in two ways: as if nothing shook it, where a single cause is not
     blurred, but one that lacks another is far off; and beside an observer, which follows what causes do before all are
     found, and so shows each of them by itself, but may hide that together they leave nothing. Each looks for a first
-    cause. If what the search beside an observer has found is likelier, it goes on first, and what it finds is the answer
-    if that needs no observer. If there is none yet, the search without one goes on, and then the other with what that
-    has found, until it leaves nothing that depends on the inputs. Of what leaves something the likelier is returned.
+    cause. If what the search beside an observer has found is likelier, it goes on first, and what it finds is the
+    answer if that needs no observer. If there is none yet, the search without one goes on, and then the other with what
+    that has found, until it leaves nothing that depends on the inputs. Of what leaves something the likelier is
+    returned.
 
     Parameters
     ----------
