@@ -141,5 +141,5 @@ def work_for(likelihood: Likelihood, plant: Plant, iterations: int) -> float:
     Each takes central differences in all parameters and two initial states, with backlash three.
     """
     runs = [(signals.time.size, signals.longest_step) for signals in likelihood.signals]
-    once = sum(work_of(plant, samples, substeps_for(plant, step)) for samples, step in runs)
+    once = sum(work_of(plant, samples, step, substeps_for(plant, step)) for samples, step in runs)
     return float(once * (1 + 2 * iterations * (len(plant.values) + 2 + plant.has_contacts)))

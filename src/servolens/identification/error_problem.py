@@ -369,8 +369,8 @@ class Problem:
             for k, row in zip(those, rows, strict=True):
                 found[k] = row if np.isfinite(row).all() else None
 
-        work = sum(work_of(self.plant, self.runs[i].simulated, self.substeps[i]) for i, _ in trials)
-        self.simulated += work
+        of_each = [(self.runs[i], self.substeps[i], plants) for i, _, plants in jobs]
+        self.simulated += (work := sum(len(p) * work_of(p[0], r.simulated, r.sample_time, n) for r, n, p in of_each))
         in_parallel(several, jobs, 1 if work < WORTH_THREADS else None)
         return found
 

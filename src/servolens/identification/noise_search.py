@@ -167,7 +167,8 @@ class NoiseTrials:
             missed = [run.missed(plant, start, steps) for run, plant, start, steps in of_each]
         except (InputError, NumericalError):
             return np.inf
-        likelihood.tally.add(sum(work_of(plant, run.simulated, steps) for run, plant, _, steps in of_each))
+        works = [work_of(plant, run.simulated, run.sample_time, steps) for run, plant, _, steps in of_each]
+        likelihood.tally.add(sum(works))
         whiteners = [run.whiten for run in runs]
         steady = [whiten.steady(error) for whiten, error in zip(whiteners, missed, strict=True)]
         if not first.is_observed:

@@ -93,7 +93,7 @@ def _forgets(
             continue
         voltage, time, steps = run.signals.voltage, run.signals.time, substeps_for(plant, run.sample_time)
         as_is = run.missed(plant, start, steps)
-        likelihood.tally.add((KNOCKS + 1) * work_of(plant, run.simulated, steps))
+        likelihood.tally.add((KNOCKS + 1) * work_of(plant, run.simulated, run.sample_time, steps))
         speed = noise.floor * likelihood.rate
         for k in np.linspace(0, time.size - 2, KNOCKS, dtype=int):
             push = np.zeros(voltage.size)

@@ -3,7 +3,7 @@
 A step is a Taylor series of third order with the tail of a constant damping β = −∂a/∂v: after the snap s each
 derivative is −β times the one before, so that v = v₀ + a τ + j τ²/2 + s τ³ φ₃(β τ). That is an exponential integrator
 [1]_, which solves a linear damping exactly, however strong it is. A step is halved while what the damping leaves of its
-last term is more than a hundred-thousandth of the travel (a kick of the voltage may change the damping within a
+last term is more than half a millionth of the travel (a kick of the voltage may change the damping within a
 sample). Each velocity reversal is found as the root of the series and the step is split there, so that the order holds
 across it (second order at least), and |v| is smooth within a piece. At rest dry friction is set-valued: the axis leaves
 only if the push exceeds the level, and until then its position does not change by one bit. Where a force has a kink (a
@@ -54,7 +54,7 @@ from servolens.simulation.plant_functions import (
 __all__ = ["advance"]
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
-SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 1.2e-4, 1e-3, 1e-7, 4096, 100
+SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 5e-6, 1e-3, 1e-7, 4096, 100
 ROUNDING = 2.220446049250313e-16  # share of a position by which a term moves the axis unseen: 2⁻⁵²
 CLOSE, EXACT_PIECES = 1e-6, 16  # share of the way to a kink by which it may be missed, in the first pieces of a step
 SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
@@ -159,6 +159,18 @@ def first_kink(before: Any, after: Any, nk: int) -> float:
         if before[i] * after[i] < 0.0 and abs(after[i]) > max(CLOSE * abs(before[i]), SLIGHT):
             share = min(share, (1.0 + HALF * CLOSE) * before[i] / (before[i] - after[i]))
     return share
+
+
+@njit(**OPTIONS)
+def is_beyond(x: Any, p: Any, before: Any, there: Any) -> bool:
+    """Whether ramps begin beyond a kink that the states themselves have not reached, or have left behind them."""
+    if relaxing_states() == 0 or kinks() == 0:
+        return False
+    kinked(x, p, there)
+    beyond = False
+    for i in range(kinks()):
+        beyond = beyond or before[i] * there[i] < 0.0
+    return beyond
 
 
 @njit(**OPTIONS)
@@ -283,7 +295,7 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
         for _ in range(MOST_PASSES):
             relax(x, e, kept, begin, end, known, z, part)
             taylor(x, p, series)
-            if is_rough(series, x[Y], x[V], part, coarse) and part > SHORTEST * h:
+            if part > SHORTEST * h and (is_rough(series, x[Y], x[V], part, coarse) or is_beyond(x, p, before, after)):
                 part *= 0.5
                 shorten(begin, end, nz, 0.5)
                 continue

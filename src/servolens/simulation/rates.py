@@ -21,15 +21,17 @@ __all__ = [
     "contact_rate",
     "fixed_substeps_for",
     "least_substeps",
+    "pieces_for",
     "rate_of",
     "rate_within",
     "substeps_for",
     "work_of",
 ]
 
-STEP_TIMES_RATE = 0.02
-"""Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step."""
-RAMPED = 1.0 / 15.0
+STEP_TIMES_RATE = 0.05
+"""Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step. Where a force changes faster
+than that, as a damping that hangs on the speed does, a step is halved; see :mod:`servolens.simulation.motion`."""
+RAMPED = 1.0 / 6.0
 """Share of √(damping × rate at which a state relaxes) that counts: about 20 nm on a 0.1 m step as well, measured."""
 FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
@@ -38,23 +40,28 @@ STAMP_ROUNDING = 1e-9
 """Of a substep: what rounding makes of differences between the instants of a log asks for no further one."""
 MOST_SUBSTEPS = 400
 """What needs more is simulated with as many, and no longer exactly."""
-CONTACT_SUBSTEPS = 4
+CONTACT_SUBSTEPS = 2
 """Of a sample in which contacts may close, at least; where one does, steps are halved as well. Within 20 nm on a 0.1 m
 step with a load of a third, a micrometre with a light one; an axis that hunts in its gap multiplies that."""
 BESIDE_SUBSTEPS = 2
 """Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it: measured
 over diagnoses, 28 ns each beside 56 ns."""
+CLOSED_STEP_TIMES_RATE = 0.5
+"""Product of the pieces into which contacts split a step and the fastest rate while they are closed, measured."""
 IN_CONTACTS = 2
-"""A substep that contacts may split takes as long as so many others: 60 ns."""
-SPEEDS = ((0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.1, 0.0), (0.0, 1.0, 0.0))
-PROBES = (*SPEEDS, (0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0))
-"""Positions, speeds and values of the states at which the rates are looked at, SI; first those of one place."""
+"""A piece of a substep that contacts may split takes as long as so many substeps of others: 60 ns."""
+PROBES = (
+    *((0.0, speed, 0.0) for speed in (0.0, 0.01, 0.1, 1.0)),
+    *((0.1, 1.0, 0.0), (1.0, 0.0, 1.0), (-1.0, 0.0, -1.0)),
+)
+"""Positions, speeds and values of the states at which the rates are looked at, SI."""
 
 
 class _Rates(NamedTuple):
-    """Fastest rate, with closed contacts, and largest damping of an axis [1/s]."""
+    """Fastest rate, with closed contacts, the same without damping, and largest damping of an axis [1/s]."""
 
     fastest: float
+    undamped: float
     damping: float
 
 
@@ -70,6 +77,14 @@ def least_substeps(plant: Plant, step: float) -> int:
     """Return how many substeps contacts ask for: none is longer than they take to open; 1 if there are none."""
     rate = contact_rate(plant.structure)
     return max(CONTACT_SUBSTEPS, ceil(step * rate - STAMP_ROUNDING)) if rate > 0.0 else 1
+
+
+def pieces_for(plant: Plant, step: float, substeps: int) -> int:
+    """Return into how many pieces contacts split a sample of `step` seconds and so many `substeps` while they push."""
+    if contact_rate(plant.structure) == 0.0:
+        return substeps
+    pieces = step * _rates(plant.structure)(plant.driven_values).undamped / CLOSED_STEP_TIMES_RATE
+    return max(substeps, ceil(pieces) if pieces < MOST_SUBSTEPS else MOST_SUBSTEPS)
 
 
 def fixed_substeps_for(plant: Plant, step: float) -> int:
@@ -90,9 +105,10 @@ def rate_within(substeps: float, step: float) -> float:
     return substeps * STIFF_STEP_TIMES_RATE / step
 
 
-def work_of(plant: Plant, samples: int, substeps: int) -> int:
-    """Return the cost of simulating and comparing samples; 1 is a sample with one substep."""
-    steps = IN_CONTACTS * substeps if contact_rate(plant.structure) > 0.0 else substeps
+def work_of(plant: Plant, samples: int, step: float, substeps: int) -> int:
+    """Return the cost of simulating and comparing samples of `step` seconds; 1 is a sample with one substep."""
+    price = IN_CONTACTS if contact_rate(plant.structure) > 0.0 else 1
+    steps = price * pieces_for(plant, step, substeps)
     return samples * (BESIDE_SUBSTEPS + steps) // (BESIDE_SUBSTEPS + 1)
 
 
@@ -152,12 +168,8 @@ def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]],
     def rates(values: tuple[float, ...]) -> _Rates:
         p = np.array(values)
         slopes = np.array([jacobian(probe, p) for probe in probes])
-        damping = np.maximum(-slopes[: len(SPEEDS), 1, 1], 0.0)
         slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-        known = damping[np.isfinite(damping)]
-        differs = float(np.ptp(known)) if known.size else 0.0
-        fastest = max(differs, _rate(slopes, exact, quick=quick))
-        return _Rates(fastest, float(np.max(-slopes[:, 1, 1], initial=0.0)))
+        return _Rates(*_rate(slopes, exact, quick=quick), float(np.max(-slopes[:, 1, 1], initial=0.0)))
 
     return rates
 
@@ -167,10 +179,12 @@ def _probe(size: int, position: float, velocity: float, state: float) -> NDArray
     return np.array([position, velocity, 0.0, 0.0, 1.0, 1.0, 0.0, *([state] * (size - 2))])
 
 
-def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> float:
+def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> tuple[float, float]:
     """Return the fastest rate of the Jacobians `slopes`, shape (k, n, n), of what a step does not solve exactly.
 
-    It solves a damping that is the same at all speeds, and how relaxing states forget. Of the damping there counts,
+    And that without damping.
+
+    It solves a damping and how relaxing states forget, and halves where the damping changes. Of it there counts,
     beside a spring, a mean with the spring's rate, where that is less than the rate of both together; and a share of
     the geometric mean with the rate of a relaxing state, which a step sees as a ramp. With `quick` a bound of a
     spring's rate does, which is three times too large for a critically damped contact.
@@ -180,9 +194,10 @@ def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) 
     forgets = float(np.max(np.abs(slopes[:, exact, exact]) * (slopes[:, 1, exact] != 0.0), initial=0.0))
     left[:, exact, exact] = 0.0
     together = _largest(left, quick)
-    left[:, 1, 1] = np.maximum(slope, 0.0)
+    left[:, 1, 1] = 0.0
     rest = _largest(left, quick)
-    return max(rest, min(together, float(np.cbrt(rest * rest * damping))), float(RAMPED * np.sqrt(damping * forgets)))
+    beside = min(together, float(np.cbrt(rest * rest * damping)))
+    return max(rest, beside, float(RAMPED * np.sqrt(damping * forgets))), rest
 
 
 def _largest(slopes: NDArray[np.float64], quick: bool) -> float:

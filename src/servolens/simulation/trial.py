@@ -11,7 +11,7 @@ import numpy as np
 from servolens.effects import Sensor, Transmission
 from servolens.errors import InputError
 from servolens.simulation.grids import sample_time_of
-from servolens.simulation.rates import fixed_substeps_for
+from servolens.simulation.rates import pieces_for
 from servolens.simulation.runs import Inputs, run_all, run_one
 from servolens.simulation.settings import DISTURBED, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
 
@@ -108,7 +108,7 @@ def closed_trial(
         corrects, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
 
     def settings(plant: Plant, substeps: int) -> list[float]:
-        granted = patience * time.size * max(substeps, ONE_OF, fixed_substeps_for(plant, period))
+        granted = patience * time.size * max(pieces_for(plant, period, substeps), ONE_OF)
         law = law_settings(plant, controller, limit)
         return [1.0, *loop, 0.0, granted, *known(before), *corrects, *law]
 
@@ -154,7 +154,7 @@ def observed_trial(
     observer, period = (0.0 if gains is None else OBSERVED, coarse, remembered), sample_time_of(time)
 
     def settings(plant: Plant, substeps: int) -> list[float]:
-        granted = PATIENCE * time.size * max(substeps, ONE_OF, fixed_substeps_for(plant, period))
+        granted = PATIENCE * time.size * max(pieces_for(plant, period, substeps), ONE_OF)
         return [*OPEN_LOOP, granted, *known(before), *observer, *NO_LAW, *_moved(plant.structure)]
 
     return Trial(Inputs(time, voltage, position, gains), settings)
