@@ -39,7 +39,7 @@ def _compared(
     """Yield name, true value, quantity found, and the sign to read it with."""
     own = dict(truth)
     if effect == "friction_map" and own:
-        own = _map_at(own, quantities["low"].value, quantities["high"].value)
+        own = _map_of(own, quantities["low"], quantities["high"])
     turned = "phase" in own and quantities["amplitude"].value * own["amplitude"] < 0
     for name, value in own.items():
         quantity, sign = quantities[name], 1.0
@@ -49,6 +49,17 @@ def _compared(
             value += math.pi * turned
             value += 2.0 * math.pi * round((quantity.value - value) / (2.0 * math.pi))
         yield name, value, quantity, sign
+
+
+def _map_of(truth: Mapping[str, float], low: Any, high: Any) -> dict[str, float]:
+    """Return the true parameters of a friction map, or its levels at knots that were not estimated.
+
+    Levels and the places of their knots are estimated together: the interval of a level allows for its place. The true
+    level at the place that was found is another number, off by the slope of the map times the error of the place.
+    """
+    if low.stderr is not None and high.stderr is not None:
+        return dict(truth)
+    return _map_at(truth, low.value, high.value)
 
 
 def _map_at(truth: Mapping[str, float], low: float, high: float) -> dict[str, float]:
