@@ -439,6 +439,20 @@ def test_lower_minima_are_found_where_contacts_give_the_error_many():
     assert np.ptp(ends[True]) < 0.1 * np.ptp(ends[False])
 
 
+def test_search_that_is_stopped_among_local_minima_looks_beside_its_end():
+    """It ended where the error is smooth about one minimum of many, five standard errors off."""
+    hidden = hidden_campaign(72, effects=["backlash"], visibility=2.0, records=1)
+    truth, options = plant_of(hidden.truth), FitOptions()
+    runs = Likelihood(hidden.records, truth, options).runs(NoiseModel.white(hidden.floor))
+    shifts = np.ones(len(truth.values))
+    shifts[:4] += 0.03 * np.random.default_rng(1).standard_normal(4)  # the contact is the usual one
+    start = truth.with_values((np.array(truth.values) * shifts).tolist())
+    found = minimise_error(start, runs, options, noise=1.0, local_minima=True, allowance=1e6)
+    errors = np.sqrt(np.diag(found.covariance))[:4]
+    assert (np.abs(np.array(found.plant.values) - truth.values)[:4] < 3.0 * errors).all()
+    assert (errors < 0.1 * np.array(truth.values)[:4]).all()
+
+
 @pytest.mark.xfail(strict=True, reason="error bars of a rattling play are several times too small")
 @pytest.mark.slow
 def test_error_bars_hold_the_local_minima_that_explain_as_much():

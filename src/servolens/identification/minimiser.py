@@ -146,18 +146,19 @@ def _begun_again(problem: Problem, point: Point, iterations: int, *, converged: 
 
 
 def beside(
-    problem: Problem, point: Point, iterations: int, *, converged: bool
+    problem: Problem, point: Point, iterations: int, *, converged: bool, was_stopped: bool = False
 ) -> tuple[Point, bool, list[NDArray[np.float64]]]:
     """Return where the search ends if lower minima beside its end are followed, and those that explain as much.
 
     Of the minima the values of the parameters, shape (k,); the lowest is among them as often as a look beside it leads
-    back. Where the error is smooth there are none.
+    back. Where the error is smooth there are none, unless the search for the lowest `was_stopped`: then it may be
+    smooth about one of many.
     """
     seen: list[Point] = []
     for _ in range(0 if problem.is_spent else LOOKS):
         found, is_smooth = linearised_widely(problem, point)
         direction = _least_determined(problem, point, found.information)
-        if is_smooth or not direction.any():
+        if (is_smooth and not was_stopped) or not direction.any():
             break
         starts = [trial for share in BESIDE if (trial := _moved(problem, point, share * direction)) is not None]
         ends = [by_way_of(problem, start, ((FINE, SHORT),), NEGLIGIBLE_ON_THE_WAY)[0] for start in starts]

@@ -170,7 +170,8 @@ def minimise_error(
     known : Known, optional
         What another fit ended with: each run begins so, if that misses less.
     allowance : float
-        Work after which no further minimum is looked for, see :func:`~servolens.simulation.rates.work_of`.
+        Work after which no further minimum is looked for, see :func:`~servolens.simulation.rates.work_of`. What error
+        bars need, the minima beside the end, may take as much again.
 
     Raises
     ------
@@ -193,7 +194,7 @@ def minimise_error(
         point, converged = descend(problem, point, MOST_ITERATIONS)
     others: list[NDArray[np.float64]] = []
     if searched:
-        point, converged, others = beside(problem, point, MOST_ITERATIONS, converged=converged)
+        point, converged, others = _beside_end(problem, point, allowance, converged=converged)
     is_optimum = converged and not problem.too_stiff(point, NEARLY)
     observed = [run for run in problem.runs if isinstance(run, ObservedRun)]
     if len(observed) == len(problem.runs) and has_mean(observed):
@@ -274,6 +275,20 @@ def _lowest(problem: Problem, begun: Point, *, coarse: bool, searched: bool) -> 
     return point, converged
 
 
+def _beside_end(
+    problem: Problem, point: Point, allowance: float, *, converged: bool
+) -> tuple[Point, bool, list[NDArray[np.float64]]]:
+    """Return what :func:`beside` finds at the end of a search, whatever of its `allowance` the search has left.
+
+    A search that was stopped knows less, and its error bars must not be narrower for that. It is also led to the
+    optimum that it was on the way to.
+    """
+    was_stopped, problem.allowance = problem.is_spent, problem.simulated + allowance
+    if was_stopped and not converged:
+        point, converged = descend(problem, point, MOST_ITERATIONS)
+    return beside(problem, point, MOST_ITERATIONS, converged=converged, was_stopped=was_stopped)
+
+
 @final
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Rounding:
@@ -324,7 +339,7 @@ def _finished(
     index = np.flatnonzero(within & (np.diag(information) > 0))
     if index.size:
         inner, white = _covariances(problem, blocks, information, index, rounding)
-        if not is_smooth and others:
+        if others:
             away = (np.array(others) - point.values)[:, index]
             inner = inner + away.T @ away / len(others)
         first = problem.slots[0][1]
