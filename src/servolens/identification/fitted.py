@@ -11,6 +11,7 @@ from servolens.identification.error_problem import Known
 from servolens.identification.fit_findings import findings_of, is_beyond, not_determined
 from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.refine import Refinement, minimise_error
+from servolens.identification.shaken_errors import counting_answers_to_shaking
 from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.unsteady import counting_unsteadiness
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
@@ -79,7 +80,8 @@ def with_error_bars(
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with error bars that allow for what its residual does not show.
 
-    An axis that slides off by itself, late jumps of the voltage, and all spectra that may shake it.
+    An axis that slides off by itself, late jumps of the voltage, how a coupling or a stop answers to shaking, and all
+    spectra that may shake it.
 
     Parameters
     ----------
@@ -92,7 +94,8 @@ def with_error_bars(
     unpowered : bool
         Whether nothing was applied before records that begin with their step.
     """
-    for counting in (counting_unsteadiness, counting_late_inputs, counting_all_spectra):
+    ways = counting_unsteadiness, counting_late_inputs, counting_answers_to_shaking, counting_all_spectra
+    for counting in ways:
         refined = counting(likelihood, refined, noise, unpowered=unpowered)
     return refined
 
