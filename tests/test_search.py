@@ -18,6 +18,7 @@ from servolens.diagnosis.ordering import (
     parted,
     simplified,
     with_lag_for_damping,
+    with_lag_for_servo,
     with_twins,
     without,
 )
@@ -375,11 +376,45 @@ def test_damping_and_a_lag_exchanged_are_the_same_where_nothing_nonlinear_stands
     assert responses[1] == pytest.approx(responses[0], rel=1e-12)
     assert (other.damping, other.effect("coulomb_friction").level) == (50.0, 0.1)
     assert not list(with_lag_for_damping(plant.without_effect("coulomb_friction")))
+    assert not list(with_lag_for_damping(Plant(gain=4.5, damping=6.0, effects=(plant.effects[0], Delay(time=0.01)))))
     assert not list(with_lag_for_damping(plant.without_effect("actuator_lag")))
     assert not list(with_lag_for_damping(replace(plant, damping=1e-9)))  # slower than any lag
     assert not list(
         with_lag_for_damping(plant.with_effect(SpeedServo(speed_per_volt=0.5, proportional=10.0, integral=1.0)))
     )
+
+
+def test_a_speed_loop_without_proportional_part_is_a_lag():
+    servo = SpeedServo(speed_per_volt=0.5, proportional=1e-3, integral=300.0)
+    plant = Plant(gain=1.0, damping=40.0, effects=(servo, Delay(time=0.01)))
+    (other,) = with_lag_for_servo(plant)
+    lag, s = other.effect("actuator_lag").time_constant, 1j * np.logspace(-1, 2, 50)
+    theirs = other.gain / (s * (s + other.damping) * (lag * s + 1.0))
+    own = servo.speed_per_volt * (1e-3 * s + 300.0) / (s * (s * s + (40.0 + 1e-3) * s + 300.0))
+    assert theirs == pytest.approx(own, rel=1e-3)
+    assert [effect.name for effect in other.effects] == ["delay", "actuator_lag"]
+    assert lag < 1.0 / other.damping  # the lag is the quicker
+    resonant = SpeedServo(speed_per_volt=0.5, proportional=1e-3, integral=500.0)
+    assert not list(with_lag_for_servo(replace(plant, effects=(resonant,))))
+    assert not list(with_lag_for_servo(replace(plant, effects=())))
+
+
+def test_a_lag_that_was_taken_for_a_speed_loop_is_exchanged_for_it():
+    late = {"actuator_lag": {"time_constant": 0.03}, "delay": {"time": 0.006}}
+    axis = lab.Truth(gain=200.0, damping=10.0, effects=late)
+    tries = ((0.5, 0.0, 0.5), (1.2, 0.05, 0.5), (0.8, 0.02, -0.5))
+    runs = tuple(
+        lab.step_record(axis, kp=kp, kd=kd, reference=to, noise=3e-5, sample_time=2e-3, duration=3.0, seed=seed)
+        for seed, (kp, kd, to) in enumerate(tries)
+    )
+    case = Case(runs, (), {}, len(catalogue()))
+    servo = SpeedServo(speed_per_volt=20.0, proportional=1e-3, integral=333.3)
+    taken = case.likelihood.judged(Plant(gain=1.0, damping=43.3, effects=(servo, Delay(time=0.006))))
+    explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, (), lambda _: False, 1.0)
+    found = explorer.exchanged(taken).plant
+    assert {effect.name for effect in found.effects} == set(late)
+    assert found.effect("actuator_lag").time_constant == pytest.approx(0.03, rel=1e-3)
+    assert found.damping == pytest.approx(10.0, rel=1e-3)
 
 
 def test_what_is_thinned_for_the_search_is_simulated_all_the_same_and_counted():

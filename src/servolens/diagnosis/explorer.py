@@ -19,12 +19,12 @@ from servolens.diagnosis.ordering import (
     distinct,
     families,
     is_last_resort,
+    otherwise,
     parted,
     simplified,
     specialised,
     united,
     with_lag_for_damping,
-    with_twins,
     without,
 )
 from servolens.diagnosis.pairs import likeliest_pairs
@@ -37,7 +37,7 @@ from servolens.identification.likelihood import FEW, FULL, SOME
 from servolens.identification.lowest import lowest
 from servolens.identification.phases import own_phases
 from servolens.identification.refine import AT_NOISE
-from servolens.identification.rounding import dominates
+from servolens.identification.rounding import dominates, is_rounded
 from servolens.identification.score import ScoreTest
 from servolens.processors import in_processes
 
@@ -234,7 +234,8 @@ class Explorer:
         simpler one misses more than noise and rounding can.
         """
         is_close = simpler.noise.spread <= AT_NOISE * self.likelihood.white.spread
-        if not is_close or not dominates(richer.noise) or self.likelihood.simulates:
+        is_white = not dominates(richer.noise) and not is_rounded(richer.noise)
+        if not is_close or is_white or self.likelihood.simulates:
             return False
         paid = (richer.total - richer.misfit) - (simpler.total - simpler.misfit)
         return ScoreTest(self.likelihood, replace(simpler, noise=richer.noise)).may_be_chance(richer.plant, paid)
@@ -362,7 +363,7 @@ class Explorer:
             plants += [
                 *as_good_alone(self.likelihood, hypothesis, self.singles),
                 *kin(self.trials, hypothesis),
-                *with_twins(hypothesis.plant),
+                *otherwise(hypothesis.plant),
             ]
         others = {
             causes: plant

@@ -5,11 +5,22 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 from functools import reduce
+from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servolens.effects import Actuator, ActuatorLag, Drive, DryFriction, Sensor, TimeShift, catalogue, effect_class
+from servolens.effects import (
+    Actuator,
+    ActuatorLag,
+    Drive,
+    DryFriction,
+    Sensor,
+    SpeedServo,
+    TimeShift,
+    catalogue,
+    effect_class,
+)
 from servolens.effects._grids import within
 from servolens.effects.base import Axis
 from servolens.errors import InputError
@@ -37,11 +48,13 @@ __all__ = [
     "is_last_resort",
     "kind",
     "late_otherwise",
+    "otherwise",
     "parted",
     "simplified",
     "specialised",
     "united",
     "with_lag_for_damping",
+    "with_lag_for_servo",
     "with_twins",
     "without",
 ]
@@ -163,20 +176,48 @@ def with_twins(plant: Plant) -> Iterator[Plant]:
                 yield plant.without_effect(effect.name).with_effect(Plant.effect_from(effect.twin, values))
 
 
+def otherwise(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with an effect replaced by one that does the same, or nearly, to what is slow."""
+    yield from with_twins(plant)
+    yield from with_lag_for_servo(plant)
+    yield from late_otherwise(plant)
+
+
 def with_lag_for_damping(plant: Plant) -> Iterator[Plant]:
     """Yield `plant` with damping as large as its actuator's lag is quick, and a lag as slow as its damping is small.
 
-    Without other effects the same: g / (s (s + d) (T s + 1)) is g' / (s (s + 1/T) (s/d + 1)) with g' = g / (d T). What
-    acts between the two, a limit of force or dry friction, tells one from the other, but no small step of a fit leads
-    from one to the other.
+    Without other effects, or with linear ones of the sensor or in time alone, the same: g / (s (s + d) (T s + 1)) is
+    g' / (s (s + 1/T) (s/d + 1)) with g' = g / (d T); there the lag is held to be the quicker. What acts between the
+    two, a limit of force or dry friction, tells one from the other, but no small step of a fit leads from one to the
+    other.
     """
     lag = plant.effect(ActuatorLag.name)
-    is_free = len(plant.effects) > 1 and not any(isinstance(effect, Drive) for effect in plant.effects)
+    others = [effect for effect in plant.effects if effect is not lag]
+    is_told = any(not (isinstance(effect, Sensor | TimeShift) and effect.linear) for effect in others)
+    is_free = is_told and not any(isinstance(effect, Drive) for effect in plant.effects)
     if isinstance(lag, ActuatorLag) and is_free and min(plant.damping, lag.time_constant) > 0.0:
         quick = 1.0 / lag.time_constant
         with suppress(InputError):  # slower than any lag, or too quick
             other = plant.without_effect(lag.name).with_effect(ActuatorLag(time_constant=1.0 / plant.damping))
             yield replace(other, gain=plant.gain * quick / plant.damping, damping=quick)
+
+
+def with_lag_for_servo(plant: Plant) -> Iterator[Plant]:
+    """Yield `plant` with a lag of its actuator for a drive's speed loop that has hardly a proportional part.
+
+    i s V / (s (s² + (d + p) s + i)) is that of a lag and a damping, whose rates are the roots of the last factor: with
+    the zero that p makes, the loop is one of a family that has the lag as its limit.
+    """
+    servo = plant.effect(SpeedServo.name)
+    if not isinstance(servo, SpeedServo):
+        return
+    half = 0.5 * (plant.damping + servo.proportional)
+    if half * half > servo.integral > 0.0:
+        quick = half + sqrt(half * half - servo.integral)
+        slow = servo.integral / quick
+        with suppress(InputError):  # where a lag stands already, or that is too quick
+            other = plant.without_effect(servo.name).with_effect(ActuatorLag(time_constant=1.0 / quick))
+            yield replace(other, gain=slow * servo.speed_per_volt, damping=slow)
 
 
 def delays(time: float) -> Iterator[Effect]:
