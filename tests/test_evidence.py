@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from servolens import lab
+from servolens.controller import Controller
 from servolens.diagnosis.errors import residual
 from servolens.diagnosis.evidence import error_shares
 from servolens.diagnosis.in_time import instruments
+from servolens.effects import CoulombFriction
 from servolens.errors import InputError
 from servolens.identification import identify
 from servolens.identification.segments import motion_segments
 from servolens.identification.starting import Screen
 from servolens.plant import Plant
+from servolens.record import Record
+from servolens.simulation import simulate
 
 CART = {"gain": 1.9, "damping": 6.0}
 QUANTITIES = {"time_since_step", "speed", "position", "direction", "voltage", "frequency"}
@@ -163,3 +169,18 @@ def test_axis_that_rests_has_no_stretch(rubbing):
     still = rubbing[0].with_({"position": np.full(len(rubbing[0]), 0.02)})
     with pytest.raises(InputError, match="does not move"):
         Screen.of(motion_segments([still]))
+
+
+def test_steady_force_on_a_ramp_is_shown_in_time():
+    """A position that grows with time tells no more than time: what stayed the same could not be drawn."""
+    axis = Plant(gain=30.0, damping=8.0, effects=(CoulombFriction(level=2.0),))
+    time = np.arange(1000) * 2e-3
+    asked = Record(time=time, position=0.0 * time, reference=0.5 * time, controller=Controller(kp=6.0, kd=0.1))
+    run = simulate(axis, asked, sensor_error=1e-5 * np.random.default_rng(0).standard_normal(time.size))
+    ramp = replace(asked, position=run.measured, voltage=run.voltage)
+    screen = Screen.of(motion_segments([ramp]))
+    force = {found.varies: found for found in instruments(screen, Plant(gain=30.0, damping=8.0))}["force"]
+    assert force.goes_with == "constant"
+    assert np.mean(force.value) == pytest.approx(2.0, rel=0.1)
+    assert force.abscissa == tuple(sorted(force.abscissa))
+    assert time[0] < force.abscissa[0] < force.abscissa[-1] < time[-1]

@@ -70,7 +70,10 @@ def instruments(screen: Screen, plant: Plant) -> tuple[Instrument, ...]:
         return ()
     travel = float(np.ptp(np.concatenate([s.position for s in screen.segments])))
     kinds: tuple[Varying, ...] = ("damping", "gain", "force")
-    found = [_read(_vary(kind, stretches, plant, EXACT * travel), _seen(kind, stretches)) for kind in kinds]
+    found = []
+    for kind in kinds:
+        means = {name: np.concatenate([_means(kind, s, name) for s in stretches]) for name in stretches[0].seen}
+        found.append(_read(_vary(kind, stretches, plant, EXACT * travel), _apart(kind, means), means["time"]))
     return tuple(sorted(found, key=lambda i: (i.significance, -abs(i.correlation))))
 
 
@@ -186,8 +189,8 @@ def _factor(kind: Varying, stretch: _Stretch, plant: Plant) -> NDArray[np.float6
     return np.asarray(np.linalg.qr(rows, mode="r"))[2:, 2:]
 
 
-def _read(pieces: _Pieces, seen: dict[str, NDArray[np.float64]]) -> Instrument:
-    """Correlate the pieces' values with each quantity, and report the best."""
+def _read(pieces: _Pieces, seen: dict[str, NDArray[np.float64]], time: NDArray[np.float64]) -> Instrument:
+    """Correlate the pieces' values with each quantity, and report the best; what is constant is shown in `time`."""
     level = pieces.times(np.ones(pieces.data.size))
     known = np.column_stack([pieces.others, level])
     correlations = {name: _partial(known, pieces.times(values), pieces.data) for name, values in seen.items()}
@@ -201,7 +204,7 @@ def _read(pieces: _Pieces, seen: dict[str, NDArray[np.float64]]) -> Instrument:
     value, deviation = _values(pieces, pieces.data - pieces.others @ shifts)
     kept = np.isfinite(deviation)
     best = "speed" if best == LOG_SPEED else best
-    abscissa = seen["time"] if best == "constant" else seen[best]
+    abscissa = time if best == "constant" else seen[best]
     return Instrument(
         varies=pieces.kind,
         goes_with=best,
@@ -246,16 +249,12 @@ def _chance(r: float, freedom: int, deviations: float) -> float:
     return max(float(betainc(0.5 * freedom, 0.5, max(1.0 - r * r, 0.0))), float(erfc(deviations / np.sqrt(2.0))))
 
 
-def _seen(kind: Varying, stretches: Sequence[_Stretch]) -> dict[str, NDArray[np.float64]]:
-    """Return each quantity's mean over each piece, weighed by what the varying value multiplies there.
-
-    Without those that do not vary, or only as one before.
-    """
+def _apart(kind: Varying, means: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return the quantities that tell the pieces apart: without those that do not vary, or only as one before."""
     kept: dict[str, NDArray[np.float64]] = {}
-    for name in stretches[0].seen:
+    for name, values in means.items():
         if kind == "force" and name in FREE:
             continue
-        values = np.concatenate([_means(kind, stretch, name) for stretch in stretches])
         centred = values - values.mean()
         if np.linalg.norm(centred) <= 1e-9 * np.linalg.norm(values):
             continue
@@ -265,6 +264,7 @@ def _seen(kind: Varying, stretches: Sequence[_Stretch]) -> dict[str, NDArray[np.
 
 
 def _means(kind: Varying, stretch: _Stretch, name: str) -> NDArray[np.float64]:
+    """Return a quantity's mean over each piece, weighed by what the varying value multiplies there."""
     size = {"damping": stretch.seen["speed"], "gain": stretch.seen["voltage_size"], "force": np.ones(stretch.time.size)}
     weight = size[kind][:-1] + 1e-6 * size[kind].max() + 1e-300
     begin = stretch.edges[:-1]
