@@ -495,6 +495,21 @@ def test_answer_beyond_the_records_is_amber_and_then_red(least, quantity, times,
     assert (quantity in of_gain.sentence) == (light != "green")
 
 
+@pytest.mark.parametrize("quantity", ["voltage", "speed", "step"])
+@pytest.mark.parametrize(
+    ("times", "of_known", "light"), [(1.04, 0.03, "green"), (1.55, 0.03, "amber"), (1.5, 0.0, "amber")]
+)
+def test_limits_allow_for_the_noise_of_what_the_records_showed(least, quantity, times, of_known, light):
+    design = recommend(NLM3, least, scenarios=60)
+    reached = reached_with(design.recommended.kd)
+    known = reached[quantity] / times
+    shown = DataRange(**{**reached, quantity: known, f"{quantity}_error": of_known * known})
+    model = Model(plant=NLM3, evidence=Evidence(range=shown, remainder=leaving(0.01), heldout_of_step=0.001))
+    of_gain = trust(model, design)[1]
+    assert of_gain.light == light
+    assert ("by noise" in of_gain.sentence) == (light == "amber" and of_known > 0.0)
+
+
 def test_plant_that_never_settles_is_a_doubt_even_if_it_is_one_of_many(least):
     design = recommend(NLM3, least, scenarios=60)
     never = replace(design.recommended.worst, settling_time=None)

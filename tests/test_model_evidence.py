@@ -14,6 +14,7 @@ from servolens.diagnosis.remainder import unexplained_acceleration
 from servolens.effects import CoulombFriction
 from servolens.errors import InputError
 from servolens.identification import identify
+from servolens.identification.data_range import data_range
 from servolens.model import Model, read_model
 from servolens.model_evidence import DataRange, Evidence, Missed, Remainder
 from servolens.plant import Plant
@@ -199,3 +200,14 @@ def test_identified_model_remembers_how_far_its_records_reach():
     assert known.range.voltage == pytest.approx(6.0, rel=1e-3)
     assert known.verdict is None
     assert known.remainder is None
+
+
+def test_noise_explains_how_far_the_largest_voltage_is_off():
+    """The largest of some noisy samples has a little less than the noise of one."""
+    setup = lab.Setup(rest=0.02)
+    quiet = data_range([lab.step_record(lab.NLM3, 60, 3, encoder=0.0, setup=setup)])
+    runs = [lab.step_record(lab.NLM3, 60, 3, encoder=0.0, noise=1e-5, seed=seed, setup=setup) for seed in range(60)]
+    known = [data_range([run]) for run in runs]
+    off = np.array([(one.voltage - quiet.voltage) / one.voltage_error for one in known])
+    assert np.mean(np.abs(off) < 1.96) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / len(runs))
+    assert np.sqrt(np.mean(off**2)) > 0.5

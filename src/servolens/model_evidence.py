@@ -98,6 +98,8 @@ class DataRange:
         Step of the reference, or travel where none was logged [m or rad].
     kp, kd : float or None
         Gains of the loops [V/m, V s/m]; None where no record states them.
+    voltage_error, speed_error, step_error : float
+        Standard deviation that the sensor's noise gives each of the three; 0 where it is not known.
     """
 
     voltage: float
@@ -105,6 +107,9 @@ class DataRange:
     step: float
     kp: float | None = None
     kd: float | None = None
+    voltage_error: float = 0.0
+    speed_error: float = 0.0
+    step_error: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """Return the fields."""

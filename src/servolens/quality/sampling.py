@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from servolens.record import Record
 
-__all__ = ["SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed"]
+__all__ = ["SPAN", "SPEED_SPAN", "STEPS", "Sampling", "measure", "sampling_findings", "top_speed"]
 
 SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
