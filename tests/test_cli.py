@@ -166,6 +166,21 @@ def test_wrong_sign_writes_no_model_unless_forced(mirrored, here):
     assert (here / "model.json").exists()
 
 
+def test_position_that_begins_again_after_each_turn_writes_no_model_unless_forced(here):
+    record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1, duration=0.6)
+    turned = np.mod(80.0 * record.position + 1.0, 2.0 * np.pi)
+    rows = zip(record.time, turned, record.voltage, strict=True)
+    lines = ["time [s],position [rad],voltage [V]", *(",".join(map(str, row)) for row in rows)]
+    (here / "r.csv").write_text("\n".join(lines), encoding="utf-8")
+    body = result("check", "check", "r.csv", status=1)
+    assert "position_wraps" in {f["code"] for f in body["findings"]}
+    done = run("identify", "r.csv", "--model", "constant", "--out", "model.json")
+    assert done.exit_code == 1
+    assert "no model is written: the position of r jumps at each turn" in " ".join(done.output.split())
+    assert not (here / "model.json").exists()
+    assert run("identify", "r.csv", "--model", "constant", "--out", "model.json", "--force").exit_code == 0
+
+
 def test_diagnosis_of_a_wrong_sign_writes_no_model_unless_forced(here):
     record = lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1, duration=0.6)
     write_csv(record.with_({"voltage": -record.voltage}), here / "r.csv")

@@ -275,6 +275,7 @@ def test_saturation_of_the_plant_is_part_of_the_design() -> None:
         ({"control": "analogue"}, "control must be"),
         ({"derivative_filter": 0.0}, "derivative_filter must lie in"),
         ({"overshoot": -0.1}, "overshoot must not be negative"),
+        ({"overshoot": 5.0}, r"overshoot is a fraction of the step, below 1; got 5.0 \(5 % is 0.05\)"),
         ({"voltage_limit": 0.0}, "voltage_limit must be positive"),
     ],
 )

@@ -518,6 +518,20 @@ def test_a_duty_beyond_one_is_a_question(tmp_path):
     assert np.max(np.abs(record.voltage - U / 6.5 * 50)) < DIGITS * 100
 
 
+def test_a_sign_at_the_end_of_a_name_is_its_unit(tmp_path):
+    content = "t_ms,pos_mm,target_mm,duty_%\n" + rows(T * 1e3, *SIGNALS[:2], U / 6.5 * 50)
+    record = read_log(written(tmp_path, content)).record
+    assert record.command_unit == "%"
+    assert np.max(np.abs(record.voltage - U / 6.5 * 50)) < DIGITS * 100
+
+
+def test_rows_that_count_take_their_time_from_what_is_stated(tmp_path):
+    content = "time,pos_mm,target_mm,u\n" + rows(np.arange(T.size), *SIGNALS)
+    path = written(tmp_path, content)
+    assert read_log(path, units={"time": "ms"}).record.sample_time == pytest.approx(1e-3)
+    assert read_log(path, settings={"sample_time": "2 ms"}).record.sample_time == pytest.approx(2e-3)
+
+
 def test_in_at_a_name_s_end_is_inches_or_an_input(tmp_path):
     content = "t_ms,pos_in,target_in,u_V\n" + rows(T * 1e3, Y / 0.0254, R / 0.0254, U)
     said = "column 'pos_in' may be in inches, or an input; say --unit position=in or --unit position=m"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 from test_cli import result
 
@@ -46,6 +48,13 @@ def test_gain_follows_a_step_that_is_given_and_the_step_a_gain(model):
     body = result("next", "next", model, "--reference", "0.005")
     assert "steps of 0.005 m around kp = 2000 V/m, which ask for 10 V" in note(body)
     assert "steps of 0.01 m around kp = 1000 V/m" in note(result("next", "next", model, "--kp", "1000"))
+
+
+def test_model_that_states_no_schema_is_one_for_its_gain(model, tmp_path):
+    data = json.loads(model.read_text(encoding="utf-8"))
+    path = tmp_path / "bare.json"
+    path.write_text(json.dumps({name: data[name] for name in ("gain", "damping", "effects")}), encoding="utf-8")
+    assert result("next", "next", path)["next_experiment"] == result("next", "next", model)["next_experiment"]
 
 
 def test_nothing_is_assumed_where_both_are_given(model):

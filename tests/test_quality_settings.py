@@ -514,3 +514,10 @@ def test_a_stated_integral_of_nothing_is_read_from_a_file_and_written_to_one(law
         record.with_({"controller": replace(loop, integral_before=value)}).to_csv(tmp_path / "run.csv")
         assert ("integral_before" in (tmp_path / "run.csv").read_text()) == (value is not None)
         assert read_record(tmp_path / "run.csv").controller.integral_before == value
+
+
+def test_integral_against_the_proportional_gain_is_named():
+    record = lab.step_record(RUBBING, 60, 4, seed=2, noise=1e-5).with_({"voltage": None})
+    wrong, right = (record.with_({"controller": Controller(kp=60.0, kd=4.0, ki=ki)}) for ki in (-3.0, 3.0))
+    assert "ki = -3 beside kp = 60 drives the axis away" in told(wrong)["impossible_controller"]
+    assert "impossible_controller" not in told(right)

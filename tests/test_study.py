@@ -430,7 +430,7 @@ def test_red_light_says_what_was_taken_from_a_record(cart):
 
 def test_kp_that_no_record_states_must_be_given(cart):
     blind = cart.records[0].with_({"reference": None, "controller": None})
-    with pytest.raises(InputError, match="the records state no kp"):
+    with pytest.raises(InputError, match=f"{blind.name}: the records state no kp; .*--record-kp"):
         completed_spec([blind], {"settling_time": 0.5})
     assert completed_spec([blind], {"settling_time": 0.5, "kp": 10.0}).kp == 10.0
     assert suggested_spec([blind], cart.model.plant) is None

@@ -119,16 +119,20 @@ def quality_findings(records: Sequence[Record]) -> tuple[Finding, ...]:
 
 
 def refusal(findings: Sequence[Finding], *, force: bool) -> tuple[Finding, ...]:
-    """Return why no model is written: nothing with `force`, or where no sign and no unit of the records is wrong."""
+    """Return why no model is written: nothing with `force`, or where no error makes every parameter wrong."""
     from servolens.findings import Finding
-    from servolens.quality import fatal
+    from servolens.quality import against_model
 
-    names = list(dict.fromkeys(finding.record for finding in fatal(findings) if finding.record))
+    against = [finding for finding in against_model(findings) if finding.record]
+    names = list(dict.fromkeys(finding.record for finding in against if finding.record))
     if force or not names:
         return ()
+    whose = f"{', '.join(names[:3])}{' and others' if len(names) > 3 else ''}"
+    is_wrapped = all(finding.code == "position_wraps" for finding in against)
+    wrong = f"the position of {whose} jumps at each turn" if is_wrapped else f"a sign or a unit in {whose} is wrong"
     message = (
-        f"no model is written: a sign or a unit in {', '.join(names[:3])}{' and others' if len(names) > 3 else ''} is"
-        " wrong, and with it every parameter; correct the records, or give --force if they are right."
+        f"no model is written: {wrong}, and with it every parameter is wrong; correct the records, or give --force if"
+        " they are right."
     )
     return (Finding(code="model_refused", severity="error", message=message),)
 

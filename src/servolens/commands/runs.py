@@ -134,9 +134,9 @@ def identify(
 
 def _with_fatal(model: Model, quality: Sequence[Finding]) -> Model:
     """Let a model that is written by force remember what speaks against it."""
-    from servolens.quality import fatal
+    from servolens.quality import against_model
 
-    against = tuple(f"{finding.record}: {finding.message}" for finding in fatal(quality))
+    against = tuple(f"{finding.record}: {finding.message}" for finding in against_model(quality))
     return replace(model, evidence=model.evidence and replace(model.evidence, fatal=against))
 
 

@@ -35,7 +35,7 @@ class PDSpec:
     reference : float
         Size of the step [m or rad], not zero.
     overshoot : float, optional
-        Largest overshoot as a fraction of the step, not negative.
+        Largest overshoot as a fraction of the step, at least 0 and below 1.
     voltage_limit : float, optional
         Largest voltage that the controller may ask for [V], positive.
     kd_max : float, optional
@@ -107,8 +107,8 @@ class PDSpec:
         _check("band", self.band, 0.0, 1.0)
         if not (np.isfinite(self.reference) and self.reference != 0):
             raise InputError(f"reference must be finite and not 0, got {self.reference!r}")
-        if self.overshoot is not None and not (np.isfinite(self.overshoot) and self.overshoot >= 0):
-            raise InputError(f"overshoot must not be negative, got {self.overshoot!r}")
+        if self.overshoot is not None:
+            _check_overshoot(self.overshoot)
         for name in ("voltage_limit", "kd_max", *LINEAR_LIMITS):
             if getattr(self, name) is not None:
                 _check(name, getattr(self, name), 1.0 if name == "peak_sensitivity" else 0.0, np.inf)
@@ -266,6 +266,15 @@ def _check_numbers(spec: PDSpec) -> None:
         is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
         if not (is_number or (value is None and field.default is None)):
             raise InputError(f"{field.name} must be a number, got {value!r}")
+
+
+def _check_overshoot(overshoot: float) -> None:
+    if not (np.isfinite(overshoot) and overshoot >= 0):
+        raise InputError(f"overshoot must not be negative, got {overshoot!r}")
+    if overshoot >= 1:
+        raise InputError(
+            f"overshoot is a fraction of the step, below 1; got {overshoot!r} ({overshoot:g} % is {overshoot / 100:g})"
+        )
 
 
 def _check(name: str, value: float, low: float, high: float) -> None:

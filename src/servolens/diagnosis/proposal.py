@@ -97,7 +97,8 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _schema(path: Path) -> str:
-    schema = _read(path).get("schema")
+    data = _read(path)
+    schema = data.get("schema", MODEL if "gain" in data else None)  # what a model need not state, a design takes too
     if schema not in (DIAGNOSIS, MODEL):
         raise InputError(f"is neither diagnosis nor model (schema {str(schema)[:40]!r})")
     return str(schema)

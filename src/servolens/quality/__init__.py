@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from servolens.inputs import Records, RecordSettings
     from servolens.record import Record
 
-__all__ = ["RecordQuality", "assess", "fatal", "of_the_loop"]
+__all__ = ["RecordQuality", "against_model", "assess", "fatal", "of_the_loop"]
 
 FATAL = ("wrong_sign", "columns_exchanged", "unsigned_voltage", "units_contradict")
 """Errors with which a model can be computed, but is worthless: a model of them is written by force alone."""
@@ -159,6 +159,20 @@ def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     ['wrong_sign']
     """
     return tuple(finding for finding in findings if finding.severity == "error" and finding.code in FATAL)
+
+
+def against_model(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings that make a model worthless which can be fitted all the same.
+
+    Beside the :func:`fatal` ones a position that begins again after each turn, of which nothing is diagnosed.
+
+    Examples
+    --------
+    >>> from servolens import lab
+    >>> against_model(assess(lab.step_record(lab.NLM1, 60, noise=1e-5, seed=1)).findings)
+    ()
+    """
+    return tuple(finding for finding in findings if finding.code == "position_wraps" or fatal([finding]))
 
 
 def of_the_loop(findings: Iterable[Finding]) -> tuple[Finding, ...]:

@@ -145,6 +145,10 @@ def loop_findings(record: Record, fit: LoopFit | None) -> Iterator[Finding]:
         except InputError as error:
             message = f"the controller cannot have run like this: {str(error).removeprefix(f'{record.name}: ')}."
             yield Finding(code="impossible_controller", severity="error", message=message)
+    law = record.controller
+    if law is not None and law.ki * law.kp < 0:
+        message = f"ki = {law.ki:g} beside kp = {law.kp:g} drives the axis away from its reference; correct its sign."
+        yield Finding(code="impossible_controller", severity="warning", message=message)
     if record.reference is None:
         message = "no reference is logged; the loop cannot be simulated, only the axis driven by its voltage."
         yield Finding(code="no_reference", severity="note", message=message)

@@ -205,7 +205,9 @@ def _known(text: str) -> str | None:
 def _tokens(name: str) -> tuple[str, ...]:
     """Split a name at signs, at capitals, and compounds at the words that are known."""
     found: list[str] = []
-    for part in _ACRONYM.findall(name.replace("Δ", "delta ").replace("θ", "theta ").replace("φ", "phi ")):
+    for part in _ACRONYM.findall(
+        name.replace("Δ", "delta ").replace("%", " percent ").replace("θ", "theta ").replace("φ", "phi ")
+    ):
         whole = part.lower().translate(_UMLAUTS)
         if whole in _CLASS or whole in LETTERS or whole in UNITS:
             found.append(whole)

@@ -64,7 +64,11 @@ def completed_spec(records: Sequence[Record], given: Mapping[str, Any]) -> PDSpe
     """
     record = _shown(records, given)
     if record is None and "kp" not in given:
-        raise InputError("the records state no kp; give the proportional gain to design for")
+        names = ", ".join(record.name for record in records[:3]) + (" and others" if len(records) > 3 else "")
+        raise InputError(
+            f"{names}: the records state no kp; give the one to design for (on the command line --kp), or that of the"
+            " loop that made them (--record-kp)"
+        )
     known = {} if record is None else _loop_of(record)
     plain: dict[str, Any] = {name: value for name, value in known.items() if name in SAMPLING}
     if "controller" in given and given["controller"] != known.get("controller", "pd"):
