@@ -334,3 +334,15 @@ def test_a_lag_begins_with_the_step_of_an_ideal_loop(back):
     outside = np.flatnonzero(np.abs(run.position - end) > spec.band * 0.1)
     settled = time[outside[-1] + 1] - 0.2
     assert evaluate(plant, spec, 1.5, back=back).settling_time == pytest.approx(settled, abs=0.002)
+
+
+@pytest.mark.parametrize("asked", [0.003, 0.01, 0.1])
+def test_shortest_settling_time_is_offered_before_a_band_as_wide_as_the_step(asked: float) -> None:
+    """A band of 0.99 of the step was offered: the steps were not watched until they had settled."""
+    plant, spec = Plant(gain=2.0, damping=6.0), PDSpec(kp=60.0, settling_time=asked)
+    found = tune(plant, spec)
+    assert not found.feasible
+    ((wish, offered),) = found.nearest[0].changes
+    assert wish == "settling_time"
+    assert tune(plant, replace(spec, settling_time=offered)).feasible
+    assert not tune(plant, replace(spec, settling_time=0.95 * offered)).feasible

@@ -471,6 +471,12 @@ def test_error_of_a_small_move_is_held_against_the_step_asked_for(least, rms, li
     assert ("1.1 % of the step asked for, more than the band" in of_gain.sentence) == (light == "amber")
 
 
+def test_model_that_misses_nothing_does_not_miss_0_percent(least):
+    exact = {**{name: getattr(leaving(0.0), name) for name in Remainder.__slots__}, "rms": 0.0, "of_travel": 0.0}
+    of_model, _ = lights(least, Evidence(range=SHOWN, verdict="healthy", remainder=Remainder(**exact)))
+    assert of_model.sentence == "Healthy: the simulation misses nothing beyond the noise."
+
+
 AGAINST = {
     "fatal finding": {"fatal": ("kp60: its voltage has the wrong sign.",)},
     "held-out error": {"heldout_of_step": 0.06},

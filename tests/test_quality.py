@@ -414,9 +414,16 @@ def test_single_samples_that_stick_out_are_the_sensors(height, encoder):
     assert finding.code == "position_spikes"
     assert " at 0.04 s for one sample and is back (3 such samples)" in finding.message
     assert float(re.search(r"leaps by ([\d.]+) m", finding.message)[1]) == pytest.approx(abs(height), rel=0.1)
+    assert "identify and predict take them as they are" in finding.message
     assert np.abs(without_spikes(spiked).position - record.position).max() < 1e-4
     wrong = spiked.with_({"controller": replace(record.controller, kp=70.0)})
     assert {"position_spikes", "gains_contradict_log"} <= set(codes(wrong))
+
+
+def test_lost_sample_is_told_without_the_digits_that_a_stamp_cannot_hold():
+    record = cut(simulated(encoder=0.0, noise=1e-6), np.delete(np.arange(1500), [700]))
+    stamped = record.with_({"time": record.time + 1.3e-7 * (np.arange(len(record)) % 3)})
+    assert "the first before 0.701 s;" in only(stamped).message
 
 
 def positions(time, position):

@@ -93,7 +93,7 @@ def _model_light(model: Model) -> Light:
         return Light(
             light="amber", sentence="Nobody looked for what this model misses; run `servolens diagnose` on its records."
         )
-    share = f"{100 * left.of_travel:.2g} % of the travel"
+    share = f"{100 * left.of_travel:.2g} % of the travel" if left.of_travel > 0.0 else "nothing"
     if left.material:
         return Light(
             light="amber",

@@ -10,6 +10,7 @@ import numpy as np
 
 from servolens.design.found import Relaxed
 from servolens.design.settle import FEASIBLE, horizon, settling_time, step_response
+from servolens.design.spec import MOST_SAMPLES
 from servolens.errors import InputError, NumericalError
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def explain(
         return f"{searched} stabilises the loop with kp = {spec.kp:g}{with_ki}; choose a smaller {cause}", (cause,), ()
     integral_keeps = any(_holds(spec, step, _stated(spec)) for step in without)
     conflict = ("ki",) if integral_keeps else _conflict(spec, steps)
-    nearest = _nearest(models, spec, steps, gains)
+    nearest = _nearest(models, spec, steps, gains, conflict)
     text = (
         f"the integral keeps the loop from it: without ki = {spec.ki:g} a gain meets it; choose a smaller ki"
         if integral_keeps
@@ -121,7 +122,7 @@ def _step(models: Iterable[Plant], spec: PDSpec, kd: float) -> _Step | None:
     found = []
     for model in models:
         try:
-            run = step_response(model, spec, kd, horizon(model, spec))
+            run = step_response(model, spec, kd, _watched(model, spec))
         except NumericalError:
             return None
         error = (spec.reference - run.position) / abs(spec.reference)
@@ -137,6 +138,12 @@ def _step(models: Iterable[Plant], spec: PDSpec, kd: float) -> _Step | None:
         )
     worst = [max(values) for values in zip(*found, strict=True)]
     return _Step(kd=kd, settling_time=worst[0], band=worst[1], overshoot=worst[2], voltage_limit=worst[3])
+
+
+def _watched(model: Plant, spec: PDSpec) -> float:
+    """Return how long a step is watched [s]: as long as the loop may take, however soon it is asked to have settled."""
+    periods = spec.settling_time + 6.0 * np.pi / max(spec.rate(model.gain), 1e-6)
+    return max(horizon(model, spec), min(periods, MOST_SAMPLES * spec.sample_time))
 
 
 def _stated(spec: PDSpec) -> list[str]:
@@ -179,15 +186,21 @@ def _closest(spec: PDSpec, steps: Sequence[_Step]) -> _Step:
 
 
 def _nearest(
-    models: tuple[Plant, ...], spec: PDSpec, steps: Sequence[_Step], gains: Sequence[float]
+    models: tuple[Plant, ...], spec: PDSpec, steps: Sequence[_Step], gains: Sequence[float], conflict: Sequence[str]
 ) -> tuple[Relaxed, ...]:
-    """Return specs that can be met with as few fields changed as possible, the smallest change first."""
+    """Return specs that can be met with as few fields changed as possible, those of wishes that conflict first.
+
+    Of these the smallest change is the first.
+    """
     wishes = [*_stated(spec), "band"]
     for size in range(1, len(wishes) + 1):
         options = [_relaxed(models, spec, chosen, steps, gains) for chosen in combinations(wishes, size)]
         found = [option for option in options if option is not None]
         if found:
-            return tuple(sorted(found, key=lambda option: max(_ratio(spec, *change) for change in option.changes)))
+            changed = [{wish for wish, _ in option.changes} for option in found]
+            sizes = [max(_ratio(spec, *change) for change in option.changes) for option in found]
+            ranks = [(not wish <= {*conflict}, size) for wish, size in zip(changed, sizes, strict=True)]
+            return tuple(found[i] for i in sorted(range(len(found)), key=ranks.__getitem__))
     return ()
 
 

@@ -112,6 +112,11 @@ def sampling_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     yield from _encoder(record, seen)
 
 
+def _told(time: float, sample_time: float) -> str:
+    """Return a time to a hundredth of the cycle: more digits are those of the numbers that hold the stamps."""
+    return f"{round(time, 2 - math.floor(math.log10(sample_time))):g}"
+
+
 def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     """Yield gaps, and jitter where it displaces the moving axis by more than the sensor's own error."""
     if record.stamp_error is not None:
@@ -130,16 +135,17 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
         yield Finding(code="rounded_stamps", severity="warning", message=message)
         return
     if seen.gaps:
-        where = record.time[seen.first_gap]
+        where = _told(record.time[seen.first_gap], seen.sample_time)
         places = "one place" if seen.gaps == 1 else f"{seen.gaps} places"
         lost = "1 sample is" if seen.lost == 1 else f"{seen.lost} samples are"
-        message = f"{lost} lost in {places}, the first before {where:g} s; log without gaps, or cut there."
+        message = f"{lost} lost in {places}, the first before {where} s; log without gaps, or cut there."
         edges = record.jumps()
         unsure = edges[clock_of(record.time).lost[edges - 1]]
         if unsure.size:
             message = (
-                f"{message[:-1]}. The reference changes in the gap before {record.time[unsure[0]]:g} s, and when is not"
-                " known: leave out the step that begins there."
+                f"{message[:-1]}. The reference changes in the gap before"
+                f" {_told(record.time[unsure[0]], seen.sample_time)} s, and when is not known: leave out the step that"
+                " begins there."
             )
         yield Finding(code="gaps", severity="warning", message=message)
     short, long = seen.cycles

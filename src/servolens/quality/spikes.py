@@ -41,8 +41,9 @@ def spike_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
     several = f" ({places.size} such samples)" if places.size > 1 else ""
     message = (
         f"the position leaps by {abs(heights[worst]):.3g} {record.length_unit} at {record.time[places[worst]]:g} s for"
-        f" one sample and is back{several}: the sensor is disturbed; put what lies between its neighbours in its place,"
-        " as a diagnosis does."
+        f" one sample and is back{several}: the sensor is disturbed. A diagnosis interpolates such samples between"
+        " their neighbours; identify and predict take them as they are, and count them as errors. Interpolate them in"
+        " the log."
     )
     yield Finding(code="position_spikes", severity="warning", message=message)
 

@@ -358,7 +358,7 @@ def _left(diagnosis: Diagnosis) -> list[str]:
     rest, unit_ = diagnosis.remainder, diagnosis.plant.length_unit
     if not math.isfinite(rest.rms):
         return ["How much the model misses is unknown: a record cannot be simulated with it."]
-    if rest.rms == 0 and rest.depends_on_inputs and diagnosis.verdict == "partly_explained":
+    if rest.rms == 0 and rest.depends_on_inputs and diagnosis.verdict in ("partly_explained", "unexplained"):
         return [
             "What is left depends on the inputs, but is smaller than the noise: only many samples together show it."
         ]
