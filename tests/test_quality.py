@@ -420,6 +420,17 @@ def test_single_samples_that_stick_out_are_the_sensors(height, encoder):
     assert {"position_spikes", "gains_contradict_log"} <= set(codes(wrong))
 
 
+@pytest.mark.parametrize("apart", [1, 2, 3])
+@pytest.mark.parametrize("stated", [{}, {"kp": 70.0}, {"kd": 5.0}], ids=["right", "kp", "kd"])
+def test_samples_that_stick_out_together_are_no_fault_of_the_law(apart, stated):
+    """The voltage was said to be logged 13 samples early, and kd to be -0.2."""
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, seed=4)
+    position = record.position.copy()
+    position[[250, 700, 700 + apart, 1200, 1200 + apart]] += [0.005, 0.008, -0.011, 0.01, 0.009]
+    spiked = record.with_({"position": position, "controller": replace(record.controller, **stated)})
+    assert codes(spiked) == ["position_spikes", *(["gains_contradict_log"] if stated else [])]
+
+
 def test_lost_sample_is_told_without_the_digits_that_a_stamp_cannot_hold():
     record = cut(simulated(encoder=0.0, noise=1e-6), np.delete(np.arange(1500), [700]))
     stamped = record.with_({"time": record.time + 1.3e-7 * (np.arange(len(record)) % 3)})

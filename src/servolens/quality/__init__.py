@@ -16,7 +16,7 @@ from servolens.quality.loop import LoopFit, fit_loop, loop_findings
 from servolens.quality.motion import motion_findings
 from servolens.quality.sampling import Sampling, measure, sampling_findings
 from servolens.quality.senses import exchanged_columns, sense_findings
-from servolens.quality.spikes import spike_findings, without_spikes
+from servolens.quality.spikes import spike_findings, spoilt, without_spikes
 from servolens.results import with_reasons
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def _loop(record: Record, sampling: Sampling) -> tuple[LoopFit | None, tuple[Fin
     found = tuple(loop_findings(record, fit))
     mended = without_spikes(record) if found else record
     if mended is not record:
-        fit = fit_loop(mended, measure(mended))
+        fit = fit_loop(mended, measure(mended), spoilt(mended))
         found = tuple(loop_findings(mended, fit))
     return fit, found
 

@@ -86,12 +86,13 @@ class LoopFit:
     holds: bool
 
 
-def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
+def fit_loop(record: Record, seen: Sampling, spoilt: NDArray[np.bool_] | None = None) -> LoopFit | None:
     """Fit kp and kd to the logged voltage by least squares; None without voltage or reference.
 
     None, too, of a log slower than its loop: the noise of the ticks between its samples is in the voltage alone.
     Left out are samples at a limit, the 20 ms after each edge of the reference, the first samples (the loop's past is
-    not in the log), and, in three rounds, what is off by more than four standard deviations.
+    not in the log), those that the sensor has `spoilt`, and, in three rounds, what is off by more than four standard
+    deviations.
     """
     if record.voltage is None or record.reference is None or not record.voltage.any() or len(record) < 4:
         return None
@@ -100,10 +101,12 @@ def fit_loop(record: Record, seen: Sampling) -> LoopFit | None:
             return None
         aligned = _aligned(record)
         limits, free = _limited(aligned)
+        free = free if spoilt is None else free & ~(spoilt & _quiet(aligned))
         other = find_alternative(aligned, free) or find_alternative(aligned, free & _quiet(aligned))
         if other is not None:
             aligned = _aligned(other.applied(aligned))
             limits, free = _limited(aligned)
+        free = free if spoilt is None else free & ~spoilt
         judged = free & _quiet(aligned)
         judged = judged if np.count_nonzero(judged) >= 10 else free
         fit = LawFit.of(aligned, judged)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servolens.clock import CHANGED
+from servolens.control_law import controller_voltage
+from servolens.errors import InputError
 from servolens.findings import Finding
 from servolens.quality.sampling import SPAN, STEPS, measure
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["spike_findings", "spikes", "without_spikes"]
+__all__ = ["spike_findings", "spikes", "spoilt", "without_spikes"]
 
 LEAST = 1e-4
 """Share of the travel by which a sample must lie off the cubic beside it, however little noise there is."""
@@ -28,6 +30,8 @@ BENDS = 4.0
 It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike, nor a
 plain slip.
 """
+SPREADS, EXACT = 4.0, 1e-9
+"""Robust standard deviations by which a law misses more than usual, and share of the voltage that is none."""
 FURTHER = (-4, -3, 3, 4)
 """Samples that stick out much less: a spike does nothing to them, a vibration is there as well."""
 
@@ -77,6 +81,27 @@ def without_spikes(record: Record, seen: Sampling | None = None) -> Record:
     position = record.position.copy()
     position[places] -= heights
     return record.with_({"position": position})
+
+
+def spoilt(record: Record) -> NDArray[np.bool_]:
+    """Mark the few samples in a row at which the stated law misses the voltage, as the sensor of a log lets it do.
+
+    Samples that stick out next to each other cannot be told from a motion; but the law misses the voltage there alone.
+    Of a law that is stated wrongly it misses whole motions.
+    """
+    found = np.zeros(len(record), dtype=bool)
+    if record.voltage is None or not record.has_loop:
+        return found
+    try:
+        missed = np.abs(record.voltage - controller_voltage(record))
+    except InputError:  # of a law that is impossible, which is told by itself
+        return found
+    usual = max(SPREADS * 1.4826 * float(np.median(missed)), EXACT * float(np.max(np.abs(record.voltage))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], missed > usual, [0]))))
+    longest = max(FURTHER) + (record.controller.derivative_window if record.controller else 1)
+    for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        found[first:stop] = stop - first <= longest
+    return found
 
 
 def _evenly_logged(time: NDArray[np.float64]) -> NDArray[np.bool_]:
