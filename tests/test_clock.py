@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from servolens.clock import clock_of
+from servolens.clock import clock_of, cycle_of, rounded_ticks
 from servolens.ticks import Ticks
 
 SAMPLES = 3000
@@ -99,3 +99,25 @@ def test_few_samples_have_a_clock(samples):
     found = clock_of(np.arange(samples) * 1e-3)
     assert found.cycles.tolist() == pytest.approx([1e-3] * (samples - 1))
     assert not found.lost.any()
+
+
+@pytest.mark.parametrize("cycle", [2.5, 2.4, 3.3, 2.2, 4.7])
+@pytest.mark.parametrize("share", [0.0, 0.003, 0.05])
+@pytest.mark.parametrize("rounded", [np.round, np.floor], ids=["rounded", "cut"])
+def test_losses_and_cycle_of_rounded_stamps_are_found_together(cycle, share, rounded):
+    """Of 2.5 ms in stamps of whole milliseconds the cycle was 3 ms, and lost samples were not found."""
+    kept = np.random.default_rng(3).uniform(size=1500) >= share
+    kept[:3] = True
+    place = np.flatnonzero(kept)
+    time = 1e-3 * rounded(place * cycle)
+    clock = clock_of(time)
+    assert clock.passed.tolist() == np.diff(place).tolist()
+    assert clock.lost.tolist() == (np.diff(place) > 1).tolist()
+    assert cycle_of(time) == pytest.approx(1e-3 * cycle, rel=1e-4)
+
+
+def test_stamps_of_whole_cycles_and_late_ones_are_not_rounded():
+    whole = np.delete(np.arange(400), [30, 31, 200]) * 2e-3
+    late = 5e-3 * np.arange(400) + 1e-3 * (np.random.default_rng(2).uniform(size=400) < 0.1)
+    even = 2.5e-3 * np.arange(400)
+    assert [rounded_ticks(time) for time in (whole, late, even)] == [None, None, None]

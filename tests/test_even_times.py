@@ -144,3 +144,33 @@ def test_late_stamps_name_no_cause():
     for name, true in truth.items():
         quantity = found.model.quantities[name]
         assert abs(quantity.value - true) < 4.0 * quantity.stderr < 1e-2 * true
+
+
+@pytest.mark.parametrize("lost", [[], [40, 41, 200, 333]], ids=["all there", "some lost"])
+def test_whole_milliseconds_of_a_loop_of_two_and_a_half_are_taken_evenly(lost):
+    """With lost samples the cycle was 3 ms, and the gains that the log states seemed wrong."""
+    taken = logged(sample_time=2.5e-3)
+    signals = {name: np.delete(getattr(taken, name), lost) for name in ("position", "reference", "voltage")}
+    record = taken.with_({**signals, "time": np.delete(np.round(taken.time, 3), lost)})
+    found = with_even_times(record)
+    assert found.sample_time == pytest.approx(2.5e-3, rel=1e-6)
+    assert off_even(found) < 1e-6
+    assert {finding.code for finding in check(record)} == {"uneven_stamps", *(["gaps"] if lost else [])}
+
+
+@pytest.mark.parametrize(
+    ("lost", "cure"),
+    [([], 'state that by --setting "sample_time=2.5 ms".'), ([40, 41, 200], "write the stamps with more digits.")],
+    ids=["all there", "some lost"],
+)
+def test_rounded_stamps_are_told_where_noise_hides_the_motion(lost, cure):
+    taken = logged(sample_time=2.5e-3, noise=5e-3)
+    signals = {name: np.delete(getattr(taken, name), lost) for name in ("position", "reference", "voltage")}
+    record = taken.with_({**signals, "time": np.delete(np.round(taken.time, 3), lost), "controller": None})
+    found = {finding.code: finding.message for finding in check(record.with_({"reference": None}))}
+    assert found["rounded_stamps"] == (
+        "the time stamps come in steps of 1 ms, as if rounded; if samples were taken regularly, they are 2.5 ms apart: "
+        + cure
+    )
+    assert ("gaps" in found) == bool(lost)
+    assert "jitter" not in found

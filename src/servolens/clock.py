@@ -11,12 +11,24 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["CHANGED", "JITTERS", "MEDIAN", "Clock", "clock_of", "cycle_of", "cycles_passed", "fitted_cycle"]
+__all__ = [
+    "CHANGED",
+    "JITTERS",
+    "MEDIAN",
+    "Clock",
+    "clock_of",
+    "cycle_of",
+    "cycles_passed",
+    "fitted_cycle",
+    "rounded_ticks",
+]
 
 CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
 JITTERS = 0.01
 """Share of the cycle by which more than half of the intervals differ from those beside them where a clock jitters."""
+WHOLE = 1e-3
+"""Share of a resolution by which a multiple of it is off in floating-point numbers of seconds, as epochs are."""
 MEDIAN, SMOOTH = 7, 31
 """Intervals of a running median: three lost samples in a row do not move the short one, and jitter hardly the long."""
 HAMPEL = 3.0
@@ -55,7 +67,8 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
     sample that is stamped late makes a long interval as well, but the next is short. There all stamps after the
     interval have to be later by more than half a cycle. Besides, a clock that jitters makes intervals too short as far
     as too long: the interval must be too long by more than the shortest of all is too short; or its stamps must be
-    shifted by more than any others are shifted back, and no interval nearby be longer.
+    shifted by more than any others are shifted back, and no interval nearby be longer. Stamps that are rounded to
+    more than the digits of a cycle are told by :func:`rounded_ticks`.
 
     Examples
     --------
@@ -68,6 +81,10 @@ def clock_of(time: NDArray[np.float64]) -> Clock:
     usual = float(np.median(intervals))
     if np.all(np.abs(intervals - usual) <= CHANGED * usual):
         return Clock(np.full(intervals.size, usual), np.zeros(intervals.size, dtype=bool), np.ones(intervals.size))
+    rounded = rounded_ticks(time)
+    if rounded is not None:
+        cycle, passed = rounded
+        return Clock(np.full(intervals.size, cycle), passed > 1.0, passed)
     local, jitters = _beside(intervals, usual)
     if jitters:
         return _jittering(time.tobytes())
@@ -86,6 +103,9 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     >>> cycle_of(np.array([0.0, 1.0, 2.0, 4.0, 5.0])), cycle_of(np.array([0.0, 1.2, 1.9, 3.1, 3.9, 5.0]))
     (1.0, 1.0)
     """
+    rounded = rounded_ticks(time)
+    if rounded is not None:
+        return rounded[0]
     intervals = np.diff(time)
     usual = float(np.median(intervals))
     if float(np.median(np.abs(intervals - usual))) <= JITTERS * usual or not _beside(intervals, usual)[1]:
@@ -96,6 +116,61 @@ def cycle_of(time: NDArray[np.float64]) -> float:
     if float(off[1:] @ off[:-1]) > WANDERS * float(off @ off):
         return mean
     return fitted_cycle(time, np.concatenate([[0.0], np.cumsum(passed)]))[0]
+
+
+def rounded_ticks(time: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]] | None:
+    """Return cycle [s] and cycles passed in each interval of stamps that are rounded; None where they are not.
+
+    All stamps are multiples of a resolution of at most half the cycle, which is no multiple of it, and off a line over
+    whole numbers by no more than that rounding. So intervals have two lengths, neither of them the cycle, and which
+    are longer by a lost sample is told together with the cycle.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        Rising [s].
+
+    Examples
+    --------
+    >>> cycle, passed = rounded_ticks(np.array([0.0, 3.0, 5.0, 8.0, 10.0, 13.0, 18.0, 20.0, 23.0, 25.0]))
+    >>> round(cycle, 2), passed.tolist()
+    (2.5, [1.0, 1.0, 1.0, 1.0, 1.0, 2.0, 1.0, 1.0, 1.0])
+    """
+    time = np.ascontiguousarray(time, dtype=np.float64)
+    return _rounded_ticks(time.tobytes()) if time.size > 2 else None
+
+
+@lru_cache(maxsize=16)  # one log is asked about its clock again and again
+def _rounded_ticks(stamps: bytes) -> tuple[float, NDArray[np.float64]] | None:
+    time = np.frombuffer(stamps)
+    intervals = np.diff(time)
+    step = _resolution(intervals)
+    least = float(intervals.min())
+    if step is None or least < 2.0 * step - WHOLE * step:
+        return None
+    # a single cycle takes at most a step longer than the shortest; the mean of these is off by far less than a step
+    passed = np.maximum(np.rint(intervals / np.mean(intervals[intervals < least + 1.5 * step])), 1.0)
+    place = np.concatenate([[0.0], np.cumsum(passed)])
+    cycle = fitted_cycle(time, place)[0]
+    drift = abs(cycle - step * np.rint(cycle / step)) * place[-1]
+    line_error = 4.0 / float(np.sqrt(time.size))  # four of its deviations at both ends together, in steps
+    if drift <= step or float(np.ptp(time - cycle * place)) > step * (1.0 + line_error):
+        return None
+    passed.setflags(write=False)
+    return cycle, passed
+
+
+def _resolution(intervals: NDArray[np.float64]) -> float | None:
+    """Return the least by which intervals differ if all are whole multiples of that [s], else None."""
+    usual = float(np.median(intervals))
+    ordered = np.sort(intervals)
+    steps = np.diff(ordered)
+    steps = steps[steps > JITTERS * usual]
+    if not steps.size:
+        return None
+    step = float(steps.min())
+    multiples = intervals / step
+    return step if np.all(np.abs(multiples - np.rint(multiples)) < WHOLE) else None
 
 
 def fitted_cycle(time: NDArray[np.float64], place: NDArray[np.float64]) -> tuple[float, float]:

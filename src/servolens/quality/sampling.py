@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.clock import CHANGED, clock_of
+from servolens.clock import CHANGED, clock_of, rounded_ticks
 from servolens.encoder import FEWEST_SAMPLES, SPAN, quantisation_step, share_on_grid, small_moves, white_noise
 from servolens.findings import Finding
 
@@ -128,12 +128,12 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
     rounded = _rounded(record.time)
     if rounded is not None:
         grid, true = rounded
+        state = f'state that by --setting "sample_time={1e3 * true:.4g} ms"'
         message = (
             f"the time stamps come in steps of {1e3 * grid:.3g} ms, as if rounded; if samples were taken regularly,"
-            f' they are {1e3 * true:.4g} ms apart: state that by --setting "sample_time={1e3 * true:.4g} ms".'
+            f" they are {1e3 * true:.4g} ms apart: {'write the stamps with more digits' if seen.gaps else state}."
         )
         yield Finding(code="rounded_stamps", severity="warning", message=message)
-        return
     if seen.gaps:
         where = _told(record.time[seen.first_gap], seen.sample_time)
         places = "one place" if seen.gaps == 1 else f"{seen.gaps} places"
@@ -148,6 +148,8 @@ def _clock(record: Record, seen: Sampling) -> Iterator[Finding]:
                 " begins there."
             )
         yield Finding(code="gaps", severity="warning", message=message)
+    if rounded is not None:
+        return
     short, long = seen.cycles
     if long - short > CHANGED * short:
         message = (
@@ -169,9 +171,12 @@ def _rounded(time: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return to what regular time stamps are rounded, and how far apart they are [s]; None where they are not.
 
     Rounded, their intervals have two lengths, both common, and they are hardly farther from a regular clock than the
-    rounding; lost samples are rare, or lead farther away.
+    rounding; lost samples are rare, or lead farther away, unless all is a whole number of ticks.
     """
-    intervals = np.diff(time)
+    ticks, intervals = rounded_ticks(time), np.diff(time)
+    if ticks is not None:
+        single = intervals[ticks[1] == 1.0]
+        return float(np.ptp(single)), ticks[0]
     low, high = float(intervals.min()), float(intervals.max())
     grid, true = high - low, float(time[-1] - time[0]) / intervals.size
     if grid <= CHANGED * low:
