@@ -429,6 +429,17 @@ def test_samples_that_stick_out_together_are_no_fault_of_the_law(apart, stated):
     position[[250, 700, 700 + apart, 1200, 1200 + apart]] += [0.005, 0.008, -0.011, 0.01, 0.009]
     spiked = record.with_({"position": position, "controller": replace(record.controller, **stated)})
     assert codes(spiked) == ["position_spikes", *(["gains_contradict_log"] if stated else [])]
+    assert np.abs(without_spikes(spiked).position - record.position).max() < 1e-4
+
+
+def test_vibration_and_knocks_are_no_pairs_of_spikes():
+    time = np.arange(2000) * 1e-3
+    noise = 1e-6 * np.random.default_rng(5).standard_normal(time.size)
+    ring = np.where(time > 1.0, 1e-3 * np.exp(-30.0 * (time - 1.0)) * np.sin(2e3 * (time - 1.0)), 0.0)
+    corner = 0.3 * np.abs(time - 0.5)
+    slip = np.where(time > 1.5, 2e-3, 0.0)
+    spiked = ring + corner + slip + noise
+    assert np.array_equal(without_spikes(positions(time, spiked)).position, spiked)
 
 
 def test_lost_sample_is_told_without_the_digits_that_a_stamp_cannot_hold():

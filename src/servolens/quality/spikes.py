@@ -55,14 +55,14 @@ def spike_findings(record: Record, seen: Sampling) -> Iterator[Finding]:
 def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return which single samples of the position stick out, and by how much [m or rad].
 
-    The outer two at either end are not judged, nor spikes within four samples of each other; and where every sixth
-    sample sticks out, none does.
+    The outer two at either end are not judged, nor three spikes within four samples of each other; and where every
+    sixth sample sticks out, none does.
     """
     if len(record) < 5:
         return np.zeros(0, dtype=np.intp), np.zeros(0)
     x = record.position
-    two_before, before, there, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
-    off = there - (4.0 * (before + after) - two_before - two_after) / 6.0  # the cubic through the four neighbours
+    two_before, before, _, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
+    off = _off_cubic(x)
     bend = two_before + two_after - before - after
     beside = np.pad(np.abs(off), 4)
     further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
@@ -70,7 +70,47 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     least = SPAN * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
     usual = np.maximum(np.abs(after - before), BENDS * np.maximum(np.abs(bend), further))
     places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
-    return places + 2, off[places]
+    alone, heights = places + 2, off[places]
+    mended = x.copy()
+    mended[alone] -= heights
+    together = [one for one in _pairs(mended, least, _evenly_logged(record.time)) if one[0] not in alone]
+    if not together:
+        return alone, heights
+    found = np.array([*zip(alone, heights, strict=True), *together])
+    found = found[np.argsort(found[:, 0])]
+    return found[:, 0].astype(np.intp), found[:, 1]
+
+
+def _off_cubic(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far each sample but the outer two is off the cubic through its four neighbours."""
+    two_before, before, there, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
+    return there - (4.0 * (before + after) - two_before - two_after) / 6.0
+
+
+def _pairs(x: NDArray[np.float64], least: float, evenly: NDArray[np.bool_]) -> list[tuple[int, float]]:
+    """Return the samples that stick out within four of each other, which hides both, and by how much.
+
+    Without the two, a cubic has to fit what is left better by far than them, and they to exceed what the axis moves
+    across them.
+    """
+    beside = max(FURTHER)
+    out = {int(k) + 2 for k in np.flatnonzero(np.abs(_off_cubic(x)) > least)}
+    found: list[tuple[int, float]] = []
+    for first in sorted(out):
+        for apart in range(1, beside + 1):
+            low, stop = first - beside, first + apart + beside + 1
+            if first + apart not in out or low < 2 or stop > x.size - 2 or not evenly[low - 2 : stop - 2].all():
+                continue
+            two, time = [beside, beside + apart], (np.arange(low, stop) - first) / beside
+            powers = np.vander(time, 4)
+            others = np.delete(np.arange(time.size), two)
+            fitted = powers @ np.linalg.lstsq(powers[others], x[low:stop][others], rcond=None)[0]
+            off = x[low:stop] - fitted
+            moved = abs(x[first + apart + 1] - x[first - 1])
+            if np.min(np.abs(off[two])) > least + max(BENDS * float(np.max(np.abs(off[others]))), moved):
+                found += [(first, float(off[two[0]])), (first + apart, float(off[two[1]]))]
+    places = [place for place, _ in found]
+    return [one for one in found if places.count(one[0]) == 1]  # two pairs that share a sample are no pairs
 
 
 def without_spikes(record: Record, seen: Sampling | None = None) -> Record:
