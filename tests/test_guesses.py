@@ -75,8 +75,8 @@ def test_names_mean_what_people_mean(name, roles, unit):
     ("factor", "unit"), [(1.0, "s"), (1e3, "ms"), (1e6, "us"), (1e9, "ns")], ids=["s", "ms", "us", "ns"]
 )
 def test_a_time_without_unit_is_read_in_the_one_that_is_plausible(tmp_path, factor, unit):
-    log = read_log(table(tmp_path / "a.csv", time=2 * T * factor, position=Y, reference=R, voltage=U))
-    assert log.record.time == pytest.approx(2 * T, rel=1e-9)
+    log = read_log(table(tmp_path / "a.csv", time=T * factor, position=Y, reference=R, voltage=U))
+    assert log.record.time == pytest.approx(T, rel=1e-9)
     assert {guess.quantity: guess.value for guess in log.guesses}["time"] == unit
 
 

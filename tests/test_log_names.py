@@ -269,11 +269,6 @@ ASKED = {
         "t,pos,ref,u\n" + rows(T * 250, Y, R, U),
         "column 't' has steps of 0.25, which are plausible in ms and in s; say --unit time=ms or --unit time=s",
     ),
-    "milliseconds, or the numbers of the samples": (
-        "time,pos,ref,u\n" + rows(np.arange(T.size), Y, R, U),
-        "column 'time' goes up by 1 from row to row: it may be the time in ms, or count the samples; say --unit"
-        " time=ms, or the time from one to the next: --setting 'sample_time=2 ms'",
-    ),
     "minutes": ("t,pos,ref,u\n" + rows(T / 60, Y, R, U), "are plausible in min and in h and in s; say --unit time=min"),
     "hours": ("Zeit,pos,ref,u\n" + rows(T / 3600, Y, R, U), "are plausible in h and in day and in s"),
     "a few counts": (

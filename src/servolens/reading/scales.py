@@ -55,7 +55,7 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
     Raises
     ------
     InputError
-        If two units are plausible, or the column may count the samples instead.
+        If two units are plausible.
     """
     values = choice.column.values
     if values.size < FEWEST_SAMPLES or not np.isfinite(values).all():
@@ -79,11 +79,6 @@ def time_unit(choice: Choice) -> tuple[str | None, str]:
         )
     if not fits:
         return None, "seconds are assumed"
-    if np.allclose(np.diff(values), 1.0):
-        raise InputError(
-            f"column {quote(choice.address)} goes up by 1 from row to row: it may be the time in {fits[0]}, or count"
-            f" the samples; say --unit time={fits[0]}, or the time from one to the next: --setting 'sample_time=2 ms'"
-        )
     rate = 1 / (interval * TIMES[fits[0]])
     return fits[0], f"steps of {interval:g}: {rate:g} Hz in {fits[0]}, {1 / interval:.2g} Hz in s"
 
