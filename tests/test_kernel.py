@@ -411,16 +411,16 @@ def test_contacts_ask_for_few_substeps_for_a_step_is_halved_where_one_closes(con
         simulate_loop(plant, Controller(kp=80.0, kd=4.0), time, reference, substeps=steps).position
         for steps in (None, 512)
     )
-    assert substeps_for(plant, H) == 2
+    assert substeps_for(plant, H) == 4
     assert np.abs(run - exact).max() < 2e-8
 
 
 def test_contacts_ask_for_as_many_substeps_wherever_they_are_and_hide_no_other_effect() -> None:
     spring, play = HardeningSpring(cubic_stiffness=1e6), Backlash(gap=1e-3, load_share=0.3)
-    assert substeps_for(plant_with(EndStop(low=1e-4, high=0.2)), H) == 2
+    assert substeps_for(plant_with(EndStop(low=1e-4, high=0.2)), H) == 4
     assert substeps_for(plant_with(play), 10.0 * H) == 20  # none longer than the contact takes to open
     assert rate_of(plant_with(spring, EndStop(low=-100.0, high=100.0))) == rate_of(plant_with(spring)) > 100.0
-    assert fixed_substeps_for(plant_with(play), H) > substeps_for(plant_with(play), H) == 2
+    assert fixed_substeps_for(plant_with(play), H) > substeps_for(plant_with(play), H) == 4
 
 
 @pytest.mark.parametrize("damping", [0.05, 20.0])

@@ -70,7 +70,7 @@ class ObservedRun:
         """Choose the gains of the observer, and how what it misses is whitened."""
         signals, noise = self.signals, self.noise
         instants = (signals.time, signals.speed_on_grid, signals.voltage)
-        rests = None if is_coarse(noise) else signals.rests
+        rests = None if is_coarse(noise) else signals.rests_beside(noise)
         self._observer = observer_of(noise, *instants, signals.corrects, signals.mistimed, rests)
         weight = None if self._observer is None else self._observer.weight
         if weight is not None and signals.index is not None:

@@ -135,6 +135,14 @@ class Signals:
         seen = cls(record, ticks, voltage, position, index, corrects, initial, is_unknown, speed, kicks, noise, rate)
         return seen if ticks.is_faster else replace(seen, rests=resting(position, noise, rate * ticks.step))
 
+    def rests_beside(self, noise: NoiseModel) -> NDArray[np.bool_] | None:
+        """Return where something holds the axis, if the shaking of `noise` would move one that nothing holds visibly.
+
+        By more than the sensor's noise: ``ÿ + 2ω·ẏ + ω²·y = w`` turns a spectral density q into the variance q/(4·ω³).
+        """
+        moved = noise.rate**4 * self.ticks.step / (4.0 * self.rate**3)
+        return self.rests if moved > 1.0 else None
+
     def unpowered(self) -> Signals:
         """Return the same record as one before which nothing was applied, where it does not say what was."""
         is_open = self.record.voltage_before is None

@@ -63,6 +63,7 @@ class Equations:
             i for i, (cls, name) in enumerate(kinds) if issubclass(cls, Transmission) and name == "velocity"
         ]
         self.edges = self._edges()
+        self.contacts = sum(cls.contact_rate > 0.0 for cls in structure)
 
     def functions(self) -> dict[str, list[Any]]:
         """Return what the stepping rule calls by these names, and ``slopes``."""
@@ -88,6 +89,7 @@ class Equations:
             "relaxing": len(self.relaxing),
             "drifts": int(drifts),
             "kinks": len(self.edges),
+            "contacts": self.contacts,
         }
 
     def _edges(self) -> list[Any]:

@@ -55,7 +55,7 @@ def kalman(n: int, model: Any, late: Any, kick: Any, rests: Any, gains: Any, var
         vv, va, aa = vv + kick[k] * kick[k] - gv * gv * s, va - gv * ga * s, aa - ga * ga * s
         if rests[k] != 0.0:
             gains[3 * k + 1] = HELD
-            yv, ya, vv, va, aa = 0.0, kept * ya, 0.0, 0.0, kept * kept * aa + fresh
+            yv, ya, vv, va, aa = 0.0, 0.0, 0.0, 0.0, power
             continue
         # F P Fᵀ with F = [1 given far; 0 left fast; 0 0 kept], row by row
         ay, av, aw = yy + given * yv + far * ya, yv + given * vv + far * va, ya + given * va + far * aa

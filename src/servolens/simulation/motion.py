@@ -42,6 +42,7 @@ from servolens.simulation.plant_functions import (
     V,
     Y,
     breakaway,
+    contacts,
     drifts,
     kinked,
     kinks,
@@ -55,6 +56,7 @@ __all__ = ["advance"]
 
 HALF, SIXTH, TWENTYFOURTH = 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0
 SMOOTH, SHORTEST, SOON, MOST_PIECES, MOST_PASSES = 5e-6, 1e-3, 1e-7, 4096, 100
+SMOOTH_IN_CONTACTS = 1.2e-4  # finer, steps are halved here and there, and the error of a fit gets more local minima
 ROUNDING = 2.220446049250313e-16  # share of a position by which a term moves the axis unseen: 2⁻⁵²
 CLOSE, EXACT_PIECES = 1e-6, 16  # share of the way to a kink by which it may be missed, in the first pieces of a step
 SLIGHT = 1e-10  # an axis that rests on a flank crosses it by its rounding all the time: by less than this, SI
@@ -169,7 +171,7 @@ def is_beyond(x: Any, p: Any, before: Any, there: Any) -> bool:
     kinked(x, p, there)
     beyond = False
     for i in range(kinks()):
-        beyond = beyond or before[i] * there[i] < 0.0
+        beyond = beyond or (before[i] * there[i] < 0.0 and abs(there[i]) > SLIGHT)
     return beyond
 
 
@@ -231,7 +233,8 @@ def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
     by its rounding for ever.
     """
     explained = series[3] * series[1] if drifts() == 0 else 0.0
-    last, share = abs(series[2] + explained) * h * h * h, SMOOTH * (abs(series[0]) * h + 2.0 * abs(v))
+    fine = SMOOTH if contacts() == 0 else SMOOTH_IN_CONTACTS
+    last, share = abs(series[2] + explained) * h * h * h, fine * (abs(series[0]) * h + 2.0 * abs(v))
     matters: bool = last > share + coarse and last * h > ROUNDING * abs(y)
     return matters
 

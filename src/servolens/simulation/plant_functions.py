@@ -22,6 +22,7 @@ __all__ = [
     "POINTER",
     "beginning",
     "breakaway",
+    "contacts",
     "drifts",
     "kinked",
     "kinks",
@@ -51,11 +52,11 @@ def _plant(name: str) -> Any:
     return types.ExternalFunction(f"servolens_{name}", types.int64(POINTER, POINTER, POINTER))
 
 
-NUMBERS = ("parameters", "smooth", "relaxing", "drifts", "kinks")
+NUMBERS = ("parameters", "smooth", "relaxing", "drifts", "kinks", "contacts")
 """Names of the counts, each a function without arguments."""
 FUNCTIONS = ("taylor", "breakaway", "relaxation", "kinked", "shown", "beginning")
 """Names of the functions of (x, p, output)."""
-parameters, smooth_states, relaxing_states, drifts, kinks = map(_number_of, NUMBERS)
+parameters, smooth_states, relaxing_states, drifts, kinks, contacts = map(_number_of, NUMBERS)
 taylor, breakaway, relaxation, kinked, shown, beginning = map(_plant, FUNCTIONS)
 
 

@@ -31,6 +31,8 @@ __all__ = [
 STEP_TIMES_RATE = 0.05
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step. Where a force changes faster
 than that, as a damping that hangs on the speed does, a step is halved; see :mod:`servolens.simulation.motion`."""
+FIXED_STEP_TIMES_RATE = 0.02
+"""The same of steps that are never halved."""
 RAMPED = 1.0 / 6.0
 """Share of √(damping × rate at which a state relaxes) that counts: about 20 nm on a 0.1 m step as well, measured."""
 FINE_SUBSTEPS = 8
@@ -40,7 +42,7 @@ STAMP_ROUNDING = 1e-9
 """Of a substep: what rounding makes of differences between the instants of a log asks for no further one."""
 MOST_SUBSTEPS = 400
 """What needs more is simulated with as many, and no longer exactly."""
-CONTACT_SUBSTEPS = 2
+CONTACT_SUBSTEPS = 4
 """Of a sample in which contacts may close, at least; where one does, steps are halved as well. Within 20 nm on a 0.1 m
 step with a load of a third, a micrometre with a light one; an axis that hunts in its gap multiplies that."""
 BESIDE_SUBSTEPS = 2
@@ -90,13 +92,13 @@ def pieces_for(plant: Plant, step: float, substeps: int) -> int:
 def fixed_substeps_for(plant: Plant, step: float) -> int:
     """Return how many substeps it takes where none is split, and damping is no matter of the step's formula."""
     rates = _rates(plant.structure)(plant.driven_values)
-    return _substeps(step, max(rates.fastest, contact_rate(plant.structure)) + rates.damping)
+    return _substeps(step, max(rates.fastest, contact_rate(plant.structure)) + rates.damping, FIXED_STEP_TIMES_RATE)
 
 
-def _substeps(step: float, rate: float) -> int:
+def _substeps(step: float, rate: float, most: float = STEP_TIMES_RATE) -> int:
     if not isfinite(step * rate):
         return MOST_SUBSTEPS
-    fine, coarse = (ceil(step * rate / most - STAMP_ROUNDING) for most in (STEP_TIMES_RATE, STIFF_STEP_TIMES_RATE))
+    fine, coarse = (ceil(step * rate / each - STAMP_ROUNDING) for each in (most, STIFF_STEP_TIMES_RATE))
     return min(max(min(fine, FINE_SUBSTEPS), coarse, 1), MOST_SUBSTEPS)
 
 

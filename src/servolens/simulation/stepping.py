@@ -112,11 +112,9 @@ def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation:
             x[V] = 0.0
         elif x[V] != 0.0:
             x[V] += gains[3 * k + 1] * innovation
-        x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
+        x[SHAKING] = 0.0 if rests else loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
         for i in range(ns + nz):
-            if rests and loop[MOVED + i] == 2.0:
-                x[STATES + i] = 0.0
-            elif loop[MOVED + i] > 0.0:
+            if loop[MOVED + i] > 0.0 and not (rests and loop[MOVED + i] == 2.0):
                 x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
 
 
