@@ -31,9 +31,9 @@ __all__ = [
 STEP_TIMES_RATE = 0.05
 """Largest product of substep and the plant's fastest rate: about 20 nm on a 0.1 m step. Where a force changes faster
 than that, as a damping that hangs on the speed does, a step is halved; see :mod:`servolens.simulation.motion`."""
-FIXED_STEP_TIMES_RATE = 0.02
-"""The same of steps that are never halved."""
-RAMPED = 1.0 / 6.0
+FINE_STEP_TIMES_RATE = 0.02
+"""The same of steps that are never halved, and beside a state that relaxes: what that errs by is not seen."""
+RAMPED = 1.0 / 15.0
 """Share of √(damping × rate at which a state relaxes) that counts: about 20 nm on a 0.1 m step as well, measured."""
 FINE_SUBSTEPS = 8
 STIFF_STEP_TIMES_RATE = 0.25
@@ -60,11 +60,12 @@ PROBES = (
 
 
 class _Rates(NamedTuple):
-    """Fastest rate, with closed contacts, the same without damping, and largest damping of an axis [1/s]."""
+    """Fastest rate, with closed contacts, the same without damping, largest damping, and how far that differs [1/s]."""
 
     fastest: float
     undamped: float
     damping: float
+    differs: float
 
 
 def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
@@ -72,7 +73,8 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
 
     Contacts ask for a few: where one closes, a step is split, and is halved until it is short enough for the contact.
     """
-    return min(max(_substeps(step, rate_of(plant) + extra), least_substeps(plant, step)), MOST_SUBSTEPS)
+    most = FINE_STEP_TIMES_RATE if _relaxes(plant.structure) else STEP_TIMES_RATE
+    return min(max(_substeps(step, rate_of(plant) + extra, most), least_substeps(plant, step)), MOST_SUBSTEPS)
 
 
 def least_substeps(plant: Plant, step: float) -> int:
@@ -92,10 +94,12 @@ def pieces_for(plant: Plant, step: float, substeps: int) -> int:
 def fixed_substeps_for(plant: Plant, step: float) -> int:
     """Return how many substeps it takes where none is split, and damping is no matter of the step's formula."""
     rates = _rates(plant.structure)(plant.driven_values)
-    return _substeps(step, max(rates.fastest, contact_rate(plant.structure)) + rates.damping, FIXED_STEP_TIMES_RATE)
+    return _substeps(
+        step, max(rates.fastest, rates.differs, contact_rate(plant.structure)) + rates.damping, FINE_STEP_TIMES_RATE
+    )
 
 
-def _substeps(step: float, rate: float, most: float = STEP_TIMES_RATE) -> int:
+def _substeps(step: float, rate: float, most: float) -> int:
     if not isfinite(step * rate):
         return MOST_SUBSTEPS
     fine, coarse = (ceil(step * rate / each - STAMP_ROUNDING) for each in (most, STIFF_STEP_TIMES_RATE))
@@ -121,6 +125,12 @@ def rate_of(plant: Plant) -> float:
     """
     structure, places = _without_contacts(plant.structure)
     return _rates(structure)(tuple(plant.driven_values[i] for i in places) if places else plant.driven_values).fastest
+
+
+@lru_cache(maxsize=256)
+def _relaxes(structure: tuple[type[Effect], ...]) -> bool:
+    """Tell whether a state of a structure relaxes."""
+    return any(state.relaxes for cls in structure for state in cls.states)
 
 
 @lru_cache(maxsize=256)
@@ -171,7 +181,9 @@ def _rates(structure: tuple[type[Effect], ...]) -> Callable[[tuple[float, ...]],
         p = np.array(values)
         slopes = np.array([jacobian(probe, p) for probe in probes])
         slopes = slopes[np.isfinite(slopes).all(axis=(1, 2))]
-        return _Rates(*_rate(slopes, exact, quick=quick), float(np.max(-slopes[:, 1, 1], initial=0.0)))
+        damping = -slopes[:, 1, 1]
+        differs = float(np.ptp(damping)) if damping.size else 0.0
+        return _Rates(*_rate(slopes, exact, quick=quick), float(np.max(damping, initial=0.0)), differs)
 
     return rates
 

@@ -56,9 +56,10 @@ def rule_script() -> str:
     functions = [node for tree in trees for node in tree.body if isinstance(node, ast.FunctionDef)]
     wanted = [node for node in functions if node.name not in LEFT_OUT and not _is_intrinsic(node)]
     texts = [_Writer(constants).function(node) for node in wanted]
-    taken = "parameters, smooth_states, relaxing_states, drifts, kinks, contacts, taylor, breakaway, relaxation, kinked"
+    taken = "parameters, smooth_states, relaxing_states, drifts, kinks, contacts, taylor, breakaway, relaxation"
     body = "\n".join(texts)
-    return f'function {RULE}(plant) {{\n"use strict";\nconst {{{taken}, shown, beginning}} = plant;\n{body}\nreturn run;\n}}\n'
+    head = f'function {RULE}(plant) {{\n"use strict";\nconst {{{taken}, kinked, shown, beginning}} = plant;'
+    return f"{head}\n{body}\nreturn run;\n}}\n"
 
 
 def _tree(name: str) -> ast.Module:
