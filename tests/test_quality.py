@@ -432,6 +432,24 @@ def test_samples_that_stick_out_together_are_no_fault_of_the_law(apart, stated):
     assert np.abs(without_spikes(spiked).position - record.position).max() < 1e-4
 
 
+@pytest.mark.parametrize("late", [-2, -1, 1, 2])
+def test_samples_that_stick_out_beside_a_shifted_voltage_stop_nothing(late):
+    """A mask of 1501 samples met the 1500 that a shifted column leaves, and the check stopped with a ValueError."""
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, seed=4)
+    position = record.position + np.where(np.arange(len(record)) == 700, 0.01, 0.0)
+    spiked = record.with_({"position": position, "voltage": np.roll(record.voltage, late)})
+    assert {"position_spikes", "voltage_shifted"} <= set(codes(spiked))
+
+
+@pytest.mark.parametrize("first", [1, 2])
+def test_samples_that_stick_out_of_a_log_that_begins_within_a_cycle_of_its_loop_stop_nothing(first):
+    slow = lab.Setup(controller=Controller(kp=60, kd=4, control_period=0.008))
+    record = lab.step_record(lab.NLM2, 60, 4, noise=1e-5, seed=4, setup=slow)
+    position = record.position + np.where(np.arange(len(record)) % 500 == 301, 0.01, 0.0)
+    spiked = record.with_({"position": position}).slice(record.time[first], record.time[-1])
+    assert "position_spikes" in codes(spiked)
+
+
 def test_vibration_and_knocks_are_no_pairs_of_spikes():
     time = np.arange(2000) * 1e-3
     noise = 1e-6 * np.random.default_rng(5).standard_normal(time.size)

@@ -16,6 +16,7 @@ from servolens.quality.beginning import initial_motion
 from servolens.quality.law import GAINS, LawFit, controller_of, remembered, tick_phase, voltage_of
 from servolens.quality.limits import FEWEST, NEAR, beyond_limit, voltage_limits, within
 from servolens.quality.settings import BETTER, UNITS, find_alternative
+from servolens.quality.spikes import of_part
 from servolens.units import readable
 
 if TYPE_CHECKING:
@@ -101,12 +102,16 @@ def fit_loop(record: Record, seen: Sampling, spoilt: NDArray[np.bool_] | None = 
             return None
         aligned = _aligned(record)
         limits, free = _limited(aligned)
-        free = free if spoilt is None else free & ~(spoilt & _quiet(aligned))
+        kept = np.ones(len(record), dtype=bool) if spoilt is None else ~spoilt
+        kept = of_part(kept, record, aligned)
+        free &= kept | ~_quiet(aligned)
         other = find_alternative(aligned, free) or find_alternative(aligned, free & _quiet(aligned))
         if other is not None:
-            aligned = _aligned(other.applied(aligned))
+            mended = other.applied(aligned)
+            kept, aligned = of_part(kept, aligned, mended), _aligned(mended)
+            kept = of_part(kept, mended, aligned)
             limits, free = _limited(aligned)
-        free = free if spoilt is None else free & ~spoilt
+        free &= kept
         judged = free & _quiet(aligned)
         judged = judged if np.count_nonzero(judged) >= 10 else free
         fit = LawFit.of(aligned, judged)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from servolens.quality.sampling import Sampling
     from servolens.record import Record
 
-__all__ = ["spike_findings", "spikes", "spoilt", "without_spikes"]
+__all__ = ["of_part", "spike_findings", "spikes", "spoilt", "without_spikes"]
 
 LEAST = 1e-4
 """Share of the travel by which a sample must lie off the cubic beside it, however little noise there is."""
@@ -142,6 +142,12 @@ def spoilt(record: Record) -> NDArray[np.bool_]:
     for first, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         found[first:stop] = stop - first <= longest
     return found
+
+
+def of_part(marks: NDArray[np.bool_], record: Record, part: Record) -> NDArray[np.bool_]:
+    """Return those of the marks of a record's samples that are of a part of it."""
+    first = int(np.searchsorted(record.time, part.time[0])) if len(part) < len(record) else 0
+    return marks[first : first + len(part)]
 
 
 def _evenly_logged(time: NDArray[np.float64]) -> NDArray[np.bool_]:
