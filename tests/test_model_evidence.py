@@ -129,6 +129,13 @@ def test_json_that_says_two_things_or_nothing_is_refused(tmp_path, before, after
         read_model(path)
 
 
+def test_noise_of_the_records_range_that_is_null_is_not_known():
+    """It was read as infinite, and then nothing lay beyond the records."""
+    known = {"voltage": 6.0, "speed": 0.7, "step": 0.1}
+    unknown = dict.fromkeys(("voltage_error", "speed_error", "step_error"))
+    assert DataRange.from_json({**known, **unknown}) == DataRange(**known)
+
+
 def test_what_is_null_says_why():
     known = replace(KNOWN, verdict=None, remainder=None, noise=None)
     told = Model(plant=PLANT, covariance=MATRIX, evidence=known, reasons={"coulomb_friction.level": "usual"}).to_json()

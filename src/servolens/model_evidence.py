@@ -117,8 +117,9 @@ class DataRange:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> DataRange:
-        """Build the range from what :meth:`to_json` returned."""
-        return _sizes(read_fields(cls, data))
+        """Build the range from what :meth:`to_json` returned; an error that is null is not known."""
+        known = {name: one for name, one in data.items() if one is not None or not name.endswith("_error")}
+        return _sizes(read_fields(cls, known))
 
 
 @final
