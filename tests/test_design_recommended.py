@@ -501,11 +501,22 @@ def test_answer_beyond_the_records_is_amber_and_then_red(least, quantity, times,
     assert (quantity in of_gain.sentence) == (light != "green")
 
 
+NOISY = [
+    (1.0, 0.2, "green"),
+    (1.04, 0.03, "amber"),
+    (1.04, 0.2, "amber"),
+    (1.5, 0.0, "amber"),
+    (1.525, 0.0, "red"),
+    (1.525, 0.01, "amber"),
+    (1.56, 0.03, "red"),
+    (2.25, 0.5, "red"),
+]
+
+
 @pytest.mark.parametrize("quantity", ["voltage", "speed", "step"])
-@pytest.mark.parametrize(
-    ("times", "of_known", "light"), [(1.04, 0.03, "green"), (1.55, 0.03, "amber"), (1.5, 0.0, "amber")]
-)
-def test_limits_allow_for_the_noise_of_what_the_records_showed(least, quantity, times, of_known, light):
+@pytest.mark.parametrize(("times", "of_known", "light"), NOISY)
+def test_noise_alone_gives_no_red_and_admits_nothing_more(least, quantity, times, of_known, light):
+    """The noisier the records were, the farther beyond them a gain was given."""
     design = recommend(NLM3, least, scenarios=60)
     reached = reached_with(design.recommended.kd)
     known = reached[quantity] / times
@@ -513,7 +524,7 @@ def test_limits_allow_for_the_noise_of_what_the_records_showed(least, quantity, 
     model = Model(plant=NLM3, evidence=Evidence(range=shown, remainder=leaving(0.01), heldout_of_step=0.001))
     of_gain = trust(model, design)[1]
     assert of_gain.light == light
-    assert ("by noise" in of_gain.sentence) == (light == "amber" and of_known > 0.0)
+    assert ("by noise" in of_gain.sentence) == (light == "amber" and times > 1.5)
 
 
 def test_plant_that_never_settles_is_a_doubt_even_if_it_is_one_of_many(least):

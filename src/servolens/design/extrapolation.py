@@ -25,11 +25,12 @@ if TYPE_CHECKING:
 
 __all__ = ["BEYOND", "FAR", "Extrapolation", "extrapolation", "within"]
 
-BEYOND, TIMES = 1.01, 1.5
+BEYOND, FAR = 1.01, 1.5
 """Times the largest value in the records from which on the answer is an extrapolation (a percent is the noise of a
-measured step), and times that from which on it is not to be given."""
-FAR = BEYOND * TIMES
-"""Of the same value, which is as noisy."""
+measured step), and from which on it is not to be given."""
+LEAST, MOST = 0.01, 0.03
+"""Shares by which it may exceed `FAR` times that value however little or much noise there is: the percent counts there
+too, and a largest value of many samples is rather raised by noise than lowered."""
 HALVED = 8
 """Times that the place where a loop becomes an extrapolation is narrowed down between two gains."""
 
@@ -42,8 +43,8 @@ class Extrapolation:
     Attributes
     ----------
     ratio : float
-        Its size over the largest that the records showed, or, where noise makes more than a percent of that, over what
-        it may have been without noise (in 95 of 100 cases).
+        Its size over the largest that the records showed; `FAR` where it is larger only as far as a percent, or noise
+        in one sample, may make it.
     sentence : str
         What it is, and what to log; empty where the model brings nothing about its records.
     """
@@ -129,7 +130,7 @@ def _halved(holds: Callable[[float], bool], inside: float, outside: float) -> fl
 
 
 def _beyond_range(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -> Extrapolation:
-    """Judge voltage, speed and amplitude of the step by the largest of the records, and what noise takes from these."""
+    """Judge voltage, speed and amplitude of the step by the largest of the records."""
     shown, unit = evidence.range, model.plant.length_unit
     response = evaluate(model.plant, spec, gain)
     asked = {
@@ -137,26 +138,35 @@ def _beyond_range(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
         "speed": (response.peak_speed, shown.speed, shown.speed_error, f"{unit}/s"),
         "step": (abs(spec.reference), shown.step, shown.step_error, unit),
     }
-    ratios = {name: wanted / _reach(known, error) for name, (wanted, known, error, _) in asked.items()}
+    ratios = {name: _ratio(wanted, known, error) for name, (wanted, known, error, _) in asked.items()}
     name = max(ratios, key=ratios.__getitem__)
     wanted, known, error, unit = asked[name]
-    noise = f" (± {NORMAL_95 * error:.2g} by noise)" if _reach(known, error) > known else ""
+    noise = f" (± {NORMAL_95 * error:.2g} by noise)" if error > 0.0 and ratios[name] == FAR else ""
     return Extrapolation(
         ratios[name],
         f"An extrapolation: the {name} reaches {wanted:.3g} {unit}, that of the records {known:.3g}{noise}"
-        f"{f' (more than {TIMES:g} times)' if ratios[name] > FAR else ''}; log a record with a larger {name}.",
+        f"{f' (more than {FAR:g} times)' if ratios[name] > FAR else ''}; log a record with a larger {name}.",
     )
 
 
-def _reach(known: float, error: float) -> float:
-    """Return what a measured peak stands for: `BEYOND` times it is at least the end of its interval of 95 %."""
-    return max(known, (known + NORMAL_95 * error) / BEYOND, 1e-300)
+def _ratio(wanted: float, known: float, error: float) -> float:
+    """Return how many times a measured peak is wanted; noise alone does not make it more than `FAR`.
+
+    Only there noise counts: a peak is the largest of many samples, which noise has raised already.
+    """
+    ratio = wanted / max(known, 1e-300)
+    return min(ratio, max(FAR, ratio / (1.0 + _allowed(known, error))))
+
+
+def _allowed(known: float, error: float) -> float:
+    """Return the share of a measured peak that noise in one sample makes (in 95 of 100), from `LEAST` to `MOST`."""
+    return min(max(NORMAL_95 * error / max(known, 1e-300), LEAST), MOST)
 
 
 def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -> Extrapolation:
     """Judge what the loop makes of the model's error at each frequency by what the loops of the records made of it.
 
-    Either the records bear it out, whose loops were stable; or the small-gain theorem does, with a reserve of `TIMES`.
+    Either the records bear it out, whose loops were stable; or the small-gain theorem does, with a reserve of `FAR`.
     Beyond both the loop counts by how much more it may amplify the error: see :func:`_amplified`.
     """
     error = evidence.model_error
@@ -164,7 +174,7 @@ def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
         return Extrapolation(0.0, "")
     size, loop = np.array(error.size), np.array(error.loop)
     asked = closed_loop_gain(model.plant, spec, gain, np.array(error.frequency)) * size
-    safe = np.maximum(loop * size, 1.0 / TIMES)
+    safe = np.maximum(loop * size, 1.0 / FAR)
     stronger = asked / safe
     ratios = np.where(stronger > BEYOND, _amplified(asked, safe), stronger)
     worst = int(np.argmax(ratios))
@@ -175,7 +185,7 @@ def _beyond_error(model: Model, evidence: Evidence, spec: PDSpec, gain: float) -
         f"An extrapolation: the records do not show that the loop is stable with {spec.free} = {gain:.3g}: near"
         f" {error.frequency[worst]:.3g} Hz the model's error may be {share:g} %, and the loop answers there"
         f" {stronger[worst]:.3g} times as strongly as is known to be safe"
-        f"{f', by which it may amplify the error more than {TIMES:g} times' if ratios[worst] > FAR else ''}; log a"
+        f"{f', by which it may amplify the error more than {FAR:g} times' if ratios[worst] > FAR else ''}; log a"
         f" record with a {spec.free} nearer to it{known}.",
     )
 
