@@ -121,3 +121,13 @@ def test_stamps_of_whole_cycles_and_late_ones_are_not_rounded():
     late = 5e-3 * np.arange(400) + 1e-3 * (np.random.default_rng(2).uniform(size=400) < 0.1)
     even = 2.5e-3 * np.arange(400)
     assert [rounded_ticks(time) for time in (whole, late, even)] == [None, None, None]
+
+
+@pytest.mark.parametrize("samples", [10, 50, 400])
+@pytest.mark.parametrize(("cycle", "slipped"), [(10.0, 11.0), (10.0, 15.0), (1.0, 1.5), (5.0, 6.0)])
+def test_one_stamp_that_slips_is_no_rounding_of_all(samples, cycle, slipped):
+    """The cycle of 50 stamps at 10 ms with one interval of 15 ms was 10.15 ms."""
+    for place in range(samples - 1):
+        time = 1e-3 * np.concatenate(([0.0], np.cumsum(np.where(np.arange(samples - 1) == place, slipped, cycle))))
+        assert rounded_ticks(time) is None
+        assert cycle_of(time) == pytest.approx(1e-3 * cycle, rel=1e-9)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CHANGED",
+    "COMMON",
     "JITTERS",
     "MEDIAN",
     "Clock",
@@ -27,6 +28,9 @@ CHANGED, LONG = 0.25, 1.5
 """Share by which a cycle changes; cycles from which on a sample may be missing."""
 JITTERS = 0.01
 """Share of the cycle by which more than half of the intervals differ from those beside them where a clock jitters."""
+COMMON, SLIPPED = 0.1, 2.0
+"""Share of the intervals from which on both lengths of rounded stamps are common; steps over which the stamps of a few
+samples must drift besides: of a single interval that is too long a line makes one and a half."""
 WHOLE = 1e-3
 """Share of a resolution by which a multiple of it is off in floating-point numbers of seconds, as epochs are."""
 MEDIAN, SMOOTH = 7, 31
@@ -122,8 +126,9 @@ def rounded_ticks(time: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]
     """Return cycle [s] and cycles passed in each interval of stamps that are rounded; None where they are not.
 
     All stamps are multiples of a resolution of at most half the cycle, which is no multiple of it, and off a line over
-    whole numbers by no more than that rounding. So intervals have two lengths, neither of them the cycle, and which
-    are longer by a lost sample is told together with the cycle.
+    whole numbers by no more than that rounding. So intervals have two lengths, both common and neither of them the
+    cycle, and which are longer by a lost sample is told together with the cycle. An even clock of which single stamps
+    slip has a rare length.
 
     Parameters
     ----------
@@ -154,7 +159,10 @@ def _rounded_ticks(stamps: bytes) -> tuple[float, NDArray[np.float64]] | None:
     cycle = fitted_cycle(time, place)[0]
     drift = abs(cycle - step * np.rint(cycle / step)) * place[-1]
     line_error = 4.0 / float(np.sqrt(time.size))  # four of its deviations at both ends together, in steps
-    if drift <= step or float(np.ptp(time - cycle * place)) > step * (1.0 + line_error):
+    is_long = intervals[passed == 1.0] > least + 0.5 * step
+    if drift <= SLIPPED * step or not COMMON < np.mean(is_long) < 1.0 - COMMON:
+        return None
+    if float(np.ptp(time - cycle * place)) > step * (1.0 + line_error):
         return None
     passed.setflags(write=False)
     return cycle, passed

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, final
 
 import numpy as np
 
-from servolens.clock import CHANGED, clock_of, rounded_ticks
+from servolens.clock import CHANGED, COMMON, clock_of, rounded_ticks
 from servolens.encoder import FEWEST_SAMPLES, SPAN, quantisation_step, share_on_grid, small_moves, white_noise
 from servolens.findings import Finding
 
@@ -23,9 +23,8 @@ __all__ = ["SPAN", "SPEED_SPAN", "STEPS", "Sampling", "measure", "sampling_findi
 
 SPEED_SPAN = 10
 """Samples over which the top speed is taken: one step of the encoder then counts a tenth."""
-GRID, COMMON = 0.01, 0.1
-"""Share of their grid by which rounded time stamps are off it, for a text rounds them too; share of the intervals from
-which on both lengths are common."""
+GRID = 0.01
+"""Share of their grid by which rounded time stamps are off it, for a text rounds them too."""
 STEPS = 3.0
 """Steps that an encoder rounds and flickers by."""
 
