@@ -15,10 +15,10 @@ from servolens.simulation.rates import (
     FINE_SUBSTEPS,
     MOST_SUBSTEPS,
     STAMP_ROUNDING,
-    STEP_TIMES_RATE,
     STIFF_STEP_TIMES_RATE,
     least_substeps,
     rate_of,
+    step_times_rate,
     substeps_for,
 )
 from servolens.simulation.settings import ANY_NUMBER, NO_LAW, NO_OBSERVER, OPEN_LOOP, known, law_settings, loop_settings
@@ -37,7 +37,6 @@ __all__ = ["axis_json", "design_json", "plants_script", "simulator_script"]
 FOLDER = Path(__file__).parent
 SUBSTEPS = {
     "rounding": STAMP_ROUNDING,
-    "fine": STEP_TIMES_RATE,
     "coarse": STIFF_STEP_TIMES_RATE,
     "few": FINE_SUBSTEPS,
     "most": MOST_SUBSTEPS,
@@ -97,6 +96,7 @@ def axis_json(name: str, plant: Plant, spec: PDSpec, gain: float, scenario: Scen
         "delay": plant.delay,
         "limit": saturation.limit if isinstance(saturation, Saturation) else None,
         "rate": rate_of(plant) if spec.control == "continuous" else 0.0,
+        "fine": step_times_rate(plant.structure),
         "least": least_substeps(plant, spec.sample_time),
         "substeps": substeps_for(plant, spec.sample_time),
         "realised": realised,

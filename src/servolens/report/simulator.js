@@ -40,7 +40,7 @@ const servolensSimulator = (rule, plants) => {
     if (!design.continuous) return axis.substeps;
     const extra = Math.sqrt(Math.abs(axis.gain * realised * gains.kp)) + Math.abs(axis.gain * realised * gains.free);
     const span = design.sample * (axis.rate + extra), rules = design.substeps;
-    const fine = Math.ceil(span / rules.fine - rules.rounding), coarse = Math.ceil(span / rules.coarse - rules.rounding);
+    const fine = Math.ceil(span / axis.fine - rules.rounding), coarse = Math.ceil(span / rules.coarse - rules.rounding);
     return Math.min(Math.max(Math.min(fine, rules.few), coarse, axis.least), rules.most);
   };
 

@@ -24,6 +24,7 @@ __all__ = [
     "pieces_for",
     "rate_of",
     "rate_within",
+    "step_times_rate",
     "substeps_for",
     "work_of",
 ]
@@ -73,8 +74,8 @@ def substeps_for(plant: Plant, step: float, extra: float = 0.0) -> int:
 
     Contacts ask for a few: where one closes, a step is split, and is halved until it is short enough for the contact.
     """
-    most = FINE_STEP_TIMES_RATE if _relaxes(plant.structure) else STEP_TIMES_RATE
-    return min(max(_substeps(step, rate_of(plant) + extra, most), least_substeps(plant, step)), MOST_SUBSTEPS)
+    substeps = _substeps(step, rate_of(plant) + extra, step_times_rate(plant.structure))
+    return min(max(substeps, least_substeps(plant, step)), MOST_SUBSTEPS)
 
 
 def least_substeps(plant: Plant, step: float) -> int:
@@ -128,9 +129,10 @@ def rate_of(plant: Plant) -> float:
 
 
 @lru_cache(maxsize=256)
-def _relaxes(structure: tuple[type[Effect], ...]) -> bool:
-    """Tell whether a state of a structure relaxes."""
-    return any(state.relaxes for cls in structure for state in cls.states)
+def step_times_rate(structure: tuple[type[Effect], ...]) -> float:
+    """Return the largest product of substep and fastest rate of a structure, less where one of its states relaxes."""
+    relaxes = any(state.relaxes for cls in structure for state in cls.states)
+    return FINE_STEP_TIMES_RATE if relaxes else STEP_TIMES_RATE
 
 
 @lru_cache(maxsize=256)
