@@ -28,7 +28,7 @@ __all__ = ["BEYOND", "FAR", "Extrapolation", "extrapolation", "within"]
 BEYOND, FAR = 1.01, 1.5
 """Times the largest value in the records from which on the answer is an extrapolation (a percent is the noise of a
 measured step), and from which on it is not to be given."""
-LEAST, MOST = 0.01, 0.03
+LEAST, MOST = BEYOND - 1.0, 0.03
 """Shares by which it may exceed `FAR` times that value however little or much noise there is: the percent counts there
 too, and a largest value of many samples is rather raised by noise than lowered."""
 HALVED = 8

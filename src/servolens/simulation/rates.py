@@ -50,7 +50,7 @@ BESIDE_SUBSTEPS = 2
 """Substeps that take as long as all else that is done for a sample, whitening and sums of squares most of it: measured
 over diagnoses, 28 ns each beside 56 ns."""
 CLOSED_STEP_TIMES_RATE = 0.5
-"""Product of the pieces into which contacts split a step and the fastest rate while they are closed, measured."""
+"""Product of a piece into which closed contacts split a step and their rate without damping, measured."""
 IN_CONTACTS = 2
 """A piece of a substep that contacts may split takes as long as so many substeps of others: 60 ns."""
 PROBES = (
@@ -198,9 +198,8 @@ def _probe(size: int, position: float, velocity: float, state: float) -> NDArray
 def _rate(slopes: NDArray[np.float64], exact: NDArray[np.intp], *, quick: bool) -> tuple[float, float]:
     """Return the fastest rate of the Jacobians `slopes`, shape (k, n, n), of what a step does not solve exactly.
 
-    And that without damping.
-
-    It solves a damping and how relaxing states forget, and halves where the damping changes. Of it there counts,
+    And that without damping. A step solves a damping and how relaxing states forget, and is halved where the damping
+    changes. Of it there counts,
     beside a spring, a mean with the spring's rate, where that is less than the rate of both together; and a share of
     the geometric mean with the rate of a relaxing state, which a step sees as a ramp. With `quick` a bound of a
     spring's rate does, which is three times too large for a critically damped contact.
