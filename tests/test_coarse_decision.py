@@ -10,9 +10,10 @@ from servolens.diagnosis.case import Case
 from servolens.effects import CoulombFriction, ReturnSpring, catalogue
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.noise import NoiseModel
-from servolens.identification.observed import ObservedRun, Signals
+from servolens.identification.observed import ObservedRun
 from servolens.identification.rounding import is_coarse, own_spectra
 from servolens.identification.score import FALSE_ALARM, ScoreTest
+from servolens.identification.signals import Signals
 from servolens.identification.structure import TESTS, answers
 
 STEP = 1e-4

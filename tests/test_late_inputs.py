@@ -11,9 +11,9 @@ from servolens.identification.late_errors import counting_late_inputs
 from servolens.identification.late_inputs import about, instants, jumps_of
 from servolens.identification.likelihood import Likelihood
 from servolens.identification.noise import NoiseModel
-from servolens.identification.observed import Signals, clock_error
 from servolens.identification.options import FitOptions
 from servolens.identification.refine import minimise_error
+from servolens.identification.signals import Signals, clock_error
 
 H = 1e-3
 TIME = H * np.arange(3000)

@@ -9,7 +9,7 @@ from scipy.stats import chi2, norm
 from servolens import Plant, Record, fit, lab
 from servolens.effects import Cogging, EndStop
 from servolens.identification.noise import NoiseModel
-from servolens.identification.observed import ObservedRun, Signals
+from servolens.identification.observed import ObservedRun
 from servolens.identification.resampling import profile
 from servolens.identification.rounding import (
     DRAWS,
@@ -24,6 +24,7 @@ from servolens.identification.rounding import (
     rounded,
     spectrum_of,
 )
+from servolens.identification.signals import Signals
 from servolens.identification.slow_noise import filters_of
 
 STEP = 1e-5

@@ -18,12 +18,13 @@ from servolens.errors import InputError, NumericalError
 from servolens.identification.bursts import burst_of
 from servolens.identification.likelihood import SOME
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
-from servolens.identification.observed import clock_error, least_missed
+from servolens.identification.observed import least_missed
 from servolens.identification.phases import own_phases
 from servolens.identification.ripple import Ripple, mains_lines, ripple_in
 from servolens.identification.rounding import dominates, is_coarse
 from servolens.identification.score import ScoreTest
 from servolens.identification.segments import resting_noise
+from servolens.identification.signals import clock_error
 from servolens.identification.structure import depends_on_inputs
 from servolens.model_evidence import MATERIAL
 from servolens.processors import in_processes
@@ -285,8 +286,7 @@ class Case:
         [m or rad]. The loop hands the noise on to the motor, and where a dead zone, dry friction or a play acts it
         moves the axis otherwise than without. Only of a model that leaves nothing else is the noise known; else 0.
         """
-        closed = all(record.has_loop for record in self.records)
-        if not hypothesis.causes or not closed or not self.is_enough(hypothesis):
+        if not (hypothesis.causes and all(r.has_loop for r in self.records) and self.is_enough(hypothesis)):
             return 0.0
         return _once(self._loop_noise, hypothesis, self._noise_in_loop)
 

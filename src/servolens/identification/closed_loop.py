@@ -17,9 +17,10 @@ from servolens.identification.error_problem import Problem
 from servolens.identification.instruments import forces_along
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, descend
 from servolens.identification.noise import NoiseModel, Whitener
-from servolens.identification.observed import MOVED_IN_GAP, InitialState
+from servolens.identification.observed import MOVED_IN_GAP
 from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.runs import ClosedLoop, OneByOne, as_simulated
+from servolens.identification.signals import InitialState
 from servolens.identification.smoothing import speed_of
 from servolens.identification.structure import is_chance
 

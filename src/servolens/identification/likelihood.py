@@ -15,9 +15,10 @@ from servolens.identification.hypothesis import NO_BETTER, Hypothesis
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, by_way_of, descend
 from servolens.identification.noise import TOLD_APART, NoiseModel
 from servolens.identification.noise_search import NoiseTrials
-from servolens.identification.observed import ObservedRun, Signals, SimulatedRun, least_missed
+from servolens.identification.observed import ObservedRun, SimulatedRun, least_missed
 from servolens.identification.phases import own_phases, synchronised
 from servolens.identification.segments import loop_rate, noise_level
+from servolens.identification.signals import Signals
 from servolens.processors import Tally
 from servolens.simulation.rates import substeps_for
 

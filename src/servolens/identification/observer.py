@@ -27,7 +27,8 @@ class Observer:
     Attributes
     ----------
     gains : ndarray, shape (n, 3)
-        Of position [1], velocity [1/s] and shaking [1/s²].
+        Of position [1], velocity [1/s] and shaking [1/s²]; where the axis rests that of the velocity is
+        :data:`~servolens.simulation.digital.HELD`.
     remembered : float
         Share of the shaking that is left a sample later.
     weight : ndarray, shape (n,)
@@ -46,6 +47,7 @@ def observer_of(
     voltage: NDArray[np.float64],
     corrects: NDArray[np.bool_] | None = None,
     mistimed: NDArray[np.float64] | None = None,
+    rests: NDArray[np.bool_] | None = None,
 ) -> Observer | None:
     """Return the observer of a record; None where the axis is simulated, for nothing shakes it and its clock is true.
 
@@ -60,6 +62,8 @@ def observer_of(
     mistimed : ndarray, shape (n,), optional
         Standard deviation of what is not known of the velocity at each instant, for its voltage came at another
         [m/s or rad/s].
+    rests : ndarray of bool, shape (n,), optional
+        Instants at which something holds the axis: nothing shakes it there, and it has no velocity.
 
     Notes
     -----
@@ -81,6 +85,7 @@ def observer_of(
     if corrects is not None:
         late = np.where(corrects, late, 2.0 * NEVER)
     gains, variance = np.empty((time.size, 3)), np.empty(time.size)
-    addresses = [array.ctypes.data for array in (model, late, kick, gains, variance)]
+    held = np.zeros(time.size) if rests is None else rests.astype(np.float64)
+    addresses = [array.ctypes.data for array in (model, late, kick, held, gains, variance)]
     native(()).gains(ctypes.byref(ctypes.c_int64()), None, time.size, *addresses)
     return Observer(gains, kept, 1.0 / np.sqrt(variance))

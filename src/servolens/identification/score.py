@@ -10,11 +10,11 @@ import numpy as np
 
 from servolens.errors import InputError, NumericalError
 from servolens.identification.error_problem import Problem
-from servolens.identification.observed import WIDE
 from servolens.identification.phases import own_phases
 from servolens.identification.restricted import parts_of
 from servolens.identification.rounding import DRAWS, LOOPS, has_mean, is_rounded, own_spectra, parted, rounded
 from servolens.identification.shaken import at_least_white, shaken
+from servolens.identification.signals import WIDE
 from servolens.simulation.rates import substeps_for
 
 if TYPE_CHECKING:

@@ -21,6 +21,8 @@ IS_PD, MOVED = 25, 26
 """Whether the law is nothing but kp and kd; where it begins to stand which states an observer moves."""
 SHAKEN = 2.0
 """Of what corrects the motion: no observer, but an acceleration that shakes the axis, and an error of the sensor."""
+HELD = 1e99
+"""In the place of an observer's gain of the velocity: the axis rests."""
 _NUMBERS = types.CPointer(float64)
 BEYOND_PD = float64(int64, float64, float64, float64, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
 beyond_pd = types.ExternalFunction("servolens_beyond_pd", BEYOND_PD)

@@ -16,13 +16,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from servolens.simulation.digital import HELD
+
 __all__ = ["NEVER", "kalman"]
 
 NEVER = 1e99
 """Error of a reading, in standard deviations of the sensor, from which on it counts as not taken."""
 
 
-def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) -> int:
+def kalman(n: int, model: Any, late: Any, kick: Any, rests: Any, gains: Any, variance: Any) -> int:
     """Fill `gains`, three a sample, and the `variance` of each innovation in units of the sensor's; return `n`.
 
     Parameters
@@ -35,6 +37,8 @@ def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) 
     late, kick : array, shape (n,)
         Position that a late instant adds to the reading, and velocity that it takes from the axis, in standard
         deviations of the sensor. A reading whose error is above `NEVER` was not taken.
+    rests : array, shape (n,)
+        Not 0 where the axis rests until the next sample, held by something: then nothing shakes it.
     gains, variance : array, shape (3n,) and (n,)
         To fill.
     """
@@ -49,6 +53,10 @@ def kalman(n: int, model: Any, late: Any, kick: Any, gains: Any, variance: Any) 
         gains[3 * k], gains[3 * k + 1], gains[3 * k + 2], variance[k] = gy, gv, ga, s
         yy, yv, ya = yy - gy * gy * s, yv - gy * gv * s, ya - gy * ga * s
         vv, va, aa = vv + kick[k] * kick[k] - gv * gv * s, va - gv * ga * s, aa - ga * ga * s
+        if rests[k] != 0.0:
+            gains[3 * k + 1] = HELD
+            yv, ya, vv, va, aa = 0.0, 0.0, 0.0, 0.0, power
+            continue
         # F P Fᵀ with F = [1 given far; 0 left fast; 0 0 kept], row by row
         ay, av, aw = yy + given * yv + far * ya, yv + given * vv + far * va, ya + given * va + far * aa
         bv, bw = left * vv + fast * va, left * va + fast * aa

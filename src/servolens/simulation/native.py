@@ -142,7 +142,7 @@ class _Forms:
         engine = loaded(*objects)
         number, pointer = ctypes.c_int64, ctypes.c_void_p
         runs = ctypes.CFUNCTYPE(None, number, number, number, pointer, pointer, pointer)
-        gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 5)
+        gains = ctypes.CFUNCTYPE(ctypes.c_int32, pointer, pointer, number, *[pointer] * 6)
         slopes = ctypes.CFUNCTYPE(number, pointer, pointer, pointer)
         return Native(
             runs=_function(runs, engine, RUNS_ENTRY),

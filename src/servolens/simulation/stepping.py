@@ -23,6 +23,7 @@ from servolens.simulation.digital import (
     CLOSED,
     COARSE,
     CORRECTS,
+    HELD,
     INTEGRAL_BEFORE,
     IS_KNOWN_BEFORE,
     IS_PD,
@@ -106,11 +107,14 @@ def correct(x: Any, loop: Any, gains: Any, k: int, ns: int, nz: int, innovation:
         x[SHAKING] = gains[2 * k]
     else:
         x[Y] += gains[3 * k] * innovation
-        if x[V] != 0.0:
+        rests = gains[3 * k + 1] == HELD
+        if rests:
+            x[V] = 0.0
+        elif x[V] != 0.0:
             x[V] += gains[3 * k + 1] * innovation
-        x[SHAKING] = loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
+        x[SHAKING] = 0.0 if rests else loop[SHAKING_LEFT] * x[SHAKING] + gains[3 * k + 2] * innovation
         for i in range(ns + nz):
-            if loop[MOVED + i] > 0.0:
+            if loop[MOVED + i] > 0.0 and not (rests and loop[MOVED + i] == 2.0):
                 x[STATES + i] += gains[3 * k + int(loop[MOVED + i]) - 1] * innovation
 
 
@@ -241,7 +245,7 @@ def compiled_rule() -> dict[str, Any]:
         real = cfunc(float64(float64), **OPTIONS)
         return {
             "run": cfunc(int64(int64, int64, float64, *[POINTER] * 9), **OPTIONS)(run),
-            "gains": cfunc(int64(int64, *[POINTER] * 5), **OPTIONS)(kalman),
+            "gains": cfunc(int64(int64, *[POINTER] * 6), **OPTIONS)(kalman),
             "beyond_pd": cfunc(BEYOND_PD, **OPTIONS)(law_beyond_pd),
             "exp": real(elementary.exponential.py_func),
             "sin": real(elementary.sine.py_func),
