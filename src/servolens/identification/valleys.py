@@ -1,0 +1,111 @@
+"""Error bars of parameters that the data hardly tell apart, where the error is flatter beside its minimum than there.
+
+An axis that moves one way shows its friction and a constant force together alone, whatever each is. But where the
+friction is just large enough to hold it, the error has a kink: differences over it make the two look known, and noise
+may put the minimum there. The error bars are then those of the flattest place that explains as much.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servolens.errors import InputError, NumericalError
+from servolens.identification.conditioning import WORST, determined, open_directions
+from servolens.identification.error_problem import Point, Problem
+from servolens.identification.fit_findings import HARDLY_APART
+from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, SHORT, descend
+from servolens.identification.runs import moved_start
+from servolens.identification.widths import linearised_widely
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from servolens.identification.likelihood import Likelihood
+    from servolens.identification.linear_model import Linearised
+    from servolens.identification.noise import NoiseModel
+    from servolens.identification.refine import Refinement
+
+__all__ = ["counting_valleys"]
+
+AWAY = 3.0
+"""Standard errors from the minimum to where the error is looked at: nearer it explains nearly as much, and so may the
+rest of a valley."""
+
+
+def counting_valleys(
+    likelihood: Likelihood, refined: Refinement, noise: NoiseModel, *, unpowered: bool = False
+) -> Refinement:
+    """Return what was `refined` beside `noise`, with error bars of the flattest place that explains as much.
+
+    Where the data tell all parameters apart, or contacts leave many minima to allow for, nothing changes.
+    Parameters and result are those of :func:`~servolens.identification.fitted.with_error_bars`.
+    """
+    if refined.plant.has_contacts or not (np.abs(np.tril(refined.correlation, -1)) > HARDLY_APART).any():
+        return refined
+    runs = likelihood.runs(noise, unpowered=unpowered)
+    if refined.usual:
+        runs = [run.less(usual) for run, usual in zip(runs, refined.usual, strict=True)]
+    problem = Problem(refined.plant, runs, likelihood.options(refined.plant), None)
+    with suppress(InputError, NumericalError):
+        refined = _flattest(problem, refined)
+    likelihood.tally.add(problem.simulated)
+    return refined
+
+
+def _flattest(problem: Problem, refined: Refinement) -> Refinement:
+    """Return what was `refined` with error bars enlarged as far as one beside the minimum is larger."""
+    minimum = problem.at(refined.starts, refined.local)
+    found, _ = linearised_widely(problem, minimum)
+    own, is_open = _variances(found), open_directions(found.information)
+    largest = own.copy()
+    for beside in _beside(problem, minimum, found):
+        other, _ = linearised_widely(problem, beside)
+        largest = np.maximum(largest, _variances(other))
+        is_open |= open_directions(other.information)
+    factors = np.ones(len(refined.covariance))
+    ratios = np.divide(largest, own, out=np.ones_like(own), where=own > 0.0)
+    factors[problem.free[::-1]] = np.sqrt(ratios)[::-1]  # of parameters of the records' own the first
+    unknown = dict.fromkeys(name for name in problem.names_of(is_open) if name not in refined.at_bound)
+    correlation, lost = refined.correlation.copy(), np.array([name in unknown for name in problem.names])
+    correlation[lost], correlation[:, lost] = np.nan, np.nan
+    return replace(
+        refined,
+        covariance=refined.covariance * np.outer(factors, factors),
+        correlation=correlation,
+        undetermined=tuple(dict.fromkeys((*refined.undetermined, *unknown))),
+    )
+
+
+def _variances(found: Linearised) -> NDArray[np.float64]:
+    """Return those of the parameters if the noise were white and 1, shape (k,); 0 of what nothing is seen."""
+    seen = np.flatnonzero(np.diag(found.information) > 0.0)
+    information, variances = found.information[np.ix_(seen, seen)], np.zeros(len(found.information))
+    basis = determined(information)
+    variances[seen] = np.diag(basis @ np.linalg.inv(basis.T @ information @ basis) @ basis.T)
+    return variances
+
+
+def _beside(problem: Problem, minimum: Point, found: Linearised) -> list[Point]:
+    """Return where descents end that begin on both sides of the `minimum` along the direction that is known least.
+
+    As far as that explains more than the linearisation has it.
+    """
+    is_free = (minimum.values > problem.low) & (minimum.values < problem.high) & (np.diag(found.information) > 0.0)
+    free, variance = np.flatnonzero(is_free), problem.variance(minimum)
+    information, along = found.information[np.ix_(free, free)], np.zeros(is_free.size)
+    scale = np.sqrt(np.diag(information))
+    sizes, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    least = int(np.argmax(sizes > sizes[-1] / WORST))
+    along[free] = directions[:, least] / scale * AWAY * np.sqrt(variance / sizes[least])
+    changes = [block.best_change(along, 0.0) for block in found.blocks]
+    ends = []
+    for side in (-1.0, 1.0):
+        starts = [moved_start(start, side * change) for start, change in zip(minimum.starts, changes, strict=True)]
+        begun = Point(np.clip(minimum.values + side * along, problem.low, problem.high), starts)
+        begun.cost = problem.cost(begun)
+        ends.append(descend(problem, begun, SHORT, NEGLIGIBLE_ON_THE_WAY)[0])
+    return [end for end in ends if end.cost < minimum.cost + AWAY**2 * variance]
