@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from servolens.plant import Plant
 
-__all__ = ["determined", "is_touched", "open_directions", "well_conditioned"]
+__all__ = ["WORST", "determined", "is_touched", "open_directions", "well_conditioned"]
 
 WORST, PART = 1e14, 1e-3
 """Condition from which on parameters count as not determined; share in such a direction from which on one is of it."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FREE_DAMPING_UNKNOWN",
+    "HARDLY_APART",
     "LEAST_DAMPING",
     "above_noise",
     "assumed_damping",

@@ -14,6 +14,7 @@ from servolens.identification.refine import Refinement, minimise_error
 from servolens.identification.shaken_errors import counting_answers_to_shaking
 from servolens.identification.shaking_spectra import counting_all_spectra
 from servolens.identification.unsteady import counting_unsteadiness
+from servolens.identification.valleys import counting_valleys
 from servolens.model import NOT_REACHED, UNDETERMINED, Model
 
 if TYPE_CHECKING:
@@ -80,8 +81,8 @@ def with_error_bars(
 ) -> Refinement:
     """Return what was `refined` beside `noise`, with error bars that allow for what its residual does not show.
 
-    An axis that slides off by itself, late jumps of the voltage, how a coupling or a stop answers to shaking, and all
-    spectra that may shake it.
+    Flatter places beside the optimum, an axis that slides off by itself, late jumps of the voltage, how a coupling or a
+    stop answers to shaking, and all spectra that may shake it.
 
     Parameters
     ----------
@@ -94,8 +95,13 @@ def with_error_bars(
     unpowered : bool
         Whether nothing was applied before records that begin with their step.
     """
-    ways = counting_unsteadiness, counting_late_inputs, counting_answers_to_shaking, counting_all_spectra
-    for counting in ways:
+    for counting in (
+        counting_valleys,
+        counting_unsteadiness,
+        counting_late_inputs,
+        counting_answers_to_shaking,
+        counting_all_spectra,
+    ):
         refined = counting(likelihood, refined, noise, unpowered=unpowered)
     return refined
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from servolens.identification.error_problem import Problem
     from servolens.identification.linear_model import Linearised
 
-__all__ = ["NEGLIGIBLE_ON_THE_WAY", "beside", "by_way_of", "descend", "lowest_minimum"]
+__all__ = ["NEGLIGIBLE_ON_THE_WAY", "SHORT", "beside", "by_way_of", "descend", "lowest_minimum"]
 
 NEGLIGIBLE, NEGLIGIBLE_ON_THE_WAY = 1e-8, 1e-6
 """Share of the squared residual whose gain ends the search: with some thousand samples, a hundredth of a standard

@@ -27,8 +27,8 @@ LEAST = 1e-4
 BENDS = 4.0
 """Times what bends the motion of its four neighbours by which it must do so: a knock bends them too.
 
-It must exceed the motion between those beside it as well: a sample taken early, late or twice is no spike, nor a
-plain slip.
+It must exceed the motion between those beside it as well, unless the stated law misses the voltage there: a sample
+taken early, late or twice is no spike, nor a plain slip.
 """
 SPREADS, EXACT = 4.0, 1e-9
 """Robust standard deviations by which a law misses more than usual, and share of the voltage that is none."""
@@ -68,7 +68,8 @@ def spikes(record: Record, seen: Sampling) -> tuple[NDArray[np.intp], NDArray[np
     further = np.max([beside[4 + j : 4 + j + off.size] for j in FURTHER], axis=0)
     step = max(seen.step or 0.0, record.encoder_resolution or 0.0)
     least = SPAN * 1.4826 * float(np.median(np.abs(off))) + STEPS * step + LEAST * seen.travel
-    usual = np.maximum(np.abs(after - before), BENDS * np.maximum(np.abs(bend), further))
+    moved = np.where(spoilt(record)[2:-2] & _is_single(off), 0.0, np.abs(after - before))
+    usual = np.maximum(moved, BENDS * np.maximum(np.abs(bend), further))
     places = np.flatnonzero((np.abs(off) > least + usual) & _evenly_logged(record.time))
     alone, heights = places + 2, off[places]
     mended = x.copy()
@@ -85,6 +86,17 @@ def _off_cubic(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return how far each sample but the outer two is off the cubic through its four neighbours."""
     two_before, before, there, after, two_after = (x[i : len(x) - 4 + i] for i in range(5))
     return there - (4.0 * (before + after) - two_before - two_after) / 6.0
+
+
+def _is_single(off: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tell where samples are `off` their cubics rather as one sample makes them than as a slip does.
+
+    Both follow from the cubic, in units of what the sample itself is off by.
+    """
+    spike, slip = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0, np.array([0.0, -1.0, 3.0, -3.0, 1.0]) / 3.0
+    beside = np.lib.stride_tricks.sliding_window_view(np.pad(off, 2), 5)
+    away = [np.sum((beside - off[:, None] * shape) ** 2, axis=1) for shape in (spike, slip, slip[::-1])]
+    return np.asarray(np.argmin(away, axis=0) == 0)
 
 
 def _pairs(x: NDArray[np.float64], least: float, evenly: NDArray[np.bool_]) -> list[tuple[int, float]]:
