@@ -330,3 +330,36 @@ def test_the_time_of_a_record_file_is_in_seconds(tmp_path, slower):
     path = written(tmp_path, "# kp = 60\n# kd = 4\ntime,reference,position,voltage\n" + rows(T * slower, R, Y, U))
     record = read_log(path).record
     assert record.time == pytest.approx(T * slower)
+
+
+LARGE = 1e3 * Y, 1e3 * R
+
+
+@pytest.mark.parametrize(
+    "head", ["time,setpoint,position,voltage", "t,reference,position,u", "time,reference,pos,voltage"]
+)
+def test_the_word_position_alone_is_no_unit(tmp_path, head):
+    """It is the name of record files too, whose numbers are metres; among other names it is a word like others."""
+    content = head + "\n" + rows(T, LARGE[1], LARGE[0], U)
+    with pytest.raises(InputError, match="states no unit: mm, deg and rad are plausible; say --unit position=mm or"):
+        read_log(written(tmp_path, content))
+    answered = read_log(written(tmp_path, content), units={"position": "mm"}).record
+    assert answered.position == pytest.approx(Y, abs=1e-9)
+    assert answered.reference == pytest.approx(R, abs=1e-9)
+
+
+def test_the_word_position_is_in_the_unit_that_its_reference_states(tmp_path):
+    content = "time,setpoint [mm],position,voltage\n" + rows(T, LARGE[1], LARGE[0], U)
+    assert read_log(written(tmp_path, content)).record.position == pytest.approx(Y, abs=1e-9)
+
+
+def test_a_record_file_without_units_that_travels_far_is_read_in_metres_with_a_warning(tmp_path):
+    content = "time,reference,position,voltage\n" + rows(T, LARGE[1], LARGE[0], U)
+    record = read_log(written(tmp_path, content)).record
+    assert record.position == pytest.approx(1e3 * Y)
+    (warning,) = [remark for remark in record.remarks if remark.severity == "warning"]
+    assert warning.code == "length_unit_assumed"
+    assert "taken in m" in warning.message
+    assert "--unit position=mm" in warning.message
+    stated = read_log(written(tmp_path, "# kp = 0.06 V/m\n" + content)).record
+    assert not [remark for remark in stated.remarks if remark.severity == "warning"]

@@ -23,6 +23,7 @@ from servolens.reading.scales import (
     is_huge,
     length_unit,
     time_unit,
+    travel_of,
     velocity_unit,
 )
 from servolens.reading.words import BY_ARMATURE, BY_KIND, BY_NAME, BY_PROTOCOL, DUTY, allows, meaning
@@ -120,9 +121,9 @@ def interpret(
     chosen = {signal: choice for signal, choice in chosen.items() if signal in found}
     for signal, choice in chosen.items():
         _check_numbers(signal, choice)
+    remarks += _about_length(chosen["position"], found["position"], known := {**comments, **gains, **_given(settings)})
     if not {"reference", "voltage"} & set(chosen) and not _states_reference(settings or {}):
         _check_stated(tables)
-    known = {**comments, **gains, **_given(settings)}
     if "voltage" not in {*chosen, *(columns or {})} and ("kp" in known or not GAINS_BESIDE & set(known)):
         remarks += _about_command(tables, chosen, knows_gains="kp" in known)
     texts = {signal: text for signal, (text, _) in found.items()}
@@ -265,6 +266,8 @@ def _unstated(
         return time_unit(choice)
     if signal in ("position", "reference"):
         beside = "reference" if signal == "position" else "position"
+        if _is_record(chosen) and choice.evidence != NAMED:
+            return None, ""
         return _length(choice, chosen.get(beside), found.get(beside), settings)
     if signal == "voltage" and (not choice.is_stated or choice.unit or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
@@ -273,23 +276,48 @@ def _unstated(
     return None, ""
 
 
+def _is_record(chosen: Mapping[str, Choice]) -> bool:
+    """Tell whether all columns have the names of record files, whose numbers are in SI where no unit stands."""
+    return all(choice.is_stated for choice in chosen.values())
+
+
 def _length(
     choice: Choice, beside: Choice | None, other: tuple[str | None, str] | None, settings: Mapping[str, object]
 ) -> tuple[str | None, str]:
     """Return the unit of a position or a reference that states none."""
     if choice.evidence == NAMED and other is not None and other[1] == BY_CALLER:
         return other[0], "the unit of what belongs to it"
-    if settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None:
+    if _has_counts(settings):
         return None, ""
     if choice.evidence == NAMED and not _states_length(settings):
         unit = length_unit(choice, other[0] if other else None, beside)  # asks where metres are not plausible
         return unit if choice.meaning.kind == "angle" else (None, "")
-    if choice.is_stated:
+    if choice.evidence == NAMED:
         return None, ""
     settled = other[0] if other else None
-    if _states_length(settings) and not (settled and beside and is_alike(choice, beside, settled)):
-        return None, "SI, as the gains are stated"
+    is_settled = bool(settled and beside and is_alike(choice, beside, settled))
+    if _states_length(settings) and not is_settled:
+        return None, "" if choice.is_stated else "SI, as the gains are stated"
+    if choice.is_stated and not is_settled:
+        length_unit(choice, None)  # asks where SI is not plausible
+        return None, ""
     return length_unit(choice, settled, beside)
+
+
+def _about_length(position: Choice, found: tuple[str | None, str], settings: Mapping[str, object]) -> list[Finding]:
+    """Warn of a position of a record file that states no unit, nor do its gains, and is implausible in metres."""
+    travel = travel_of(position.column.values)
+    if found != (None, "") or travel <= LONGEST_AXIS or _states_length(settings) or _has_counts(settings):
+        return []
+    message = (
+        f"the column {quote(position.address)} states no unit and is taken in m, as record files have it: it travels"
+        f" {travel:.4g} m; if that is mm, deg or rad, say so, e.g. --unit position=mm."
+    )
+    return [Finding(code="length_unit_assumed", severity="warning", message=message)]
+
+
+def _has_counts(settings: Mapping[str, object]) -> bool:
+    return settings.get("counts_per_unit") is not None or settings.get("counts_per_rev") is not None
 
 
 def _states_length(settings: Mapping[str, object]) -> bool:

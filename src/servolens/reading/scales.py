@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     Values = NDArray[np.float64]
 
-__all__ = ["LONGEST_AXIS", "VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "velocity_unit"]
+__all__ = ["LONGEST_AXIS", "VELOCITY_AGREES", "command_unit", "length_unit", "time_unit", "travel_of", "velocity_unit"]
 
 LONGEST_SAMPLE_TIME = 0.5
 """Sample time from which on no axis is controlled [s]; the same bound as in the checks of a record."""
@@ -138,7 +138,7 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
     """
     unit = parse_unit(settled)
     si = "rad" if unit is not None and "rad" in dict(unit.dimension) else si
-    sizes = [0.0 if one is None else _travel(one.column.values) for one in (choice, beside)]
+    sizes = [0.0 if one is None else travel_of(one.column.values) for one in (choice, beside)]
     nearness = _nearness(sizes, settled)
     if nearness is not None and nearness[1] < nearness[0]:
         signal = "reference" if "reference" in choice.meaning.roles else "position"
@@ -151,7 +151,7 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
 
 def is_alike(choice: Choice, beside: Choice, settled: str) -> bool:
     """Tell whether a column travels about as far as its partner in that one's unit, rather than in SI."""
-    nearness = _nearness([_travel(one.column.values) for one in (choice, beside)], settled)
+    nearness = _nearness([travel_of(one.column.values) for one in (choice, beside)], settled)
     return nearness is not None and nearness[0] <= nearness[1]
 
 
@@ -167,7 +167,7 @@ def _nearness(sizes: list[float], settled: str) -> tuple[float, float] | None:
     return abs(ratio), abs(ratio - float(np.log(unit.factor)))
 
 
-def _travel(values: Values) -> float:
+def travel_of(values: Values) -> float:
     """Return the range of a column, zero where some value is none."""
     if values.dtype.kind not in "iuf" or not values.size or not np.isfinite(values).all():
         return 0.0
