@@ -161,6 +161,56 @@ def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) 
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("gain", "message"),
+    [
+        (
+            {"value": 19.0},
+            "gain is 19, outside its interval from 1.8804 to 1.9196; where the value was changed by hand",
+        ),
+        ({"value": 1.95}, "gain is 1.95, outside its interval"),
+        ({"interval": [2.5, 1.0]}, "gain is 1.9, outside its interval"),
+        ({"interval": "1.9"}, "interval of gain must be a list"),
+        ({"interval": [1.9]}, "interval of gain must hold 2 values"),
+        (
+            {"stderr": 0.02},
+            "stderr of gain is 0.02, and the covariance has 0.01; change both, or leave out the covariance",
+        ),
+        ({"stderr": 0.0}, "stderr of gain is 0, and the covariance has 0.01"),
+    ],
+)
+def test_model_files_that_contradict_themselves_are_refused(tmp_path, gain, message) -> None:
+    """As one changed by hand in a single place does: what it then says of its errors would be believed."""
+    path = tmp_path / "model.json"
+    data = Model(plant=Plant(gain=1.9, damping=6.0), covariance=np.diag([1e-4, 1e-2])).to_json()
+    data["gain"] |= gain
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError) as caught:
+        read_model(path)
+    assert str(caught.value).startswith(f"{path}: {message}")
+
+
+def test_standard_errors_that_the_covariance_does_not_know_are_refused(tmp_path) -> None:
+    path = tmp_path / "model.json"
+    data = Model(plant=Plant(gain=1.9, damping=6.0), covariance=np.diag([1e-4, np.nan])).to_json()
+    data["damping"] |= {"stderr": 0.1, "interval": None}
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"stderr of damping is .*, and the covariance does not know it"):
+        read_model(path)
+
+
+def test_errors_of_a_model_may_be_rounded_to_two_digits(tmp_path) -> None:
+    path = tmp_path / "model.json"
+    data = Model(plant=Plant(gain=1.9, damping=6.0), covariance=np.diag([1.16e-6, 1e-2])).to_json()
+    data["gain"] |= {"stderr": 0.0011, "interval": [1.898, 1.902]}
+    path.write_text(json.dumps(data))
+    assert read_model(path).quantities["gain"].stderr == pytest.approx(1.077e-3, rel=1e-3)
+    data["gain"] |= {"value": 1.8, "stderr": 0.01, "interval": None}
+    data |= {"covariance": None}
+    path.write_text(json.dumps(data))
+    assert read_model(path).quantities["gain"].stderr == pytest.approx(0.01)
+
+
 def test_rounding_of_a_covariance_is_no_fault(tmp_path) -> None:
     path = tmp_path / "model.json"
     held = "[[1, 0, null], [1e-17, 1, null], [null, null, null]]"

@@ -37,6 +37,8 @@ LARGEST = 1e150
 """Standard error whose square is still a number."""
 SYMMETRIC = 1e-6
 """Share of its size by which a covariance may miss its symmetry, and its correlations their bounds, by rounding."""
+ROUNDED = 0.05
+"""Relative difference of numbers that are the same but rounded to two digits, as people write errors."""
 OPTIONAL = ("inertia", FREE_DAMPING.name)
 """Numbers of a plant that stand in its file where they are known."""
 
@@ -214,6 +216,7 @@ class Model:
                 **{name: _value(_as_quantity(data[name])) for name in OPTIONAL if data.get(name) is not None},
             )
             _check_units(data, plant)
+            _check_intervals(data)
             covariance = _covariance(data, plant)
             names = decoded(tuple[str, ...], data.get("identified_from", []), "identified_from")
             reasons = {name: str(why) for name, q in _quantities(data).items() if (why := q.get("reason"))}
@@ -290,7 +293,7 @@ def placed(plant: Plant, numbers: Any, names: Sequence[str] | None, what: str) -
     if array.shape not in ((len(names),), (len(names),) * 2):
         raise InputError(f"{what} has shape {array.shape}; it must have a place for each of {', '.join(names)}")
     if len(set(names)) < len(names) or not set(older) <= set(names) <= set(every):
-        raise InputError(f"{what} must name {', '.join(fitted)}; got {str(names)[:40]!r}")
+        raise InputError(f"{what} must name {', '.join(fitted)}; got {', '.join(map(str, names))[:40]!r}")
     place = [every.index(name) for name in names]
     found = np.full((len(every),) * array.ndim, np.nan)
     found[np.ix_(*(place,) * array.ndim)] = array
@@ -364,7 +367,33 @@ def _covariance(data: Mapping[str, Any], plant: Plant) -> NDArray[np.float64] | 
     found = placed(plant, decoded(NDArray[np.float64], numbers, "covariance"), names, "covariance")
     if not _is_covariance(found):
         raise InputError("covariance must be symmetric and positive semidefinite; state standard errors alone instead")
+    if alone is not None:
+        _check_errors(plant, np.sqrt(np.diag(alone)), np.sqrt(np.diag(found)))
     return found
+
+
+def _check_errors(plant: Plant, stated: NDArray[np.float64], held: NDArray[np.float64]) -> None:
+    """Refuse standard errors that are not those of the covariance beside them: one of the two was changed."""
+    for name, error, other in zip(plant.parameters, stated, held, strict=True):
+        if np.isfinite(error) and not abs(error - other) <= ROUNDED * max(error, other):
+            says = f"has {other:.3g}" if np.isfinite(other) else "does not know it"
+            raise InputError(
+                f"stderr of {name} is {error:.3g}, and the covariance {says}; change both, or leave out the covariance"
+            )
+
+
+def _check_intervals(data: Mapping[str, Any]) -> None:
+    """Refuse a value outside the interval that stands beside it: one of the two was changed."""
+    for name, quantity in _quantities(data).items():
+        if quantity.get("interval") is None:
+            continue
+        low, high = decoded(tuple[float, float], quantity["interval"], f"interval of {name}")
+        value, slack = _value(quantity), ROUNDED * abs(high - low)
+        if not low - slack <= value <= high + slack:
+            raise InputError(
+                f"{name} is {value:.6g}, outside its interval from {low:.6g} to {high:.6g}; where the value was changed"
+                " by hand, leave out its interval and the covariance: they were the old one's"
+            )
 
 
 def _named(held: Mapping[str, Any]) -> tuple[tuple[str, ...], Any]:
