@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from datetime import datetime, timedelta
 from time import process_time
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
@@ -710,3 +712,60 @@ def test_a_long_run_of_blanks_keeps_nobody_busy(tmp_path):
     begin = process_time()
     refusal(tmp_path, "1 a" + " " * 200_000 + "b,2\n")
     assert process_time() - begin < 5  # it took minutes where each blank was a beginning
+
+
+FRAME = pd.DataFrame({"t_ms": 1e3 * T, "target": R, "pos": Y, "u": U})
+
+
+def as_json(frame, orient):
+    return json.dumps(json.loads(frame.to_json(orient=orient, double_precision=12)))
+
+
+@pytest.mark.parametrize("orient", ["columns", "index", "records", "split", "table"])
+def test_a_data_frame_written_as_json_is_read(tmp_path, orient):
+    record = read_log(written(tmp_path, as_json(FRAME, orient))).record
+    assert record.position == pytest.approx(Y, abs=1e-12)
+    assert record.reference == pytest.approx(R, abs=1e-12)
+    assert record.voltage == pytest.approx(U, abs=1e-9)
+
+
+def test_the_index_of_a_data_frame_written_as_json_can_be_the_time(tmp_path):
+    path = written(tmp_path, as_json(FRAME.set_index("t_ms"), "columns"))
+    with pytest.raises(InputError, match="no column named time; the columns are 'index, target, pos, u'"):
+        read_log(path)
+    record = read_log(path, columns={"time": "index"}, units={"time": "ms"}).record
+    assert record.time == pytest.approx(T, abs=1e-12)
+    assert record.position == pytest.approx(Y, abs=1e-12)
+
+
+@pytest.mark.parametrize(("label", "values"), [("name", "values"), ("Label", "y"), ("id", "data")])
+def test_channels_with_names_and_units_of_their_own_are_read(tmp_path, label, values):
+    kinds = (("t", T * 1e3, "ms"), ("target", R * 1e3, "mm"), ("pos", Y * 1e3, "mm"), ("u", U, None))
+    channels = [{label: name, "unit": unit, values: list(signal)} for name, signal, unit in kinds]
+    for content in ({"rate": 1000, "channels": channels}, channels):
+        record = read_log(written(tmp_path, json.dumps(content))).record
+        assert record.position == pytest.approx(Y, abs=1e-12)
+        assert record.reference == pytest.approx(R, abs=1e-12)
+
+
+def test_channels_without_names_are_asked_about(tmp_path):
+    content = json.dumps([{"unit": "mm", "values": list(Y)}, {"unit": "mm", "values": list(R)}])
+    with pytest.raises(InputError):
+        read_log(written(tmp_path, content))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"a": {"0": 1, "1": 2}},
+        {"a": {"0": 1, "1": 2}, "b": {"0": 1, "2": 2}},
+        {"a": {"0": [1], "1": [2]}, "b": {"0": [1], "1": [2]}},
+        {"a": {"0": "x", "1": "y"}, "b": {"0": "x", "1": "y"}},
+        {"a": {"nan": 1, "1": 2}, "b": {"nan": 1, "1": 2}},
+        [{"name": "a", "values": [1, 2], "more": [1, 2]}, {"name": "a", "values": [1, 2]}],
+        [{"name": 1, "values": [1, 2]}, {"name": "b", "values": "12"}],
+    ],
+)
+def test_what_only_looks_like_a_table_of_json_is_refused(tmp_path, content):
+    with pytest.raises(InputError):
+        read_log(written(tmp_path, json.dumps(content)))

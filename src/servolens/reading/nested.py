@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from servolens.reading.cells import number
 from servolens.reading.table import MOST_COLUMNS, Column, Table
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ DEEPEST_LEVEL = 12
 """Levels that are followed."""
 _EMPTY = ("values", "value", "data", "y", "signals")
 """Names of leaves that say nothing: their parent's name does."""
+_NAMES = ("name", "label", "channel", "id", "title")
+"""Keys of what a channel is called."""
 
 Path = tuple[str, ...]
 
@@ -97,14 +100,62 @@ def _mapping(
     if "time" in node and isinstance(node.get("signals"), dict | list | np.ndarray):
         yield from _simulink(node, path)
         return
+    keyed = _keyed(node)
+    if keyed is not None:
+        yield from _leaves(keyed, path, properties)
+        return
     for key, value in node.items():
         yield from _leaves(value, (*path, str(key)), properties)
+
+
+def _keyed(node: Mapping[Any, Any]) -> dict[str, list[Any]] | None:
+    """Return the columns of a table whose cells have their rows' numbers as keys, as ``DataFrame.to_json`` writes it.
+
+    Columns may hold the rows or rows the columns. A row's number that is no plain count stays as the column ``index``.
+    """
+    inner = list(node.values())
+    if len(inner) < 2 or not all(isinstance(one, dict) and one.keys() == inner[0].keys() for one in inner):
+        return None
+    rows = _counted(inner[0])
+    if rows is None and (rows := _counted(node)) is not None:
+        node = {name: {row: node[row][name] for row in node} for name in inner[0]}
+    if rows is None or not all(_is_cell(cell) for column in node.values() for cell in column.values()):
+        return None
+    columns = {str(name): list(column.values()) for name, column in node.items()}
+    return columns if rows == list(range(len(rows))) else {"index": rows, **columns}
+
+
+def _counted(keys: Mapping[Any, Any]) -> list[Any] | None:
+    """Return keys as the numbers of rows, None where some is none."""
+    found = [number(str(key)) for key in keys]
+    return found if len(found) > 1 and all(value is not None for value in found) else None
+
+
+def _is_cell(value: object) -> bool:
+    return value is None or isinstance(value, str | int | float)
+
+
+def _channels(node: Sequence[Any]) -> dict[str, list[Any]] | None:
+    """Return the values of channels by name and unit, of objects such as ``{"name": …, "unit": …, "values": […]}``."""
+    found: dict[str, list[Any]] = {}
+    for item in node:
+        small = {str(key).lower(): value for key, value in item.items()}
+        name = next((small[key] for key in _NAMES if isinstance(small.get(key), str)), None)
+        lists = [value for value in small.values() if isinstance(value, list)]
+        if name is None or name in found or len(lists) != 1:
+            return None
+        unit = next((small[key] for key in ("unit", "units") if isinstance(small.get(key), str)), "")
+        found[f"{name} [{unit}]" if unit else name] = lists[0]
+    return found
 
 
 def _sequence(
     node: Sequence[Any], path: Path, properties: dict[str, str]
 ) -> Iterator[tuple[Path, NDArray[np.float64]]]:
     if node and all(isinstance(item, dict) for item in node):
+        if (channels := _channels(node)) is not None:
+            yield from _leaves(channels, path, properties)
+            return
         keys = list(dict.fromkeys(key for item in node for key in item))
         for key in keys[:MOST_COLUMNS]:
             values = [item.get(key) for item in node]
