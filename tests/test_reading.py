@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import bz2
 import io
+import lzma
 import math
 import os
+import pickle
+import sqlite3
 import struct
 import subprocess
 import sys
+import zipfile
 import zlib
 from pathlib import Path
 from types import SimpleNamespace
@@ -46,6 +51,22 @@ PLAIN_VECTOR = "not a vector of numbers; save it as a plain vector"
 SIGNALS = "time, position, reference, voltage, velocity, feedforward, enabled"
 PLAIN = GAIN + HEADER + ROWS
 TEXT = "is text without a table of numbers; a record has a row of names and rows of numbers below it"
+
+
+def packed(names):
+    """Return a ZIP archive of files with these names."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for name in names:
+            archive.writestr(name, "t,q\n0,1\n")
+    return content.getvalue()
+
+
+def database():
+    """Return an SQLite database of a table that is no bag's."""
+    with sqlite3.connect(":memory:") as connection:
+        connection.execute("create table log (t real, q real)")
+        return connection.serialize()
 
 
 @pytest.fixture
@@ -439,6 +460,21 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (b"MDF     4.10    ", "is a damaged MDF file; record or export it again"),
         (b"\x89HDF\r\n\x1a\n...", "is a damaged HDF5 file; write it again"),
         (b"PK\x03\x04...", "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx"),
+        (bz2.compress(b"t,q\n0,1\n"), "is compressed by bzip2; unpack it first, or pack it by gzip"),
+        (lzma.compress(b"t,q\n0,1\n"), "is compressed by xz; unpack it first, or pack it by gzip"),
+        (b"\x28\xb5\x2f\xfd\x24\x08A\x00", "is compressed by Zstandard; unpack it first, or pack it by gzip"),
+        (b"ARROW1\x00\x00", "is an Arrow (Feather) file, which is not read; save it as Parquet"),
+        (pickle.dumps({"t": [0.0]}), "is a pickle, which may run code and is not read; save it as CSV or Parquet"),
+        (pickle.dumps({"t": [0.0]}, 2), "is a pickle, which may run code and is not read; save it as CSV or Parquet"),
+        (b"CDF\x01\x00\x00", "is a NetCDF file of version 3, which is not read; save it as version 4 or as CSV"),
+        (b"%PDF-1.7\n", "is a PDF, which holds no signals; give the log itself"),
+        (packed(("a.csv",)), "is a ZIP archive of 'a.csv'; unpack it first"),
+        (packed(("a.csv", "b/c.csv")), "is a ZIP archive of 2 files, the first of them 'a.csv'; unpack it first"),
+        (
+            packed(("[Content_Types].xml",)),
+            "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx",
+        ),
+        (database(), "is an SQLite database, and no ROS 2 bag; export its table as CSV"),
         (b"\x1f\x8b...", "is a damaged gzip file; pack it again"),
         (
             b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM",

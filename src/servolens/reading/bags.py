@@ -23,6 +23,8 @@ LONGEST_ARRAY = 64
 DEEPEST_FIELD = 6
 MCAP = b"\x89MCAP0\r\n"
 OTHER = "is a damaged bag, or one of another kind than ROS 1, SQLite and MCAP with CDR or JSON"
+SQLITE = b"SQLite format 3\x00"
+NO_BAG = "is an SQLite database, and no ROS 2 bag; export its table as CSV"
 STAMPS = (
     ("header.stamp.sec", "header.stamp.nanosec"),
     ("header.stamp.sec", "header.stamp.nsec"),
@@ -68,7 +70,12 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
             for connection, recorded, raw in reader.messages():
                 yield connection.topic, recorded, reader.deserialize(raw, connection.msgtype)
     except Exception as error:
-        raise InputError(OTHER) from error
+        raise InputError(OTHER if _may_be_bag(path) else NO_BAG) from error
+
+
+def _may_be_bag(path: Path) -> bool:
+    """Tell whether a file is no database, or one with the table of messages that ROS 2 gives it."""
+    return not path.is_file() or files.read_start(path, len(SQLITE)) != SQLITE or b"messages" in path.read_bytes()
 
 
 def _is_ros(path: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, final
@@ -53,6 +54,23 @@ BINARY_FORMATS = (
     _Kind(b"SQLite format 3\x00", "SQLite (perhaps a ROS 2 bag)", "bags"),
     _Kind(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an Excel 97 workbook", "workbook"),
 )
+NOT_READ = {
+    b"BZh91AY&SY": "is compressed by bzip2; unpack it first, or pack it by gzip",
+    b"\xfd7zXZ\x00": "is compressed by xz; unpack it first, or pack it by gzip",
+    b"\x28\xb5\x2f\xfd": "is compressed by Zstandard; unpack it first, or pack it by gzip",
+    b"7z\xbc\xaf\x27\x1c": "is a 7z archive; unpack it first",
+    b"Rar!\x1a\x07": "is a RAR archive; unpack it first",
+    b"ARROW1": "is an Arrow (Feather) file, which is not read; save it as Parquet",
+    b"FEA1": "is a Feather file of version 1, which is not read; save it as Parquet",
+    b"CDF\x01": "is a NetCDF file of version 3, which is not read; save it as version 4 or as CSV",
+    b"CDF\x02": "is a NetCDF file of version 3, which is not read; save it as version 4 or as CSV",
+    b"ULog\x01\x12\x35": "is a ULog of PX4, which is not read; convert it to CSV by ulog2csv",
+    b"%PDF-": "is a PDF, which holds no signals; give the log itself",
+    b"\x89PNG": "is a picture, which holds no signals; give the log itself",
+    b"\xff\xd8\xff": "is a picture, which holds no signals; give the log itself",
+}
+"""What files begin with that are known and not read, and what to do; each is the format's own mark."""
+_PICKLE = re.compile(rb"\x80[\x02-\x05]")
 _MAT5 = (b"\x00\x01IM", b"\x01\x00MI")
 _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 _GZIP, _ZIP = b"\x1f\x8b", b"PK\x03\x04"
@@ -111,6 +129,7 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
         return (*deep, Table(left)) if left else deep
     if path.suffix.lower() == ".mat":
         raise InputError("is not a MAT v5 or v7.3 file (version 4, or damaged); save it with -v7 in MATLAB")
+    _check_known(content)
     if b"\0" in content[: 2 * _LOOKED_AT] and not content.startswith(_UTF16):
         raise InputError("is a binary file of an unknown kind; see the documentation for the formats that are read")
     if is_codesys(content):
@@ -118,6 +137,15 @@ def _plain(content: bytes, path: Path) -> tuple[Table, ...]:
     if content.lstrip()[:1] in (b"{", b"["):
         return read_json(content)
     return read_text(content)
+
+
+def _check_known(content: bytes) -> None:
+    """Refuse a file of a kind that is known and not read, by its name."""
+    told = next((said for magic, said in NOT_READ.items() if content.startswith(magic)), None)
+    if told is None and _PICKLE.match(content) and content.rstrip(b"\n").endswith(b"."):
+        told = "is a pickle, which may run code and is not read; save it as CSV or Parquet"
+    if told is not None:
+        raise InputError(told)
 
 
 def _unpacked(content: bytes) -> bytes:

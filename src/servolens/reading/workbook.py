@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import zipfile
 from typing import TYPE_CHECKING
 
 from python_calamine import CalamineError, CalamineWorkbook
@@ -23,6 +24,8 @@ __all__ = ["read"]
 
 MOST_SHEETS = 50
 LAYOUT_ROWS = 400
+_PARTS = {"[Content_Types].xml", "mimetype", "content.xml"}
+"""Files that workbooks of Excel and OpenDocument hold, and no other ZIP archive has to."""
 
 
 def read(path: Path) -> list[Table]:
@@ -40,14 +43,23 @@ def read(path: Path) -> list[Table]:
                 table for name in names if (table := _table(name, book.get_sheet_by_name(name).to_python())) is not None
             ]
     except (CalamineError, OSError, ValueError) as error:
-        raise (
-            error
-            if isinstance(error, InputError)
-            else InputError("is a damaged workbook, or another kind of ZIP file; save it again as .xlsx")
-        ) from error
+        raise (error if isinstance(error, InputError) else InputError(_other(path))) from error
     if not tables:
         raise InputError("is a workbook without a sheet of numbers")
     return tables
+
+
+def _other(path: Path) -> str:
+    """Return what a file is that cannot be opened as a workbook."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = [name for name in archive.namelist() if not name.endswith("/")]
+    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError, EOFError):
+        names = []
+    if not names or _PARTS & set(names):
+        return "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx"
+    what = quote(names[0]) if len(names) == 1 else f"{len(names)} files, the first of them {quote(names[0])}"
+    return f"is a ZIP archive of {what}; unpack it first"
 
 
 def _table(name: str, rows: Sequence[Sequence[object]]) -> Table | None:
