@@ -467,6 +467,31 @@ def test_commas_beside_points_are_refused_by_a_true_sentence(tmp_path):
     )
 
 
+@pytest.mark.parametrize("sign", ["'", "\u2019", "\u00a0", "\u202f", "\u2009"])
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_thousands_behind_apostrophes_and_hard_spaces_are_read(tmp_path, sign, decimal):
+    """As Switzerland, France and SI write them; neither is ever a decimal sign."""
+    times, places = np.arange(1200) * 0.5, 2000 * np.sin(np.arange(1200) / 100)
+    cells = [f"{place:,.3f}".replace(",", "S").replace(".", decimal).replace("S", sign) for place in places]
+    clock = [f"{time:.1f}".replace(".", decimal) for time in times]
+    path = log(tmp_path / "a.csv", ("time [ms]", "position [um]", "voltage [V]"), clock, cells, clock, separator=";")
+    record = read_record(path)
+    assert record.position == pytest.approx(places * 1e-6, abs=1e-9)
+    assert record.time == pytest.approx(times * 1e-3)
+
+
+def test_a_typographic_minus_is_a_minus(tmp_path):
+    path = tmp_path / "a.csv"
+    log(path, ("time", "reference", "position", "voltage"), T, R, Y, U)
+    plain = read_record(path, kp=60)
+    text = path.read_text()
+    assert "-" in text
+    path.write_text(text.replace("-", "\N{MINUS SIGN}"), encoding="utf-8")
+    found = read_record(path, kp=60)
+    np.testing.assert_array_equal(found.voltage, plain.voltage)
+    np.testing.assert_array_equal(found.position, plain.position)
+
+
 def test_a_velocity_with_a_gap_can_be_left_out(tmp_path):
     path = log(
         tmp_path / "a.csv", ("time", "reference", "position", "voltage", "vel [m/s]"), T, R, Y, U, ["nan", *T[1:]]
