@@ -87,7 +87,9 @@ def test_the_light_of_the_data_says_that_records_contradict_each_other():
     against = Finding(code="records_contradict", severity="warning", message="the records contradict each other; why?")
     other = replace(against, code="noise_model", message="noise 8 µm.")
     quality = assess(run(12.0, "first"))
-    assert data_light([quality], [other]).light == "green"
+    green = data_light([quality], [other])
+    assert green.light == "green"
+    assert green.sentence == "The record can be used, and nothing in the data speaks against it."
     light = data_light([quality], [other, against])
     assert (light.light, light.sentence) == ("amber", "The records contradict each other; why?")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ from servolens import lab
 from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
-from servolens.reading import read_log, read_record
+from servolens.reading import read_log, read_record, record_from_dataframe, record_from_timeresponse
 from servolens.reading.reference_file import read_reference_file
 from servolens.reading.words import meaning
 from servolens.record import Controller
@@ -508,3 +510,12 @@ def test_gains_are_keywords_of_every_reader(tmp_path):
     assert [one.controller for one in read_records(path, kp="0.06 V/mm")] == [Controller(kp=60.0)]
     with pytest.raises(InputError, match="no setting is named 'kpp'; did you mean 'kp'"):
         read_record(path, kpp=60)
+    frame = pd.read_csv(path)
+    assert record_from_dataframe(frame, kp=60, kd="0.5 V s/m").controller == Controller(kp=60.0, kd=0.5)
+    response = SimpleNamespace(
+        time=frame["time [s]"], outputs=frame["position [m]"], inputs=frame["reference [m]"], output_labels=["y"]
+    )
+    assert record_from_timeresponse(response, kp=60).controller == Controller(kp=60.0)
+    for read, source in ((record_from_dataframe, frame), (record_from_timeresponse, response)):
+        with pytest.raises(InputError, match="no setting is named 'kpp'; did you mean 'kp'"):
+            read(source, kpp=60)

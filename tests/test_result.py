@@ -135,6 +135,25 @@ def test_json_of_something_else_is_refused_with_a_sentence(kind):
 
 
 @pytest.mark.parametrize("kind", FITTED)
+def test_json_of_a_result_may_be_a_text(kind):
+    text = json.dumps(made(kind).to_json())
+    assert stored(kind.from_json(text)) == stored(made(kind))
+    with pytest.raises(InputError) as refused:
+        kind.from_json(text[:-1])
+    assert str(refused.value) == "the text: is not JSON"
+
+
+def test_file_of_another_result_is_named(kind, tmp_path):
+    path = tmp_path / "other.json"
+    made(Fit if kind is not Fit else Design).save(path)
+    held, wanted = "design" if kind is Fit else "fit", kind.__name__.lower()
+    with pytest.raises(InputError) as refused:
+        kind.from_json(path)
+    assert str(refused.value) == (
+        f"{path} is of schema 'servolens.{held}/1'; {kind.__name__}.from_json reads 'servolens.{wanted}/1'"
+    )
+
+
 def test_simulate_and_residuals_belong_to_each_other(kind):
     found = made(kind)
     simulated, residuals = found.simulate(), found.residuals()

@@ -30,7 +30,7 @@ NOUNS = {list: "a list", dict: "an object", str: "a text", bool: "true or false"
 
 
 def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Return the JSON object that `source` is, or that its file holds.
+    """Return the JSON object that `source` is, that it holds as a text, or that its file holds.
 
     Raises
     ------
@@ -41,13 +41,14 @@ def json_of(source: Mapping[str, Any] | str | os.PathLike[str]) -> Mapping[str, 
         return source
     if not isinstance(source, str | os.PathLike):
         raise InputError(f"what to_json returned, or a file's path, is needed; got {type(source).__name__}")
-    path = Path(source)
+    is_text = isinstance(source, str) and source.lstrip().startswith("{")
+    label = "the text" if is_text else os.fspath(source)
     try:
-        data = read_json(path)
+        data = _parsed(str(source), "") if is_text else read_json(Path(source))
     except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError(f"{label}: {error}") from None
     if not isinstance(data, dict):
-        raise InputError(f"{path}: holds no JSON object")
+        raise InputError(f"{label}: holds no JSON object")
     return data
 
 
@@ -70,9 +71,16 @@ def read_json(path: Path, needed: str = "") -> Any:
         if path.exists() and not path.is_file():
             raise InputError(f"is a folder or a device{needed}")
         text = path.read_text(encoding="utf-8-sig")  # Windows' editors begin with its mark
-        return json.loads(text, object_pairs_hook=_named_once)
     except OSError as error:
         raise InputError(f"cannot be read ({(error.strerror or 'unknown error').lower()})") from None
+    except UnicodeError:
+        raise InputError(f"is not JSON{needed}") from None
+    return _parsed(text, needed)
+
+
+def _parsed(text: str, needed: str) -> Any:
+    try:
+        return json.loads(text, object_pairs_hook=_named_once)
     except InputError:
         raise
     except (ValueError, RecursionError):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Unpack
 
 from servolens.decoding import json_of, whole
@@ -12,7 +13,6 @@ from servolens.results import write_json
 
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping
 
     import numpy as np
     import pandas as pd
@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from servolens.summary import Summary
 
 __all__ = ["Result", "late"]
+
+MOST_SHOWN = 200
+"""Letters of a path, or of a text, that a refusal quotes."""
 
 
 class Result(ABC):
@@ -53,17 +56,24 @@ class Result(ABC):
 
     @classmethod
     def from_json(cls, source: Mapping[str, Any] | str | os.PathLike[str]) -> Self:
-        """Build the result from what :meth:`to_json` returned, or from a file that holds it.
+        """Build the result from what :meth:`to_json` returned, from its text, or from a file that holds it.
 
         Files hold no records: what is simulated from them needs these again.
 
         Raises
         ------
         InputError
-            If a field is missing or has the wrong type.
+            If a field is missing or has the wrong type, or if the file is another result's.
         """
         with whole(f"not a whole {cls.kind}"):
-            return cls._read(json_of(source))
+            data = json_of(source)
+            schema = data.get("schema")
+            if schema is not None and schema != f"servolens.{cls.kind}/1":
+                what = "it" if isinstance(source, Mapping) else str(source)[:MOST_SHOWN]
+                raise InputError(
+                    f"{what} is of schema {str(schema)[:40]!r}; {cls.__name__}.from_json reads 'servolens.{cls.kind}/1'"
+                )
+            return cls._read(data)
 
     @classmethod
     @abstractmethod

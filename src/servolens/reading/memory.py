@@ -31,6 +31,7 @@ def record_from_dataframe(
     settings: Mapping[str, object] | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    **stated: object,
 ) -> Record:
     """Return the record that a pandas DataFrame holds.
 
@@ -41,6 +42,8 @@ def record_from_dataframe(
         Without a time column the index is the time, if it is named so or is made of times.
     settings, columns, units : mapping, optional
         As in :func:`~servolens.reading.read_record`.
+    **stated
+        The same as `settings`, as keywords: ``kp=60``.
 
     Raises
     ------
@@ -51,10 +54,10 @@ def record_from_dataframe(
     --------
     >>> import pandas as pd
     >>> frame = pd.DataFrame({"time [ms]": [0, 1, 2], "position": [0, 0, 1e-6], "reference": [0.1] * 3})
-    >>> record_from_dataframe(frame, settings={"kp": 60}).sample_time
+    >>> record_from_dataframe(frame, kp=60).sample_time
     0.001
     """
-    settings = as_settings(settings)
+    settings = as_settings(settings, stated)
     if not hasattr(frame, "columns") or not hasattr(frame, "index"):
         raise InputError(f"a pandas DataFrame is needed, got {type(frame).__name__}")
     texts = [str(column) for column in frame.columns]
@@ -74,6 +77,7 @@ def record_from_timeresponse(
     settings: Mapping[str, object] | None = None,
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
+    **stated: object,
 ) -> Record:
     """Return the record that a python-control time response holds.
 
@@ -86,6 +90,8 @@ def record_from_timeresponse(
         With one trace.
     settings, columns, units : mapping, optional
         As in :func:`~servolens.reading.read_record`; `columns` maps signals to labels.
+    **stated
+        The same as `settings`, as keywords: ``kp=60``.
 
     Raises
     ------
@@ -98,7 +104,7 @@ def record_from_timeresponse(
     time = np.asarray(response.time, dtype=np.float64)
     outputs = _labelled(response, "outputs", "output_labels", time.size)
     inputs = _labelled(response, "inputs", "input_labels", time.size)
-    settings, mapping = as_settings(settings), check_mapping(columns, "columns", "qm")
+    settings, mapping = as_settings(settings, stated), check_mapping(columns, "columns", "qm")
     if not mapping:
         mapping = _guess(list(outputs), list(inputs), "kp" in settings)
     signals = {"time": time, **inputs, **outputs}

@@ -59,7 +59,8 @@ def data_light(check: Sequence[RecordQuality], others: Sequence[Finding] = ()) -
     if warnings:
         return Light(light="amber", sentence=_told(warnings))
     count = {1: "The record", 2: "Both records"}.get(len(check), f"All {len(check)} records")
-    return Light(light="green", sentence=f"{count} can be used, and nothing in the data speaks against them.")
+    them = "it" if len(check) == 1 else "them"
+    return Light(light="green", sentence=f"{count} can be used, and nothing in the data speaks against {them}.")
 
 
 def diagnosis_lights(diagnosis: Diagnosis) -> dict[str, Light]:
