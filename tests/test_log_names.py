@@ -363,3 +363,38 @@ def test_a_record_file_without_units_that_travels_far_is_read_in_metres_with_a_w
     assert "--unit position=mm" in warning.message
     stated = read_log(written(tmp_path, "# kp = 0.06 V/m\n" + content)).record
     assert not [remark for remark in stated.remarks if remark.severity == "warning"]
+
+
+@pytest.mark.parametrize(("head", "unit"), [("t_ms,target,pos,voltage", "V"), ("time,reference,pos,voltage", "V")])
+def test_the_word_voltage_alone_is_no_unit(tmp_path, head, unit):
+    """Whole numbers of many levels are as often millivolts, or counts of a PWM, as they are volts."""
+    time = T * 1e3 if head.startswith("t_ms") else T
+    path = written(tmp_path, head + "\n" + rows(time, R, Y, np.round(U * 1e3)))
+    with pytest.raises(
+        InputError, match=r"column .voltage. holds whole numbers up to .* and states no unit: volts and"
+    ):
+        read_log(path)
+    assert np.abs(read_log(path, units={"voltage": "mV"}).record.voltage - U).max() <= 0.5e-3 + 1e-9
+    assert read_log(path, units={"voltage": unit}).record.voltage == pytest.approx(np.round(U * 1e3))
+
+
+def test_a_record_file_s_voltage_is_in_volts(tmp_path):
+    path = written(tmp_path, "# kp = 60 V/m\ntime,reference,position,voltage\n" + rows(T, R, Y, np.round(U * 1e3)))
+    assert read_log(path).record.voltage == pytest.approx(np.round(U * 1e3))
+
+
+@pytest.mark.parametrize("name", ["reference", "target"])
+@pytest.mark.parametrize("comment", ["", "# kp = 60 V/m\n"])
+def test_a_reference_that_rests_where_the_axis_goes_is_in_its_unit(tmp_path, name, comment):
+    """A step that began with the record does not travel; how far from zero it lies tells as much."""
+    step = lab.step_record(lab.NLM2, 60, 4, reference=0.1, duration=0.3, noise=1e-5, seed=5)
+    signals = step.time * 1e3, step.position * 1e3, 1e3 * step.reference, step.voltage
+    path = written(tmp_path, f"{comment}t_ms,pos_mm,{name},u_V\n" + rows(*signals))
+    assert read_log(path).record.reference == pytest.approx(step.reference)
+
+
+def test_a_reference_that_rests_in_metres_beside_millimetres_stays_so(tmp_path):
+    step = lab.step_record(lab.NLM2, 60, 4, reference=0.1, duration=0.3, noise=1e-5, seed=5)
+    signals = step.time * 1e3, step.position * 1e3, step.reference, step.voltage
+    path = written(tmp_path, "t_ms,pos_mm,reference,u_V\n" + rows(*signals))
+    assert read_log(path).record.reference == pytest.approx(step.reference)

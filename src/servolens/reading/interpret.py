@@ -262,14 +262,15 @@ def _unstated(
 ) -> tuple[str | None, str] | None:
     """Return the unit of a column that states none, and why; None for one that cannot be used."""
     choice = chosen[signal]
+    is_own = choice.is_stated and (choice.evidence == NAMED or _is_record(chosen))
     if signal == "time":
         return time_unit(choice)
     if signal in ("position", "reference"):
         beside = "reference" if signal == "position" else "position"
-        if _is_record(chosen) and choice.evidence != NAMED:
+        if is_own and choice.evidence != NAMED:
             return None, ""
         return _length(choice, chosen.get(beside), found.get(beside), settings)
-    if signal == "voltage" and (not choice.is_stated or choice.unit or choice.meaning.where == BY_ARMATURE):
+    if signal == "voltage" and (not is_own or choice.unit or choice.meaning.where == BY_ARMATURE):
         return command_unit(choice)
     if signal == "velocity" and (not choice.is_stated or choice.evidence == NAMED):
         return velocity_unit(choice, chosen, {key: text for key, (text, _) in found.items()})

@@ -150,8 +150,15 @@ def _check_alike(choice: Choice, beside: Choice | None, settled: str, si: str) -
 
 
 def is_alike(choice: Choice, beside: Choice, settled: str) -> bool:
-    """Tell whether a column travels about as far as its partner in that one's unit, rather than in SI."""
-    nearness = _nearness([travel_of(one.column.values) for one in (choice, beside)], settled)
+    """Tell whether a column travels about as far as its partner in that one's unit, rather than in SI.
+
+    Of one that rests it is how far from zero they reach: a step may have begun with the record.
+    """
+    both = [one.column.values for one in (choice, beside)]
+    sizes = [travel_of(values) for values in both]
+    if not all(sizes):
+        sizes = [travel_of(np.append(values, 0.0)) for values in both]
+    nearness = _nearness(sizes, settled)
     return nearness is not None and nearness[0] <= nearness[1]
 
 
