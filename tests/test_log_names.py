@@ -398,3 +398,48 @@ def test_a_reference_that_rests_in_metres_beside_millimetres_stays_so(tmp_path):
     signals = step.time * 1e3, step.position * 1e3, step.reference, step.voltage
     path = written(tmp_path, "t_ms,pos_mm,reference,u_V\n" + rows(*signals))
     assert read_log(path).record.reference == pytest.approx(step.reference)
+
+
+@pytest.mark.parametrize(
+    ("name", "roles", "unit"),
+    [
+        ("axis/u", ("voltage",), None),
+        ("/axis/u", ("voltage",), None),
+        ("axis/t", ("time",), None),
+        ("Weg/m", ("position",), "m"),
+        ("Weg / mm", ("position",), "mm"),
+        ("Strom/A", ("voltage",), "A"),
+        ("Zeit/s", ("time",), "s"),
+        ("Kraft / N", ("voltage",), "N"),
+    ],
+)
+def test_a_letter_behind_a_slash_is_a_unit_only_if_signals_are_in_it(name, roles, unit):
+    """Paths end in symbols: u is no atomic mass there, and t is no tonne."""
+    assert (meaning(name).roles, meaning(name).unit) == (roles, unit)
+
+
+DSPACE = (
+    "descriptor,trace\nhost,rig\ntype,float,float,float,float\npath,time,Model Root/ref,Model Root/pos,Model Root/u\n"
+)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        DSPACE + "trace_values,,,,\n",
+        DSPACE.replace("path,time", "path,") + "unit,s,m,m,V\ntrace_values,,,,\n",
+    ],
+    ids=["names", "names and units"],
+)
+def test_a_mark_between_the_names_and_the_numbers_hides_no_names(tmp_path, head):
+    """As dSPACE exports it: the row of paths stands above one that says that values follow."""
+    content = head + "".join(f",{line}\n" for line in rows(T, R, Y, U).splitlines())
+    options = {} if ",time," in head else {"columns": {"time": "2"}}
+    record = read_log(written(tmp_path, content), **options).record
+    assert record.position == pytest.approx(Y, abs=1e-9)
+    assert record.voltage == pytest.approx(U, abs=1e-6)
+
+
+def test_a_word_alone_between_the_names_and_the_numbers_hides_no_names(tmp_path):
+    record = read_log(written(tmp_path, "t,ref,pos,u\nDATA\n" + rows(T, R, Y, U))).record
+    assert record.position == pytest.approx(Y, abs=1e-9)

@@ -115,7 +115,7 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     scope = _scope(above, width)
     if scope is not None:
         return Layout(*scope, first, typed, has_clocks=scope[0][0] == "time")
-    above, stated = _beside(above)
+    above, stated = _beside(_without_mark(above, width))
     units: tuple[str | None, ...] = (None,) * width
     used = 0
     if len(above) > 1 and _is_names(above[-2], width) and _is_units(above[-1], above[-2], width):
@@ -130,6 +130,15 @@ def _named(rows: Sequence[Sequence[str]], first: int, width: int, typed: frozens
     last = above[-1] if above else []
     is_text = sum(bool(cell) for cell in last) > 1 and all(number(cell) is None for cell in last if cell)
     return Layout(numbered, units, first, typed, properties_of(above), False, len(last) if is_text else 0)
+
+
+def _without_mark(above: list[list[str]], width: int) -> list[list[str]]:
+    """Leave out a row of one text below one that names most columns, as ``trace_values`` of dSPACE: numbers follow."""
+    if len(above) < 2 or not _is_names(above[-2], width) or 2 * sum(map(bool, above[-2])) <= width:
+        return above
+    given = [cell for cell in above[-1] if cell]
+    is_mark = len(given) == 1 and number(given[0]) is None and not parse_unit(_unit(given[0]) or "")
+    return above[:-1] if is_mark else above
 
 
 def _beside(above: list[list[str]]) -> tuple[list[list[str]], dict[str, str]]:

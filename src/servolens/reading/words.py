@@ -26,7 +26,7 @@ from servolens.reading.vocabulary import (
     UNITS,
     WORDS,
 )
-from servolens.units import parse_unit
+from servolens.units import COMMAND_UNITS, parse_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -69,6 +69,7 @@ _CONVENTIONS = (
 )
 """Names by which a program is known whose logs state no units, and the unit that its manual states."""
 _CLASS = {word: kind for kind, words in WORDS.items() for word in words.split()}
+_COMMANDS = ("voltage", "feedforward")
 _ROLES = {"reference": "position", "feedforward": "voltage"}
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _TOKEN = re.compile(r"[A-ZÄÖÜ]+(?![a-zäöüß])|[A-ZÄÖÜ]?[a-zäöüß]+|\d+")
@@ -190,9 +191,19 @@ def unit_behind(text: str) -> tuple[str, str | None, str]:
             stated = None if inner in ("", "-") else inner
             return match[1].strip(), known or stated, "in brackets"
     match = _SLASH.fullmatch(text)
-    if match and (unit := _known(match[2])):
+    if match and (unit := _known(match[2])) and (len(unit) > 1 or _is_of_signals(unit)):
         return match[1].strip(), unit, "behind its name"
     return text, None, ""
+
+
+def _is_of_signals(unit: str) -> bool:
+    """Tell whether signals are in such a unit: u behind ``axis/`` is no atomic mass, nor t a tonne."""
+    parsed = parse_unit(unit)
+    commands = (parse_unit(one) for one in COMMAND_UNITS)
+    return parsed is not None and (
+        _allowed(dict(parsed.dimension)) != _COMMANDS
+        or any(one is not None and one.dimension == parsed.dimension for one in commands)
+    )
 
 
 def _known(text: str) -> str | None:
@@ -423,4 +434,4 @@ def _allowed(dimension: Mapping[str, float]) -> tuple[str, ...]:
         return ("velocity",)
     if plain == {}:
         return ("time", "position", "reference", "velocity", "voltage", "feedforward", "enabled")
-    return ("voltage", "feedforward")
+    return _COMMANDS
