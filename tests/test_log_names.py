@@ -443,3 +443,10 @@ def test_a_mark_between_the_names_and_the_numbers_hides_no_names(tmp_path, head)
 def test_a_word_alone_between_the_names_and_the_numbers_hides_no_names(tmp_path):
     record = read_log(written(tmp_path, "t,ref,pos,u\nDATA\n" + rows(T, R, Y, U))).record
     assert record.position == pytest.approx(Y, abs=1e-9)
+
+
+def test_thousandths_are_tenths_of_a_percent(tmp_path):
+    content = "t,ref,pos,torque [‰]\n" + rows(T, R, Y, 10 * U)
+    record = read_log(written(tmp_path, content)).record
+    assert record.command_unit == "%"
+    assert record.voltage == pytest.approx(U, abs=1e-6)

@@ -187,6 +187,7 @@ UNITS = {
     "ampere": "A",
     "inch": "inch", "inches": "inch", "min": "min", "mins": "min", "minutes": "min", "minuten": "min",
     "ma": "mA", "nm": "N m", "mnm": "mN m", "n": "N", "newton": "N", "pct": "%", "percent": "%", "prozent": "%",
+    "‰": "0.1%",
     "rpm": "rpm", "dps": "deg/s", "rps": "rev/s", "mps": "m/s", "pwm": "pwm", "duty": "duty",
 }  # fmt: skip
 """Units at a heading's end, in small letters."""
