@@ -450,3 +450,13 @@ def test_thousandths_are_tenths_of_a_percent(tmp_path):
     record = read_log(written(tmp_path, content)).record
     assert record.command_unit == "%"
     assert record.voltage == pytest.approx(U, abs=1e-6)
+
+
+@pytest.mark.parametrize(("given", "scale"), [("position", 1e3), ("reference", 1e3), ("position", 1.0)])
+def test_the_answer_for_one_length_of_a_record_file_holds_for_the_other_too(tmp_path, given, scale):
+    """Where both travel alike in it; a reference that is in metres beside an answer in millimetres stays so."""
+    path = written(tmp_path, "time,reference,position,voltage\n" + rows(T, scale * R, 1e3 * Y, U))
+    record = read_log(path, units={given: "mm"}).record
+    assert record.position == pytest.approx(Y, abs=1e-9)
+    assert record.reference == pytest.approx(R, abs=1e-9)
+    assert not [remark for remark in record.remarks if remark.severity == "warning"]

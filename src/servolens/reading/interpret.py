@@ -267,7 +267,7 @@ def _unstated(
         return time_unit(choice)
     if signal in ("position", "reference"):
         beside = "reference" if signal == "position" else "position"
-        if is_own and choice.evidence != NAMED:
+        if is_own and choice.evidence != NAMED and not _follows(choice, chosen.get(beside), found.get(beside)):
             return None, ""
         return _length(choice, chosen.get(beside), found.get(beside), settings)
     if signal == "voltage" and (not is_own or choice.unit or choice.meaning.where == BY_ARMATURE):
@@ -280,6 +280,13 @@ def _unstated(
 def _is_record(chosen: Mapping[str, Choice]) -> bool:
     """Tell whether all columns have the names of record files, whose numbers are in SI where no unit stands."""
     return all(choice.is_stated for choice in chosen.values())
+
+
+def _follows(choice: Choice, beside: Choice | None, other: tuple[str | None, str] | None) -> bool:
+    """Tell whether a column is in the unit that the caller has given for its partner, as far as both travel."""
+    if beside is None or other is None or other[1] != BY_CALLER:
+        return False
+    return is_alike(choice, beside, other[0] or "")
 
 
 def _length(
