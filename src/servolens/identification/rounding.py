@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from servolens.effects import Sensor
 from servolens.errors import NumericalError
 from servolens.identification.runs import place_of
+from servolens.identification.segments import applied_voltage
 from servolens.identification.uncertainty import MOST_SAMPLES
 from servolens.prediction import Beginning
 from servolens.processors import in_parallel, in_processes
@@ -42,6 +43,7 @@ __all__ = [
     "is_coarse",
     "is_rounded",
     "law_of_squares",
+    "logged",
     "own_spectra",
     "parted",
     "rounded",
@@ -63,8 +65,9 @@ FREQUENCIES, BAND = 1024, 5
 FEW_DRAWS = 8
 """Draws of each size of quick noise that is looked at."""
 HALF_DECADE = 10.0**0.5
-SHARES = (0.0, *(HALF_DECADE**power for power in (-4, -3, -2, -1, 0)))
-"""Standard deviations of quick noise that are looked at first, in steps of the encoder."""
+SHARES = (0.0, *(HALF_DECADE**power for power in range(-6, 1)))
+"""Standard deviations of quick noise that are looked at first, in steps of the encoder: a loop with a derivative, which
+goes to and fro over a step at rest, shows a thousandth of it."""
 FINER = tuple(HALF_DECADE**0.5**power for power in (1, 2, 3, 4))
 """Factors by which the likeliest one is changed: records of some thousand samples know it to a few per cent."""
 LOOPS = 2 * DRAWS + (len(SHARES) + 2 * len(FINER)) * FEW_DRAWS
@@ -136,11 +139,48 @@ def rounded(
     spectra : ndarray, shape (draws, m)
         See :func:`own_spectra`.
     """
+    return [
+        np.column_stack([one.whiten(one.error) for one in draws]) for draws in _of_each(runs, plants, starts, spectra)
+    ]
+
+
+def logged(
+    runs: Sequence[ObservedRun | SimulatedRun],
+    plants: Sequence[Plant],
+    starts: Sequence[NDArray[np.float64]],
+    spectra: NDArray[np.float64],
+) -> Iterator[list[ObservedRun | SimulatedRun]]:
+    """Yield the runs as each of the draws would be logged, position and voltage, of records with a loop.
+
+    Parameters are those of :func:`rounded`. A draw that has no simulation is the run itself.
+    """
+    for draws in zip(*_of_each(runs, plants, starts, spectra), strict=True):
+        yield [run if one.log is None else run.measured_as(*one.log) for run, one in zip(runs, draws, strict=True)]
+
+
+def _of_each(
+    runs: Sequence[ObservedRun | SimulatedRun],
+    plants: Sequence[Plant],
+    starts: Sequence[NDArray[np.float64]],
+    spectra: NDArray[np.float64],
+) -> list[list[_Draw]]:
+    """Return the draws of each run."""
     stream = np.random.default_rng(0)
     return [
-        np.column_stack([w(error) for w, error in _drawn(run, (plant, start), position, spectra, stream, len(spectra))])
+        [*_drawn(run, (plant, start), position, spectra, stream, len(spectra))]
         for run, plant, start, position in zip(runs, plants, starts, _whole(runs, plants, starts), strict=True)
     ]
+
+
+class _Draw(NamedTuple):
+    """What an encoder would show: the error, shape (n,), the filter that whitens it, and position and voltage in all.
+
+    The error is the position less what is shown. The log, shape (n,) each, is None without a loop.
+    """
+
+    whiten: Whitener
+    error: NDArray[np.float64]
+    log: tuple[NDArray[np.float64], ...] | None
 
 
 def _whole(
@@ -199,9 +239,9 @@ def own_spectra(
         chance, power, stream = 0.0, np.zeros(shown.size), np.random.default_rng(1)
         for run, plant, start, position in of_runs:
             drawn = [*_drawn(run, (plant, start), position, own, stream, draws)]
-            power += sum(_power(error) for _, error in drawn) / samples / draws
+            power += sum(_power(one.error) for one in drawn) / samples / draws
             seen = _quickness(run.whiten.position, position - run.whiten.position, step)
-            chance += _chance(seen, np.array([_quickness(w.position, error, step) for w, error in drawn]))
+            chance += _chance(seen, np.array([_quickness(one.whiten.position, one.error, step) for one in drawn]))
         return chance, power
 
     def beside(share: float) -> tuple[float, NDArray[np.float64]]:
@@ -270,12 +310,8 @@ def _drawn(
     spectrum: NDArray[np.float64],
     stream: np.random.Generator,
     draws: int,
-) -> Iterator[tuple[Whitener, NDArray[np.float64]]]:
-    """Yield what the encoder would make of draws of noise of this `spectrum`, and the filter that whitens it.
-
-    Of a plant that has `begun` with an initial state.
-    The error, shape (n,), is the position less what is shown.
-    """
+) -> Iterator[_Draw]:
+    """Yield what the encoder would make of draws of noise of this `spectrum`, of a plant that has `begun`."""
     step, record = run.noise.rounding, run.signals.record
     places = stream.uniform(-0.5 * step, 0.5 * step, draws)
     stops = np.random.default_rng(2).uniform(-0.5 * step, 0.5 * step, draws)  # the same in all records
@@ -284,7 +320,7 @@ def _drawn(
     own = drawn_noise(spectrum, len(record) if closed else position.size, stream, draws)
     at = None if not closed else _compared(run, position.size)
 
-    def one(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def one(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[NDArray[np.float64], ...] | None]:
         if at is not None:
             loop = replace(record, position=record.position + places[k], encoder_resolution=step)
             with suppress(NumericalError):
@@ -294,12 +330,13 @@ def _drawn(
                 if any(isinstance(effect, Sensor) for effect in plant.effects):
                     driven = replace(loop, voltage=moved.voltage, encoder_resolution=None)
                     there = own_start.simulated(axis, driven, voltage_driven=True).measured
-                return there[at], moved.measured[at]
-            return position, step * np.round((position + own[at, k]) / step)
-        return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k]
+                log = moved.measured, applied_voltage(replace(record, voltage=moved.voltage))
+                return there[at], moved.measured[at], log
+            return position, step * np.round((position + own[at, k]) / step), None
+        return position, step * np.round((position + own[:, k] + places[k]) / step) - places[k], None
 
-    for there, shown in in_parallel(one, range(draws)):
-        yield run.whiten.of(shown), there - shown
+    for there, shown, log in in_parallel(one, range(draws)):
+        yield _Draw(run.whiten.of(shown), there - shown, log)
 
 
 def beginning_of(run: ObservedRun | SimulatedRun, start: NDArray[np.float64]) -> Beginning:
