@@ -49,14 +49,17 @@ LAGS = 2
 def instruments(test: ScoreTest) -> Iterator[NDArray[np.float64]]:
     """Yield what each kind of instrument would do to the whitened residual, shape (n, k).
 
-    Forces over velocity, position, voltage and time; the reference at several lags; modes that it sets ringing; and
-    friction, damping and gain that change in time, otherwise in each record.
+    The reference at several lags; modes that it sets ringing; forces over velocity, position, voltage and time; and
+    friction, damping and gain that change in time, otherwise in each record. What needs no simulation comes first: most
+    of what depends on the inputs shows there.
 
     Raises
     ------
     NumericalError
         If the axis cannot be simulated with any force beside it.
     """
+    yield _of_reference(test)
+    yield _ringing(test)
     motions = [noise_free(test, i) for i in range(len(test.runs))]
     records = [run.signals.record for run in test.runs]
     closed = all(record.has_loop for record in records)
@@ -65,8 +68,6 @@ def instruments(test: ScoreTest) -> Iterator[NDArray[np.float64]]:
     if not forces.shape[1]:
         raise NumericalError("the axis cannot be simulated with any force beside it")
     yield forces
-    yield _of_reference(test)
-    yield _ringing(test)
     if closed:
         yield from (_of_each_record(test, _pushed(test, laws)) for laws in _changing(motions))
 
