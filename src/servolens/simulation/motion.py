@@ -240,6 +240,21 @@ def is_rough(series: Any, y: float, v: float, h: float, coarse: float) -> bool:
 
 
 @njit(**OPTIONS)
+def smooth_part(
+    x: Any, series: Any, begin: Any, end: Any, nz: int, part: float, shortest: float, coarse: float
+) -> float:
+    """Return half of a piece, or as much less as it takes for the last term of its series not to matter.
+
+    A and B at the end are set to those after it.
+    """
+    shorter = 0.5 * part
+    while shorter > shortest and is_rough(series, x[Y], x[V], shorter, coarse):
+        shorter *= 0.5
+    shorten(begin, end, nz, shorter / part)
+    return shorter
+
+
+@njit(**OPTIONS)
 def move(x: Any, series: Any, ns: int, h: float, e: Any) -> float:
     """Write into `e` where the axis is after `h` seconds or at its reversal; return the time that this takes."""
     y, v, d = x[Y], x[V], x[D]
@@ -299,9 +314,9 @@ def advance(x: Any, p: Any, room: Any, h: float, coarse: float) -> int:
             relax(x, e, kept, begin, end, known, z, part)
             taylor(x, p, series)
             if part > SHORTEST * h and (is_rough(series, x[Y], x[V], part, coarse) or is_beyond(x, p, before, after)):
-                part *= 0.5
-                shorten(begin, end, nz, 0.5)
-                continue
+                part = smooth_part(x, series, begin, end, nz, part, SHORTEST * h, coarse)
+                if nz > 0:  # else the series is the same for a shorter piece
+                    continue
             tau = move(x, series, ns, part, e)
             if sets_out and e[V] == 0.0 and e[Y] == x[Y]:  # not in this direction: it rests until it is pushed loose
                 sets_out, x[MOVING] = False, 0.0
