@@ -16,6 +16,7 @@ from servolens.identification.runs import ClosedLoop, as_simulated, begun, moved
 from servolens.identification.segments import applied_before
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.rates import substeps_for
+from servolens.simulation.settings import COARSE
 from servolens.simulation.trial import Trial, observed_trial
 
 if TYPE_CHECKING:
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MOVED_IN_GAP", "ObservedRun", "SimulatedRun", "least_missed"]
 
-COARSE = 1e-4
-"""Share of the noise by which a simulated sample may be wrong."""
 MOVED = 1e-5
 """Share of the travel by which an initial state is moved for its sensitivity."""
 MOVED_IN_GAP = 1e-2
@@ -161,7 +160,7 @@ class SimulatedRun:
         self.whiten = Whitener(record.position, np.zeros(len(record)), noise, time=record.time)
         self.samples = self.simulated = len(record)
         self.instants = record.time
-        self._loop = ClosedLoop(record)
+        self._loop = ClosedLoop(record, COARSE * noise.floor)
         self.sample_time = self._loop.sample_time
         self.start: NDArray[np.float64] = np.empty(0)
         self.shifts: tuple[float, ...] = ()

@@ -187,9 +187,11 @@ class ClosedLoop:
     ----------
     record : Record
         With reference and controller.
+    wrong : float
+        Position [m or rad] by which a step to the next sample may be wrong beyond what other simulations allow.
     """
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: Record, wrong: float = 0.0) -> None:
         assert record.reference is not None and record.controller is not None  # noqa: S101, PT018 - callers see to it
         self.record, self.controller = record, record.controller
         self._ticks = record.loop_ticks()
@@ -198,6 +200,7 @@ class ClosedLoop:
         self._added = None if record.feedforward is None else self._ticks.command(record.feedforward)
         self._before = applied_before(record)
         self.sample_time = float(np.max(np.diff(self.time)))
+        self._coarse = wrong / self.sample_time
 
     def simulated(
         self, plant: Plant, start: Sequence[float], substeps: int, push: NDArray[np.float64] | None = None
@@ -219,6 +222,7 @@ class ClosedLoop:
             feedforward=added,
             before=self._before,
             limit=self.record.voltage_limit,
+            coarse=self._coarse,
         )
 
     def logged(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from servolens.simulation.rates import substeps_for
 from servolens.simulation.runs import Inputs, Simulation, run_one
 from servolens.simulation.settings import (
     ANY_NUMBER,
+    COARSE,
     DISTURBED,
     NO_LAW,
     NO_OBSERVER,
@@ -220,7 +221,10 @@ def _substeps(asked: int | None, plant: Plant, step: float, loop: float = 0.0) -
 def _shaking(
     acceleration: ArrayLike | None, sensor_error: ArrayLike | None, time: NDArray[np.float64]
 ) -> tuple[tuple[float, float, float], NDArray[np.float64] | None]:
-    """Return the settings of an axis that is shaken or whose sensor errs, or not, and by what, shape (n, 2)."""
+    """Return the settings of an axis that is shaken or whose sensor errs, or not, and by what, shape (n, 2).
+
+    Steps are no finer than shows beside what the sensor's error changes by from sample to sample.
+    """
     if acceleration is None and sensor_error is None:
         return NO_OBSERVER, None
     disturbed = np.zeros((time.size, 2))
@@ -230,7 +234,8 @@ def _shaking(
             if values.shape != time.shape:
                 raise InputError(f"time has {time.size} samples, the {what} {values.size}")
             disturbed[:, column] = values
-    return DISTURBED, disturbed
+    hidden = COARSE * float(np.sqrt(0.5 * np.mean(np.diff(disturbed[:, 1]) ** 2))) if time.size > 1 else 0.0
+    return (DISTURBED, hidden / float(np.max(np.diff(time), initial=1e-9)), 0.0), disturbed
 
 
 def simulate_voltage(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ANY_NUMBER",
+    "COARSE",
     "DISTURBED",
     "NO_LAW",
     "NO_OBSERVER",
@@ -32,12 +33,14 @@ __all__ = [
 
 ANY_NUMBER = 0.0
 """Most pieces into which substeps may be split, where there is no such limit."""
+COARSE = 1e-4
+"""Share of the sensor's noise by which a simulated sample may be wrong."""
 OPEN_LOOP = [0.0] * 7 + [1.0, 1.0, 0.0, 0.0]
 """What the rule is told of a loop where there is none, but for the pieces granted and what was applied before."""
 NO_OBSERVER = (0.0, 0.0, 0.0)
 """What it is told where no measurement corrects the axis."""
-DISTURBED = (2.0, 0.0, 0.0)
-"""What it is told where the axis is shaken or its sensor errs."""
+DISTURBED = 2.0
+"""What it is told first where the axis is shaken or its sensor errs."""
 NO_LAW = [0.0, 0.0, 1.0, 0.0, np.inf, 0.0, 0.0, 0.0, 1.0]
 """What it is told of the rest of a law where there is none."""
 

@@ -81,7 +81,7 @@ class Trial:
         return found
 
 
-def closed_trial(
+def closed_trial(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     controller: Controller,
     time: NDArray[np.float64],
     reference: NDArray[np.float64],
@@ -91,6 +91,7 @@ def closed_trial(
     limit: float | None = None,
     sensor_error: NDArray[np.float64] | None = None,
     patience: float = PATIENCE,
+    coarse: float = 0.0,
 ) -> Trial:
     """Return the trial of plants in a digital loop.
 
@@ -100,17 +101,19 @@ def closed_trial(
         As of :func:`servolens.simulation.simulate_loop`.
     patience : float
         Pieces into which a substep may be split on average.
+    coarse : float
+        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
     """
     period = sample_time_of(time)
     loop = loop_settings(controller, period)
-    corrects, disturbed = NO_OBSERVER, None
+    kind, disturbed = NO_OBSERVER[0], None
     if sensor_error is not None:
-        corrects, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
+        kind, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
 
     def settings(plant: Plant, substeps: int) -> list[float]:
         granted = patience * time.size * max(pieces_for(plant, period, substeps), ONE_OF)
         law = law_settings(plant, controller, limit)
-        return [1.0, *loop, 0.0, granted, *known(before), *corrects, *law]
+        return [1.0, *loop, 0.0, granted, *known(before), kind, coarse, 0.0, *law]
 
     added = np.zeros(time.size) if feedforward is None else feedforward
     return Trial(Inputs(time, added, reference, disturbed), settings)
