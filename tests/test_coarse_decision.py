@@ -7,7 +7,7 @@ import pytest
 
 from servolens import Plant, lab
 from servolens.diagnosis.case import Case
-from servolens.effects import CoulombFriction, ReturnSpring, catalogue
+from servolens.effects import CoulombFriction, GainDrift, ReturnSpring, catalogue
 from servolens.identification.loop_errors import drawn_loop_errors, loop_error
 from servolens.identification.noise import NoiseModel
 from servolens.identification.observed import ObservedRun
@@ -51,6 +51,22 @@ def test_an_instrument_like_a_parameter_of_the_model_is_not_its_feedback_noise()
     found = case.likelihood.whitened_well(case.likelihood.judged(plant))
     for answer in answers(ScoreTest(case.likelihood, found)):
         assert answer.chance > FALSE_ALARM / TESTS
+
+
+@pytest.mark.parametrize(("drift", "steps"), [(0.0, (0.354,)), (0.1, (0.354, -0.2, 0.3, -0.1))])
+def test_what_a_loop_with_a_derivative_does_at_rest_is_rounding_and_no_drift_of_the_gain(drift, steps):
+    """It goes to and fro where the encoder shows nothing: less so, the less the axis answers to the voltage."""
+    truth = lab.Truth(gain=100.0, damping=5.6, effects={"gain_drift": {"rate": drift}} if drift else {})
+    gains, setup = ((9.0, 0.244), (20.25, 0.574), (5.76, 0.232)), {"duration": 2.5, "encoder": 6e-3, "noise": 1.2e-5}
+    turned = [np.array(steps) * (1.0 if kp > 6.0 else -0.8) for kp, _ in gains]
+    logs = zip(gains, turned, strict=True)
+    records = [lab.step_record(truth, *g, reference=r, seed=50 + i, **setup) for i, (g, r) in enumerate(logs)]
+    case = Case(tuple(records), (), {}, len(catalogue()))
+    simple = case.likelihood.judged(Plant(gain=100.0, damping=5.6))
+    richer = case.likelihood.judged(Plant(gain=100.0, damping=5.6, effects=(GainDrift(rate=0.1),)), simple)
+    test = ScoreTest(case.likelihood, replace(simple, noise=richer.noise))
+    assert richer.total < simple.total
+    assert test.may_be_chance(richer.plant, 17.0) is (drift == 0.0)
 
 
 def test_a_missing_spring_still_shows_beside_a_coarse_encoder():
