@@ -240,10 +240,9 @@ class Case:
 
         An observer that follows a shaken axis is an approximation, and so is rounding as an autoregressive process:
         what they leave is whitened as well as can be. Noise that moves the axis by a material part of its travel has to
-        be shown, which only a loop that can be simulated can do; where there is none, simulations that miss as much
-        may lack anything. An axis of which simulations under its voltage diverge, as with cogging, is observed although
-        nothing shakes it: its loop then misses no more than the sensor's noise. So is one whose log is slower than its
-        loop after each jump of its reference, which is timed to about a tick: its loop is asked as well.
+        be shown, which only a loop that can be simulated can do; where there is none, simulations that miss as much may
+        lack anything. Rounding is simulated, and hides nothing. Axes of which simulations diverge, as with cogging, are
+        observed although nothing shakes them, and so are logs slower than their loops: the loop is asked as well.
         """
         noise = hypothesis.noise
         if noise.rate == 0.0 and noise.spread <= noise.least:
@@ -263,7 +262,8 @@ class Case:
         plants = [hypothesis.plant_of(i) for i in range(len(self.records))]
         errors = [residual(plant, record) for plant, record in zip(plants, self.records, strict=True)]
         own = noise.spread if noise.rate == 0.0 and noise.order == 0 else self.likelihood.white.spread
-        is_material = self.is_material(errors, own)
+        before = np.inf if test.unrounded is None else float(np.sqrt(np.mean(test.unrounded)))
+        is_material = before > MATERIAL * self.travel and self.is_material(errors, own)
         if not closed:
             return is_material
         ripple = self.ripple_beside(hypothesis)

@@ -103,9 +103,12 @@ class NoiseTrials:
             self.look(self._improved(best) if rates else best, is_coloured=True)
 
     def _is_rounding(self, noise: NoiseModel) -> bool:
-        """Tell whether no more is left than rounding can be, which is most of the sensor's noise."""
+        """Tell whether no more is left than rounding can be, which is most of the sensor's noise.
+
+        An axis that rests where the encoder shows the next step is half a step away all the time.
+        """
         white = self.likelihood.white
-        return dominates(white) and noise.spread <= AT_NOISE * white.spread
+        return noise.spread <= 0.5 * white.rounding or (dominates(white) and noise.spread <= AT_NOISE * white.spread)
 
     def _improved(self, noise: NoiseModel) -> NoiseModel:
         """Return noise of the likeliest rate and corner near these, by Newton's method on their logarithms.

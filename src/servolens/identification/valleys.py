@@ -18,6 +18,7 @@ from servolens.identification.conditioning import WORST, determined, open_direct
 from servolens.identification.error_problem import Point, Problem
 from servolens.identification.fit_findings import HARDLY_APART
 from servolens.identification.minimiser import NEGLIGIBLE_ON_THE_WAY, SHORT, descend
+from servolens.identification.observed import ObservedRun
 from servolens.identification.runs import moved_start
 from servolens.identification.widths import linearised_widely
 
@@ -48,7 +49,8 @@ def counting_valleys(
         return refined
     runs = likelihood.runs(noise, unpowered=unpowered)
     if refined.usual:
-        runs = [run.less(usual) for run, usual in zip(runs, refined.usual, strict=True)]
+        of_each = zip(runs, refined.usual, strict=True)
+        runs = [run.less(usual) if isinstance(run, ObservedRun) else run for run, usual in of_each]
     problem = Problem(refined.plant, runs, likelihood.options(refined.plant), None)
     with suppress(InputError, NumericalError):
         refined = _flattest(problem, refined)
