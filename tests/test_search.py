@@ -186,6 +186,21 @@ def test_friction_is_begun_beside_a_constant_force_where_the_axis_moves_one_way(
     assert found.plant.named["coulomb_friction.level"] > 0.0
 
 
+def test_a_speed_loop_that_hardly_integrates_is_begun_where_it_does_what_gain_and_damping_do():
+    """All its starts led away from the axis, farther than gain and damping alone, and gravity was named instead."""
+    servo = {"speed_per_volt": 0.159, "proportional": 6.35, "integral": 0.02}
+    truth = lab.Truth(gain=0.159 * 6.35, damping=1.28, effects={"speed_servo": servo})
+    gains, setup = ((231.0, 1.8), (118.0, 13.0), (177.0, 3.4)), {"duration": 8.0, "sample_time": 2e-3}
+    records = [
+        lab.step_record(truth, *g, reference=1.0, encoder=0.0, noise=1.5e-5, seed=i, **setup)
+        for i, g in enumerate(gains)
+    ]
+    trials = Trials(records, {}, len(catalogue())).unshaken()
+    base = trials.base()
+    starts = starts_to_fit(trials.starts(ScoreTest(trials.likelihood, base), "speed_servo"))
+    assert trials.begun(starts, base, 1e9).total < base.total - 5e4
+
+
 def test_damping_that_no_sample_shows_in_one_direction_is_no_damping_by_direction():
     """It holds the axis, as friction does."""
     assert AsymmetricDamping(damping_difference=-12.0).is_whole(HUNG)

@@ -235,8 +235,10 @@ class Trials:
         if regressor(cls).sizes:
             return self._solved(plant, cls, is_biased)
         tried = [plant.with_effect(effect) for effect in self.screen.proposals_of(plant, cls)]
-        if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping
+        if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping, or so much as it is
+            left = [plant.damping - start.effects[-1].damping for start in tried]
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
+            tried += [replace(start, damping=rest) for start, rest in zip(tried, left, strict=False) if rest > 0.0]
         return tried
 
     def _free(self, plant: Plant, cls: type[Effect]) -> list[Plant]:

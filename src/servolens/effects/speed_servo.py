@@ -86,3 +86,6 @@ class SpeedServo(Drive):
                     proportional=proportional,
                     integral=proportional * proportional / slower,
                 )
+        if seen.damping > 0:  # half of the damping is the drive's, and its integral does next to nothing
+            own = 0.5 * seen.damping
+            yield within(cls, speed_per_volt=seen.gain / own, proportional=own, integral=own * own / 1000.0)
