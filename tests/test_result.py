@@ -154,6 +154,7 @@ def test_file_of_another_result_is_named(kind, tmp_path):
     )
 
 
+@pytest.mark.parametrize("kind", FITTED)
 def test_simulate_and_residuals_belong_to_each_other(kind):
     found = made(kind)
     simulated, residuals = found.simulate(), found.residuals()

@@ -236,9 +236,9 @@ class Trials:
             return self._solved(plant, cls, is_biased)
         tried = [plant.with_effect(effect) for effect in self.screen.proposals_of(plant, cls)]
         if issubclass(cls, Drive):  # its own loop takes over most of what seemed damping, or so much as it is
-            left = [plant.damping - start.effects[-1].damping for start in tried]
+            own = [(start, drive) for start in tried if isinstance(drive := start.effects[-1], Drive)]
             tried += [replace(start, damping=0.2 * plant.damping) for start in tried]
-            tried += [replace(start, damping=rest) for start, rest in zip(tried, left, strict=False) if rest > 0.0]
+            tried += [replace(s, damping=plant.damping - d.damping) for s, d in own if d.damping < plant.damping]
         return tried
 
     def _free(self, plant: Plant, cls: type[Effect]) -> list[Plant]:
