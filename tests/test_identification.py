@@ -237,6 +237,19 @@ def test_long_records_are_cut_without_changing_the_answer(monkeypatch: pytest.Mo
     np.testing.assert_allclose(solve_integral(assemble(segments)).x, whole, rtol=1e-9)
 
 
+@pytest.mark.parametrize("encoder", [0.039, 0.02, 1e-5])
+def test_a_trajectory_turns_round_where_the_axis_moves_back_and_not_where_its_encoder_steps(encoder):
+    """Each step of a coarse encoder was taken for a reversal, and each stretch was too short."""
+    time = 2e-3 * np.arange(930)
+    there_and_back, loop = 1.0 - np.abs(2.0 * time / time[-1] - 1.0), Controller(kp=1.66, kd=0.0247)
+    setup = Setup(controller=loop, trajectory=there_and_back)
+    axis, ways = Truth(gain=625.0, damping=16.8), {"sample_time": 2e-3, "noise": 1e-4, "duration": time[-1]}
+    there, back = motion_segments([step_record(axis, encoder=encoder, seed=3, setup=setup, **ways)])
+    assert there.stop == pytest.approx(465, rel=0.1) == back.first
+    assert there.first < 60
+    assert back.stop > 900
+
+
 def test_constraint_of_the_paper_holds_and_is_named() -> None:
     segments = motion_segments([step_record(NLM3, 100.0, encoder=25e-6, duration=0.9)])
     free = fit_varying(segments, duration=0.05)

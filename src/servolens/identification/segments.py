@@ -133,7 +133,7 @@ def motion_segments(records: Iterable[Record]) -> tuple[Segment, ...]:
         step, sample_time = record.step_size, _sample_time(record)
         floor = max(4.0 * noise, 1.5 * (record.encoder_resolution or 0.0))
         origin = float(record.time[0])
-        for first, stop, goes_on in _stretches(record, sample_time):
+        for first, stop, goes_on in _stretches(record, sample_time, floor):
             window = _motion(record.position[first:stop], step, floor, sample_time, goes_on=goes_on)
             if window is not None:
                 a, b = first + window[0], first + window[1]
@@ -323,14 +323,14 @@ def _sample_time(record: Record) -> float:
     return float(np.median(np.diff(record.time[:100_001])))
 
 
-def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]]:
+def _stretches(record: Record, sample_time: float, floor: float) -> list[tuple[int, int, bool]]:
     """Return first sample, the one after the last, and whether the stretch goes on with a motion begun before.
 
     Of an axis whose motor is off the command says nothing: these samples are left out.
     """
     edges = record.edges()
     is_steps = record.reference is not None and (edges.size < 2 or np.min(np.diff(edges)) >= FEWEST_SAMPLES)
-    cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time))}
+    cuts = {0, *(edges.tolist() if is_steps else _reversals(record, sample_time, floor))}
     gaps = (np.flatnonzero(cycles_passed(record.time) > 1.0) + 1).tolist()
     is_on = np.ones(len(record)) if record.enabled is None else record.enabled
     switched = (np.flatnonzero(np.diff(is_on)) + 1).tolist()
@@ -338,8 +338,8 @@ def _stretches(record: Record, sample_time: float) -> list[tuple[int, int, bool]
     return [(first, stop, first not in cuts) for first, stop in every if is_on[first]]
 
 
-def _reversals(record: Record, sample_time: float) -> list[int]:
-    """Return the samples at which an axis that follows a trajectory turns round.
+def _reversals(record: Record, sample_time: float, floor: float) -> list[int]:
+    """Return the samples at which an axis that follows a trajectory turns round, to move back by twice the `floor`.
 
     What the equation lacks (friction above all) is integrated twice; over a whole trajectory it would bury the rest,
     over one stroke it is nearly constant.
@@ -350,7 +350,15 @@ def _reversals(record: Record, sample_time: float) -> list[int]:
     turns = np.flatnonzero(np.diff(np.sign(velocity[fast]))) + 1
     if record.reference is None and turns.size < FEWEST_STROKES:  # a step that rings, not a trajectory
         return []
-    return [int(fast[k - 1] + fast[k]) // 2 for k in turns]
+    y, found, way, farthest = record.position, [], 0.0, 0
+    for k in (*((fast[turns - 1] + fast[turns]) // 2).tolist(), len(record) - 1):
+        moved = float(y[k] - y[farthest])
+        is_seen = abs(moved) > 2.0 * floor
+        if is_seen and way * moved < 0.0:
+            found.append(farthest)
+        if is_seen or way * moved > 0.0:
+            way, farthest = float(np.sign(moved)), k
+    return found
 
 
 def _motion(
