@@ -103,9 +103,10 @@ class NoiseTrials:
             self.look(self._improved(best) if rates else best, is_coloured=True)
 
     def _is_rounding(self, noise: NoiseModel) -> bool:
-        """Tell whether no more is left than rounding can be, which is most of the sensor's noise.
+        """Tell whether no more is left than rounding can be.
 
-        An axis that rests where the encoder shows the next step is half a step away all the time.
+        At most half a step, as of an axis that rests where the encoder shows the next one; and where rounding is most
+        of the sensor's noise, a few times that.
         """
         white = self.likelihood.white
         return noise.spread <= 0.5 * white.rounding or (dominates(white) and noise.spread <= AT_NOISE * white.spread)

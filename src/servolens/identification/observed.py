@@ -117,8 +117,13 @@ class ObservedRun:
         """Return the same run, observed alike, with another log of position and applied voltage, shape (n,) each."""
         other = copy(self)
         other.signals = self.signals.measured_as(position, voltage)
-        if self.noise.rate > 0.0:  # it rests elsewhere
-            other._observe()
+        return other
+
+    def observed_anew(self) -> ObservedRun:
+        """Return the same run, observed where its own log rests: another log of an axis rests elsewhere."""
+        other = copy(self)
+        other.signals = self.signals.at_rest_anew()
+        other._observe()
         return other
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
@@ -186,6 +191,10 @@ class SimulatedRun:
         other = copy(self)
         other.signals = replace(self.signals, record=replace(self.signals.record, position=position))
         return other
+
+    def observed_anew(self) -> SimulatedRun:
+        """Return the same run: nothing observes it."""
+        return self
 
     def residual(self, plant: Plant, start: NDArray[np.float64], substeps: int) -> NDArray[np.float64]:
         """Return the difference in standard deviations."""

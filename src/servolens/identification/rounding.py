@@ -152,10 +152,12 @@ def logged(
 ) -> Iterator[list[ObservedRun | SimulatedRun]]:
     """Yield the runs as each of the draws would be logged, position and voltage, of records with a loop.
 
-    Parameters are those of :func:`rounded`. A draw that has no simulation is the run itself.
+    Parameters are those of :func:`rounded`. Draws that have no simulation are left out.
     """
     for draws in zip(*_of_each(runs, plants, starts, spectra), strict=True):
-        yield [run if one.log is None else run.measured_as(*one.log) for run, one in zip(runs, draws, strict=True)]
+        found = [run.measured_as(*one.log) for run, one in zip(runs, draws, strict=True) if one.log is not None]
+        if len(found) == len(runs):
+            yield found
 
 
 def _of_each(

@@ -156,7 +156,7 @@ class ScoreTest:
         try:
             missed = self._missed(plant)
             columns = self._columns(plant, missed)
-            reached = self._less_mean(self._missed_least(plant, missed))
+            reached = self._less_mean(self._missed_least(plant, self._split(missed), self.runs))
         except (InputError, NumericalError):
             return 0.0
         gained = float(self.left @ self.left) - float(reached @ reached)
@@ -203,18 +203,39 @@ class ScoreTest:
         """
         from scipy.stats import t
 
-        most = max(paid, float(t.isf(0.5 * FALSE_ALARM, DRAWS)) ** 2)
-        in_loop = all(run.signals.record.has_loop for run in self.runs)
-        if self.unrounded is not None and in_loop:
-            return self._beyond_draws(plant, self.unrounded) < most
-        return self.gain(plant) / self._inflation(plant) < most
+        drawn = self._gains_drawn(plant)
+        if drawn.size > DRAWS // 2:
+            limit = float(t.isf(0.5 * FALSE_ALARM, drawn.size - 1)) ** 2
+            return self._beyond(plant, drawn) < max(paid, limit)
+        return self.gain(plant) / self._inflation(plant) < max(paid, float(t.isf(0.5 * FALSE_ALARM, DRAWS)) ** 2)
 
-    def _beyond_draws(self, plant: Plant, spectra: NDArray[np.float64]) -> float:
-        """Return by how many standard deviations, squared, `plant` gains more than it does of logs of the hypothesis.
+    def _gains_drawn(self, plant: Plant) -> NDArray[np.float64]:
+        """Return what `plant` gains of logs of the hypothesis, where an encoder rounds what its loops see; else none.
 
         A loop answers to its encoder's rounding, and the voltage knows of it: at rest the axis goes to and fro where
         the encoder shows nothing, and a plant that answers less to the voltage misses less. So each draw is a log of
         its own (Cox 1961, tests of separate families of hypotheses; with simulated logs, Williams 1970).
+        """
+        found: list[float] = []
+        if self.unrounded is None or not all(run.signals.record.has_loop for run in self.runs):
+            return np.array(found)
+        plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
+        for runs in logged(self.runs, plants, self.hypothesis.starts, self.unrounded):
+            with suppress(InputError, NumericalError):
+                parts = self._linearised(runs)
+                of_each = enumerate(zip(runs, self.hypothesis.starts, strict=True))
+                reached = self._missed_least(
+                    plant, [self._part(plant, i, start, run) for i, (run, start) in of_each], runs
+                )
+                own = _basis(parts)
+                left, other = free_of(own, np.concatenate([part.left for part in parts])), free_of(own, reached)
+                found.append(float(left @ left - other @ other))
+        return np.array([gain for gain in found if np.isfinite(gain)])
+
+    def _beyond(self, plant: Plant, drawn: NDArray[np.float64]) -> float:
+        """Return by how many standard deviations, squared, `plant` gains more than was `drawn`; less than none is none.
+
+        The draws scatter no less than what white noise does to it.
 
         Raises
         ------
@@ -222,27 +243,13 @@ class ScoreTest:
             If `plant` has no simulation.
         """
         missed = self._missed(plant)
-        left, reached = self.free_of_own(self.residual), self.free_of_own(self._missed_least(plant, missed))
-        plants = [self.hypothesis.plant_of(i) for i in range(len(self.runs))]
-        drawn = []
-        for runs in logged(self.runs, plants, self.hypothesis.starts, spectra):
-            with suppress(InputError, NumericalError):
-                drawn.append(self._gained(runs, plant))
-        least = 2.0 * float(np.linalg.norm(self.free_of_own(missed - self.residual)))  # beside white noise
-        spread = max(float(np.std(drawn)), least) if drawn else least
-        more = float(left @ left - reached @ reached) - float(np.mean(drawn or [0.0]))
-        return max(more, 0.0) ** 2 / max(spread, 1e-300) ** 2
-
-    def _gained(self, runs: Sequence[ObservedRun | SimulatedRun], plant: Plant) -> float:
-        """Return what `plant` gains of other logs beside what the hypothesis explains of them."""
-        parts = self._linearised(runs)
-        reached = [
-            self._part(plant, i, start, run)
-            for i, (run, start) in enumerate(zip(runs, self.hypothesis.starts, strict=True))
-        ]
-        own = _basis(parts)
-        left, other = (free_of(own, np.concatenate(one)) for one in ([part.left for part in parts], reached))
-        return float(left @ left - other @ other)
+        left, reached = (
+            self.free_of_own(self.residual),
+            self.free_of_own(self._missed_least(plant, self._split(missed), self.runs)),
+        )
+        least = 2.0 * float(np.linalg.norm(self.free_of_own(missed - self.residual)))
+        spread = max(float(np.std(drawn, ddof=1)) * np.sqrt(1.0 + 1.0 / drawn.size), least, 1e-300)
+        return float(max(left @ left - reached @ reached - np.mean(drawn), 0.0) / spread) ** 2
 
     def _inflation(self, plant: Plant) -> float:
         """Return the variance of rounded noise along the direction to `plant`, in units of white noise's; at least 1.
@@ -305,14 +312,20 @@ class ScoreTest:
             columns[rows, 2 * i], columns[rows, 2 * i + 1] = found[0][rows], found[1][rows]
         return columns
 
-    def _missed_least(self, plant: Plant, missed: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what is `missed` of each run from the hypothesis' initial state, or less from the run's own guess."""
-        found = np.split(missed, self._ends[1:-1])
+    def _missed_least(
+        self, plant: Plant, missed: list[NDArray[np.float64]], runs: Sequence[ObservedRun | SimulatedRun]
+    ) -> NDArray[np.float64]:
+        """Return what is `missed` of all `runs` from the hypothesis' initial states, or less from a run's own guess."""
+        found = list(missed)
         for i in self._begun_elsewhere:
             with suppress(InputError, NumericalError):
-                other = self._part(plant, i, self.runs[i].start)
+                other = self._part(plant, i, runs[i].start, runs[i])
                 found[i] = found[i] if float(found[i] @ found[i]) <= float(other @ other) else other
         return np.concatenate(found)
+
+    def _split(self, missed: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return what is `missed` of all, shape (n,), of each run."""
+        return np.split(missed, self._ends[1:-1])
 
     @cached_property
     def _begun_elsewhere(self) -> list[int]:

@@ -65,7 +65,8 @@ def _of_run(
     def one(k: int) -> NDArray[np.float64]:
         try:
             position, voltage = _measured(plant, begun, {"sensor_error": errors[:, k], "acceleration": shakes[:, k]})
-            missed = run.whiten(run.measured_as(position, voltage).missed(plant, start, substeps))
+            drawn = run.measured_as(position, voltage).observed_anew()
+            missed = drawn.whiten(drawn.missed(plant, start, substeps))
         except ServolensError:
             return white[:, k]
         return missed if np.abs(missed).max() < RUNS_AWAY else white[:, k]

@@ -133,7 +133,16 @@ class Signals:
         kicks = _mistimed(plant, ticks, voltage)
         is_unknown = begins_with_its_step(record)
         seen = cls(record, ticks, voltage, position, index, corrects, initial, is_unknown, speed, kicks, noise, rate)
-        return seen if ticks.is_faster else replace(seen, rests=resting(position, noise, rate * ticks.step))
+        return seen.at_rest_anew()
+
+    def at_rest_anew(self) -> Signals:
+        """Return the same with where its position shows that something holds the axis; not where samples are lost."""
+        if self.ticks.is_faster:
+            return self
+        rests = resting(self.position, self.sensor, self.rate * self.ticks.step)
+        if self.ticks.index is not None:
+            rests[np.setdiff1d(np.arange(rests.size), self.ticks.index)] = False
+        return replace(self, rests=rests)
 
     def rests_beside(self, noise: NoiseModel) -> NDArray[np.bool_] | None:
         """Return where something holds the axis, if the shaking of `noise` would move one that nothing holds visibly.
@@ -150,9 +159,8 @@ class Signals:
 
     def measured_as(self, position: NDArray[np.float64], voltage: NDArray[np.float64]) -> Signals:
         """Return the same record with another `position` and applied `voltage` at its samples, shape (n,) each."""
-        other, moved = replace(self.record, position=position, voltage=voltage), self.ticks.motion(position)
-        rests = None if self.rests is None else resting(moved, self.sensor, self.rate * self.ticks.step)
-        return replace(self, position=moved, voltage=applied_at(other, self.ticks), rests=rests)
+        other = replace(self.record, position=position, voltage=voltage)
+        return replace(self, position=self.ticks.motion(position), voltage=applied_at(other, self.ticks))
 
     @property
     def time(self) -> NDArray[np.float64]:

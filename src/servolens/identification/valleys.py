@@ -51,7 +51,8 @@ def counting_valleys(
     if refined.usual:
         of_each = zip(runs, refined.usual, strict=True)
         runs = [run.less(usual) if isinstance(run, ObservedRun) else run for run, usual in of_each]
-    problem = Problem(refined.plant, runs, likelihood.options(refined.plant), None)
+    problem = Problem(refined.plant, runs, likelihood.options(refined.plant), likelihood.weighed_by(noise))
+    problem.noise, problem.outlier = refined.weights.noise, refined.weights.outlier
     with suppress(InputError, NumericalError):
         refined = _flattest(problem, refined)
     likelihood.tally.add(problem.simulated)
@@ -62,16 +63,19 @@ def _flattest(problem: Problem, refined: Refinement) -> Refinement:
     """Return what was `refined` with error bars enlarged as far as one beside the minimum is larger."""
     minimum = problem.at(refined.starts, refined.local)
     found, _ = linearised_widely(problem, minimum)
-    own, is_open = _variances(found), open_directions(found.information)
+    seen = (minimum.values > problem.low) & (minimum.values < problem.high) & (np.diag(found.information) > 0.0)
+    if not seen.any():
+        return refined
+    own, is_open = _variances(found, seen), seen & open_directions(found.information)
     largest = own.copy()
-    for beside in _beside(problem, minimum, found):
+    for beside in _beside(problem, minimum, found, np.flatnonzero(seen)):
         other, _ = linearised_widely(problem, beside)
-        largest = np.maximum(largest, _variances(other))
-        is_open |= open_directions(other.information)
+        largest = np.maximum(largest, _variances(other, seen))
+        is_open |= seen & open_directions(other.information)
     factors = np.ones(len(refined.covariance))
     ratios = np.divide(largest, own, out=np.ones_like(own), where=own > 0.0)
     factors[problem.free[::-1]] = np.sqrt(ratios)[::-1]  # of parameters of the records' own the first
-    unknown = dict.fromkeys(name for name in problem.names_of(is_open) if name not in refined.at_bound)
+    unknown = problem.names_of(is_open)
     correlation, lost = refined.correlation.copy(), np.array([name in unknown for name in problem.names])
     correlation[lost], correlation[:, lost] = np.nan, np.nan
     return replace(
@@ -82,24 +86,23 @@ def _flattest(problem: Problem, refined: Refinement) -> Refinement:
     )
 
 
-def _variances(found: Linearised) -> NDArray[np.float64]:
-    """Return those of the parameters if the noise were white and 1, shape (k,); 0 of what nothing is seen."""
-    seen = np.flatnonzero(np.diag(found.information) > 0.0)
-    information, variances = found.information[np.ix_(seen, seen)], np.zeros(len(found.information))
-    basis = determined(information)
-    variances[seen] = np.diag(basis @ np.linalg.inv(basis.T @ information @ basis) @ basis.T)
+def _variances(found: Linearised, seen: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return those of the parameters that are `seen`, if the noise were white and 1, shape (k,); 0 of the others."""
+    index = np.flatnonzero(seen & (np.diag(found.information) > 0.0))
+    information, variances = found.information[np.ix_(index, index)], np.zeros(seen.size)
+    if index.size:
+        basis = determined(information)
+        variances[index] = np.diag(basis @ np.linalg.inv(basis.T @ information @ basis) @ basis.T)
     return variances
 
 
-def _beside(problem: Problem, minimum: Point, found: Linearised) -> list[Point]:
+def _beside(problem: Problem, minimum: Point, found: Linearised, free: NDArray[np.intp]) -> list[Point]:
     """Return where descents end that begin on both sides of the `minimum` along the direction that is known least.
 
-    As far as that explains more than the linearisation has it.
+    Of the parameters that are `free`, as far as that explains more than the linearisation has it.
     """
-    is_free = (minimum.values > problem.low) & (minimum.values < problem.high) & (np.diag(found.information) > 0.0)
-    free, variance = np.flatnonzero(is_free), problem.variance(minimum)
-    information, along = found.information[np.ix_(free, free)], np.zeros(is_free.size)
-    scale = np.sqrt(np.diag(information))
+    information, along = found.information[np.ix_(free, free)], np.zeros(problem.free.size)
+    scale, variance = np.sqrt(np.diag(information)), problem.variance(minimum)
     sizes, directions = np.linalg.eigh(information / np.outer(scale, scale))
     least = int(np.argmax(sizes > sizes[-1] / WORST))
     along[free] = directions[:, least] / scale * AWAY * np.sqrt(variance / sizes[least])
