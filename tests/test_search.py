@@ -423,8 +423,8 @@ def test_a_lag_that_was_taken_for_a_speed_loop_is_exchanged_for_it():
         for seed, (kp, kd, to) in enumerate(tries)
     )
     case = Case(runs, (), {}, len(catalogue()))
-    servo = SpeedServo(speed_per_volt=20.0, proportional=1e-3, integral=333.3)
-    taken = case.likelihood.judged(Plant(gain=1.0, damping=43.3, effects=(servo, Delay(time=0.006))))
+    servo = SpeedServo(speed_per_volt=20.9, proportional=8.6, integral=406.5)
+    taken = case.likelihood.judged(Plant(gain=180.0, damping=47.8, effects=(servo, Delay(time=0.006))))
     explorer = Explorer(case.trials, EFFORT["normal"], lambda _, __: None, (), lambda _: False, 1.0)
     found = explorer.exchanged(taken).plant
     assert {effect.name for effect in found.effects} == set(late)
