@@ -460,7 +460,10 @@ def test_loop_settings_without_gains_are_a_remark(write):
         (b"MDF     4.10    ", "is a damaged MDF file; record or export it again"),
         (b"\x89HDF\r\n\x1a\n...", "is a damaged HDF5 file; write it again"),
         (b"PK\x03\x04...", "is a damaged workbook, or another kind of ZIP file; save it again as .xlsx"),
-        (bz2.compress(b"t,q\n0,1\n"), "is compressed by bzip2; unpack it first, or pack it by gzip"),
+        *(
+            (bz2.compress(b"t,q\n0,1\n", level), "is compressed by bzip2; unpack it first, or pack it by gzip")
+            for level in range(1, 10)
+        ),
         (lzma.compress(b"t,q\n0,1\n"), "is compressed by xz; unpack it first, or pack it by gzip"),
         (b"\x28\xb5\x2f\xfd\x24\x08A\x00", "is compressed by Zstandard; unpack it first, or pack it by gzip"),
         (b"ARROW1\x00\x00", "is an Arrow (Feather) file, which is not read; save it as Parquet"),

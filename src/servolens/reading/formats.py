@@ -55,7 +55,10 @@ BINARY_FORMATS = (
     _Kind(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an Excel 97 workbook", "workbook"),
 )
 NOT_READ = {
-    b"BZh91AY&SY": "is compressed by bzip2; unpack it first, or pack it by gzip",
+    **dict.fromkeys(
+        (b"BZh%d1AY&SY" % level for level in range(1, 10)),
+        "is compressed by bzip2; unpack it first, or pack it by gzip",
+    ),
     b"\xfd7zXZ\x00": "is compressed by xz; unpack it first, or pack it by gzip",
     b"\x28\xb5\x2f\xfd": "is compressed by Zstandard; unpack it first, or pack it by gzip",
     b"7z\xbc\xaf\x27\x1c": "is a 7z archive; unpack it first",
