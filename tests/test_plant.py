@@ -169,7 +169,11 @@ def test_broken_model_files_are_one_sentence(tmp_path, text: str, message: str) 
             "gain is 19, outside its interval from 1.8804 to 1.9196; where the value was changed by hand",
         ),
         ({"value": 1.95}, "gain is 1.95, outside its interval"),
-        ({"interval": [2.5, 1.0]}, "gain is 1.9, outside its interval"),
+        (
+            {"interval": [2.5, 1.0]},
+            "interval of gain is from 2.5 to 1, its ends in the wrong order; begin with the lower",
+        ),
+        ({"value": 3.0, "interval": [2.5, 1.0]}, "interval of gain is from 2.5 to 1, its ends in the wrong order"),
         ({"interval": "1.9"}, "interval of gain must be a list"),
         ({"interval": [1.9]}, "interval of gain must hold 2 values"),
         (

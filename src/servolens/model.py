@@ -383,12 +383,16 @@ def _check_errors(plant: Plant, stated: NDArray[np.float64], held: NDArray[np.fl
 
 
 def _check_intervals(data: Mapping[str, Any]) -> None:
-    """Refuse a value outside the interval that stands beside it: one of the two was changed."""
+    """Refuse an interval that ends below its beginning, and a value outside its own: one of the two was changed."""
     for name, quantity in _quantities(data).items():
         if quantity.get("interval") is None:
             continue
         low, high = decoded(tuple[float, float], quantity["interval"], f"interval of {name}")
-        value, slack = _value(quantity), ROUNDED * abs(high - low)
+        if low > high:
+            raise InputError(
+                f"interval of {name} is from {low:.6g} to {high:.6g}, its ends in the wrong order; begin with the lower"
+            )
+        value, slack = _value(quantity), ROUNDED * (high - low)
         if not low - slack <= value <= high + slack:
             raise InputError(
                 f"{name} is {value:.6g}, outside its interval from {low:.6g} to {high:.6g}; where the value was changed"
