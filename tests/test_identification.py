@@ -15,6 +15,7 @@ from scipy.stats import binom
 
 from servolens import solving
 from servolens.design import PDSpec, tune
+from servolens.diagnosis import diagnose
 from servolens.effects import CATALOGUE, CoulombFriction, VelocityDecayDamping
 from servolens.errors import InputError
 from servolens.identification import Prior, identify
@@ -75,6 +76,27 @@ def test_samples_of_a_motor_that_is_off_do_not_bias_gain_and_damping(free):
         quantity = found.quantities[name]
         assert quantity.value == pytest.approx(true, rel=0.01)
         assert abs(quantity.value - true) < 4.0 * quantity.stderr
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        {"kd": 5.0, "velocity_feedforward": 8.0},
+        {"kd": 5.0, "derivative_on": "error"},
+        {"velocity_feedforward": 8.0},
+    ],
+    ids=["damped and fed forward", "derivative of the error", "fed forward alone"],
+)
+def test_an_axis_that_nothing_draws_to_its_reference_is_found(law):
+    """Its law has no proportional part, of which the rate of a loop is known elsewhere."""
+    turns = 2.0 * np.pi * 1e-3 * np.arange(1500.0)
+    rig = Setup(trajectory=0.1 * np.sin(turns) + 0.03 * np.sin(2.7 * turns), controller=Controller(kp=0.0, **law))
+    runs = [step_record(LM1, duration=1.5, noise=1e-5, seed=seed, setup=rig) for seed in (1, 2)]
+    for model in (identify(runs, model="constant").model, diagnose(runs, effort="quick").model):
+        for name, true in (("gain", LM1.gain), ("damping", LM1.damping)):
+            quantity = model.quantities[name]
+            assert quantity.value == pytest.approx(true, rel=1e-3)
+            assert abs(quantity.value - true) < 4.0 * quantity.stderr
 
 
 @pytest.mark.parametrize("truth", [LM1, LM3], ids=["Lm1", "Lm3"])

@@ -280,8 +280,12 @@ def begins_with_its_step(record: Record) -> bool:
 
 
 def loop_rate(plant: Plant, records: Sequence[Record]) -> float:
-    """Return about how fast the loops are [rad/s]; of records without gains, how fast they are logged to be."""
-    rates = [abs(plant.gain * r.controller.kp) ** 0.5 for r in records if r.controller is not None]
+    """Return about how fast the loops are [rad/s]; of records without a loop, how fast they are logged to be.
+
+    A law without a proportional part counts as none: nothing draws the axis at once to where it is asked to be.
+    """
+    gains = [record.controller.kp for record in records if record.controller is not None]
+    rates = [abs(plant.gain * kp) ** 0.5 for kp in gains if kp != 0.0]
     return float(np.median(rates)) if rates else 10.0 / float(np.median([r.duration for r in records]))
 
 
