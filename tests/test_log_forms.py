@@ -16,6 +16,7 @@ from servolens.campaign import read_records
 from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, stamps
+from servolens.reading.nested import tables_of
 from servolens.reading.words import Meaning, meaning, unit_behind
 
 TRUTH = lab.step_record(lab.NLM2, 60, 4, reference=(0.1, 0.02, 0.07), duration=0.2, noise=1e-5, seed=5)
@@ -746,6 +747,35 @@ def test_channels_with_names_and_units_of_their_own_are_read(tmp_path, label, va
         record = read_log(written(tmp_path, json.dumps(content))).record
         assert record.position == pytest.approx(Y, abs=1e-12)
         assert record.reference == pytest.approx(R, abs=1e-12)
+
+
+@pytest.mark.parametrize("more", [{"limits": [0, 1]}, {"limits": [0, 1], "range": [2, 3]}, {"rate": 1000}])
+def test_channels_may_have_short_lists_and_equal_numbers_beside_their_values(tmp_path, more):
+    kinds = (("t", T * 1e3, "ms"), ("target", R * 1e3, "mm"), ("pos", Y * 1e3, "mm"), ("u", U, "V"))
+    channels = [{"name": name, "unit": unit, **more, "samples": list(signal)} for name, signal, unit in kinds]
+    record = read_log(written(tmp_path, json.dumps(channels))).record
+    assert record.position == pytest.approx(Y, abs=1e-12)
+    assert record.reference == pytest.approx(R, abs=1e-12)
+
+
+def test_messages_with_a_text_and_a_list_each_are_no_channels(tmp_path):
+    """Each is a row, of which the list holds one joint."""
+    messages = [
+        {"id": f"m{k}", "time": float(t), "position": [float(y)], "reference": float(r), "voltage": float(u)}
+        for k, (t, y, r, u) in enumerate(zip(T, Y, R, U, strict=True))
+    ]
+    record = read_log(written(tmp_path, json.dumps(messages))).record
+    assert record.position == pytest.approx(Y, abs=1e-12)
+    assert record.time == pytest.approx(T - T[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("more", [{"time": True}, {}], ids=["numbers that differ", "names of their own"])
+def test_rows_of_joints_with_a_text_each_are_no_channels(more):
+    key = "values" if more else "position"
+    rows = [{"name": f"run{k}", key: [1.0 * k, 2.0 * k], **dict.fromkeys(more, 0.1 * k)} for k in range(5)]
+    columns = [column for table in tables_of(rows) for column in table.columns]
+    assert {"run0", "run1"}.isdisjoint(column.name for column in columns)
+    assert any(np.array_equal(column.values, 2.0 * np.arange(5)) for column in columns)
 
 
 def test_channels_without_names_are_asked_about(tmp_path):

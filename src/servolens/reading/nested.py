@@ -21,6 +21,8 @@ DEEPEST_LEVEL = 12
 """Levels that are followed."""
 _EMPTY = ("values", "value", "data", "y", "signals")
 """Names of leaves that say nothing: their parent's name does."""
+_VALUES = (*_EMPTY, "samples")
+"""Keys of a channel's values."""
 _NAMES = ("name", "label", "channel", "id", "title")
 """Keys of what a channel is called."""
 
@@ -136,17 +138,31 @@ def _is_cell(value: object) -> bool:
 
 
 def _channels(node: Sequence[Any]) -> dict[str, list[Any]] | None:
-    """Return the values of channels by name and unit, of objects such as ``{"name": …, "unit": …, "values": […]}``."""
+    """Return the values of channels by name and unit, of objects such as ``{"name": …, "unit": …, "values": […]}``.
+
+    Messages with a text and a list are none: their list has a name of its own, or a number differs from one to the
+    next, as a time does. A channel's further lists are shorter than its values, as limits are.
+    """
     found: dict[str, list[Any]] = {}
+    scalars: dict[str, set[float]] = {}
     for item in node:
         small = {str(key).lower(): value for key, value in item.items()}
         name = next((small[key] for key in _NAMES if isinstance(small.get(key), str)), None)
-        lists = [value for value in small.values() if isinstance(value, list)]
-        if name is None or name in found or len(lists) != 1:
+        lists = {key: value for key, value in small.items() if isinstance(value, list)}
+        longest = max(map(len, lists.values()), default=0)
+        long = [key for key, value in lists.items() if len(value) == longest > 1]
+        if name is None or len(long) != 1 or long[0] not in _VALUES:
             return None
         unit = next((small[key] for key in ("unit", "units") if isinstance(small.get(key), str)), "")
-        found[f"{name} [{unit}]" if unit else name] = lists[0]
-    return found
+        title = f"{name} [{unit}]" if unit else name
+        if title in found:
+            return None
+        found[title] = lists[long[0]]
+        for key, value in small.items():
+            if isinstance(value, int | float) and not isinstance(value, bool):
+                scalars.setdefault(key, set()).add(value)
+    is_one_length = len({len(values) for values in found.values()}) == 1
+    return found if is_one_length and all(len(values) == 1 for values in scalars.values()) else None
 
 
 def _sequence(
