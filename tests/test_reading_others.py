@@ -15,6 +15,7 @@ from servolens.cli import group
 from servolens.errors import InputError
 from servolens.reading import read_log, read_record, record_from_dataframe, record_from_timeresponse
 from servolens.reading.reference_file import read_reference_file
+from servolens.reading.text import unified
 from servolens.reading.words import meaning
 from servolens.record import Controller
 
@@ -480,6 +481,25 @@ def test_thousands_behind_apostrophes_and_hard_spaces_are_read(tmp_path, sign, d
     record = read_record(path)
     assert record.position == pytest.approx(places * 1e-6, abs=1e-9)
     assert record.time == pytest.approx(times * 1e-3)
+
+
+@pytest.mark.parametrize("sign", ["\u00a0", "\u202f", "\u2009"])
+@pytest.mark.parametrize("form", ["{:.3f}", "{:.0f}"], ids=["decimals", "whole numbers"])
+def test_hard_spaces_between_cells_join_no_numbers(tmp_path, sign, form):
+    """Nor do the names above whole numbers of three digits, which might be thousands by themselves."""
+    times = np.arange(100, 900)
+    clock = [form.format(time / 1000.0 if "3" in form else time) for time in times]
+    places = [f"{100 + (time // 10) % 800}" for time in times]
+    heads = ("time", "position", "voltage") if "3" in form else ("time[ms]", "position[mm]", "voltage[V]")
+    record = read_record(log(tmp_path / "a.csv", heads, clock, places, places, separator=sign))
+    scale = 1.0 if "3" in form else 1e-3
+    assert record.time == pytest.approx(times * 1e-3)
+    assert record.position == pytest.approx(scale * np.array(places, dtype=float))
+
+
+@pytest.mark.parametrize("text", ["'1'234'", "0.5\u00a0100", "0,5\u00a0100", "1234\u00a0567", "0'123", "1'234'56"])
+def test_what_cannot_be_thousands_is_left_as_it_is(text):
+    assert unified(text.encode()).decode() == text
 
 
 def test_a_typographic_minus_is_a_minus(tmp_path):

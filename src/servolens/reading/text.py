@@ -22,6 +22,7 @@ from servolens.reading.cells import (
 from servolens.reading.column_cells import ColumnCells
 from servolens.reading.files import quote
 from servolens.reading.layout import Layout, find_layout, properties_of, units_above
+from servolens.reading.plain_numbers import plain_numbers
 from servolens.reading.serial_monitor import as_table
 from servolens.reading.settings import comment_settings
 from servolens.reading.table import MOST_COLUMNS, Column, Table
@@ -50,14 +51,6 @@ LAST_WORDS = 20
 """Lines at the end that may be a table's statistics, of which there are ten or so."""
 _WORD = re.compile(r"[^\W\d_]{2,}(?: [^\W\d_]+)*:?")
 _COMMENT = re.compile(rb'(?m)^[ \t]*(?:#|%|//|"#+[ \t]*[A-Za-z_]\w*[ \t]*=)[^\n]*')
-_MINUS = re.compile("\N{MINUS SIGN}(?=[\\d.,])".encode())
-_THOUSANDS = re.compile(
-    rb"(?<=\d)(?:'|%s)(?=\d{3}(?!\d))"
-    % b"|".join(
-        sign.encode()
-        for sign in "\N{RIGHT SINGLE QUOTATION MARK}\N{NO-BREAK SPACE}\N{NARROW NO-BREAK SPACE}\N{THIN SPACE}"
-    )
-)
 _SIGNS = (b"#", b"%", b"//")
 _END_OF_HEADER = "***End_of_Header***"
 
@@ -174,20 +167,7 @@ def unified(content: bytes) -> bytes:
             content = _recoded(content, "cp1252")
     if b"\r" in content:
         content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return _plain_numbers(content)
-
-
-def _plain_numbers(content: bytes) -> bytes:
-    """Write a typographic minus as that of keyboards, and thousands without what stands between them.
-
-    That is an apostrophe or a space that does not break, before just three digits: neither is a decimal sign, and
-    neither separates columns.
-    """
-    if not content.isascii():
-        content = _MINUS.sub(b"-", content)
-    elif b"'" not in content:
-        return content
-    return _THOUSANDS.sub(b"", content)
+    return plain_numbers(content)
 
 
 def _recoded(content: bytes, encoding: str) -> bytes:
