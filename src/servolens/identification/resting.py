@@ -24,8 +24,8 @@ CHANCE = 1e-3
 def resting(position: NDArray[np.float64], sensor: float, step: float) -> NDArray[np.bool_]:
     """Return where the `position` shows neither slope nor bend nor more than the sensor's noise, shape (n,).
 
-    Asked are windows of a few samples; each tells of the sample in its middle, so that the
-    beginning and the end of a motion, which are not seen at once, do not count as rest.
+    Asked are windows of a few samples; each tells of the sample in its middle, so that the beginning and the end of a
+    motion, which are not seen at once, do not count as rest.
 
     Parameters
     ----------
