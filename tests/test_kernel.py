@@ -40,7 +40,7 @@ from servolens.plant import Plant
 from servolens.record import Controller, Record
 from servolens.simulation import Simulation, simulate, simulate_loop, simulate_many, simulate_voltage
 from servolens.simulation.rates import fixed_substeps_for, rate_of, substeps_for
-from servolens.simulation.trial import closed_trial
+from servolens.simulation.trial import Accuracy, closed_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -507,7 +507,7 @@ def test_trial_gives_up_where_a_step_is_split_too_often_and_else_changes_nothing
     reference = np.full(time.size, 0.1)
 
     def tried():
-        return closed_trial(LOOP, time, reference, patience=patience).simulated(plant, (0.0, 0.0), 4)
+        return closed_trial(LOOP, time, reference, accuracy=Accuracy(patience)).simulated(plant, (0.0, 0.0), 4)
 
     if refused:
         with pytest.raises(NumericalError, match="more parts than allowed"):

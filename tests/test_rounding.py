@@ -86,6 +86,7 @@ def test_noise_smaller_than_a_step_is_found_by_what_it_makes_of_the_steps(speed,
     ("speed", "most"), [(0.0, 0.04), (0.00173, 0.004), (0.0173, 0.01), (0.173, 0.04), (1.73, 0.04)]
 )
 def test_where_no_noise_is_seen_there_may_be_as_much_as_would_not_show(speed, most):
+    """Of a slow motion little more than the axis moves from sample to sample, or it would turn back at a step."""
     found = quick_noise_of(speed, 0.0)
     assert found.min() == 0.0
     assert found.max() <= most

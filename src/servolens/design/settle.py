@@ -15,7 +15,7 @@ from servolens.effects import Saturation
 from servolens.errors import NumericalError
 from servolens.simulation import Simulation, simulate_continuous
 from servolens.simulation.rates import substeps_for
-from servolens.simulation.trial import closed_trial
+from servolens.simulation.trial import Accuracy, closed_trial
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -113,7 +113,9 @@ def step_response(
     error = None if noise is None else noise.drawn(time.size)
     loop = replace(loop, integral_before=rest.integral, control_period=spec.sample_time if parts > 1 else None)
     before = rest.applied
-    trial = closed_trial(loop, time, reference, before=before, limit=limit, sensor_error=error, patience=RUNS_AWAY)
+    trial = closed_trial(
+        loop, time, reference, before=before, limit=limit, sensor_error=error, accuracy=Accuracy(RUNS_AWAY)
+    )
     return trial.simulated(plant, start, substeps_for(plant, period))
 
 

@@ -14,7 +14,7 @@ from servolens.identification.segments import applied_before, applied_voltage, n
 from servolens.identification.smoothing import smooth
 from servolens.simulation.circumstances import plant_in
 from servolens.simulation.loop import simulate_voltage
-from servolens.simulation.trial import Trial, closed_trial
+from servolens.simulation.trial import Accuracy, Trial, closed_trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -222,7 +222,7 @@ class ClosedLoop:
             feedforward=added,
             before=self._before,
             limit=self.record.voltage_limit,
-            coarse=self._coarse,
+            accuracy=Accuracy(coarse=self._coarse),
         )
 
     def logged(self, signal: NDArray[np.float64]) -> NDArray[np.float64]:

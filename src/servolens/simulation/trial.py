@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING, NamedTuple, final
 
 import numpy as np
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from servolens.plant import Plant
     from servolens.simulation.runs import Simulation
 
-__all__ = ["Trial", "closed_trial", "observed_trial"]
+__all__ = ["Accuracy", "Trial", "closed_trial", "observed_trial"]
 
 PATIENCE, ONE_OF = 5.0, 4
 """Pieces into which a substep of a trial may be split on average, held to be one of a few of its sample at least, for a
@@ -81,7 +81,25 @@ class Trial:
         return found
 
 
-def closed_trial(  # noqa: PLR0913 - what a loop is, all but the run by keyword
+class Accuracy(NamedTuple):
+    """How far a trial is followed.
+
+    Attributes
+    ----------
+    patience : float
+        Pieces into which a substep may be split on average.
+    coarse : float
+        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
+    """
+
+    patience: float = PATIENCE
+    coarse: float = 0.0
+
+
+USUAL = Accuracy()
+
+
+def closed_trial(
     controller: Controller,
     time: NDArray[np.float64],
     reference: NDArray[np.float64],
@@ -90,8 +108,7 @@ def closed_trial(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     before: float | None = None,
     limit: float | None = None,
     sensor_error: NDArray[np.float64] | None = None,
-    patience: float = PATIENCE,
-    coarse: float = 0.0,
+    accuracy: Accuracy = USUAL,
 ) -> Trial:
     """Return the trial of plants in a digital loop.
 
@@ -99,10 +116,8 @@ def closed_trial(  # noqa: PLR0913 - what a loop is, all but the run by keyword
     ----------
     controller, time, reference, feedforward, before, limit, sensor_error
         As of :func:`servolens.simulation.simulate_loop`.
-    patience : float
-        Pieces into which a substep may be split on average.
-    coarse : float
-        Speed [m/s or rad/s] by which a step may be wrong beyond what other simulations allow.
+    accuracy : Accuracy
+        How far it is followed.
     """
     period = sample_time_of(time)
     loop = loop_settings(controller, period)
@@ -111,9 +126,9 @@ def closed_trial(  # noqa: PLR0913 - what a loop is, all but the run by keyword
         kind, disturbed = DISTURBED, np.column_stack([np.zeros(time.size), sensor_error])
 
     def settings(plant: Plant, substeps: int) -> list[float]:
-        granted = patience * time.size * max(pieces_for(plant, period, substeps), ONE_OF)
+        granted = accuracy.patience * time.size * max(pieces_for(plant, period, substeps), ONE_OF)
         law = law_settings(plant, controller, limit)
-        return [1.0, *loop, 0.0, granted, *known(before), kind, coarse, 0.0, *law]
+        return [1.0, *loop, 0.0, granted, *known(before), kind, accuracy.coarse, 0.0, *law]
 
     added = np.zeros(time.size) if feedforward is None else feedforward
     return Trial(Inputs(time, added, reference, disturbed), settings)
