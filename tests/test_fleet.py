@@ -154,6 +154,19 @@ def test_finished_axes_are_not_studied_again(tmp_path):
     assert studied(tmp_path / "out") == ["a", "b"]
 
 
+def test_refused_axes_are_not_refused_anew_where_the_folder_is_named_otherwise(tmp_path, monkeypatch):
+    axes = make_unreadable(tmp_path / "axes", "a")
+    (axes / "empty").mkdir()
+    (axes / "lost.toml").write_text("[[records]]\nfile = 'none.csv'\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert run_fleet("axes", "out", QUICK, cores=1).studied_now == 3
+    assert run_fleet("axes", "out", QUICK, cores=1).studied_now == 0
+    assert run_fleet(axes, tmp_path / "out", QUICK, cores=1).studied_now == 0
+    (axes / "empty" / "note.txt").write_text("later", encoding="utf-8")
+    (axes / "lost.toml").write_text("[[records]]\nfile = 'other.csv'\n", encoding="utf-8")
+    assert run_fleet("axes", "out", QUICK, cores=1).studied_now == 2
+
+
 def test_half_written_results_and_those_of_other_files_or_requests_are_made_again(tmp_path):
     axes, out = make_unreadable(tmp_path / "axes", "a", "b"), tmp_path / "out"
     run_fleet(axes, out, QUICK, cores=1)
@@ -330,7 +343,7 @@ def test_parquet_and_csv_hold_the_same_rows(result):
     assert (read[1]["sentence"], read[1]["gain"]) == ("It takes too long.", "")
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", " =1", "＝1"])
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t1", "\t=1", "\r=1", " =1", "＝1"])
 def test_csv_holds_no_formula(result, text):
     row = {**row_of(result), "axis": text, "sentence": text, text: 1.0}
     cells = [cell for line in csv.reader(io.StringIO(to_csv([row]).decode(), newline="")) for cell in line]

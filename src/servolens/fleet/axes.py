@@ -112,17 +112,26 @@ def find_axes(folder: Path, *, leave_out: Path | None = None) -> tuple[Axis, ...
 
 
 def inputs_digest(path: Path, data_root: Path | None) -> str:
-    """Return what tells whether the files of an axis have changed: a SHA-256 digest of their names and contents."""
+    """Return what tells whether the files of an axis have changed: a SHA-256 digest of their names and contents.
+
+    Of an axis whose files are not known, as it is refused, all that lies in its folder counts. Where the axis lies does
+    not: a refusal names that, in words that depend on the folder that a run begins in.
+    """
     digest = hashlib.sha256()
     try:
         campaign = _campaign_of(path)
         files = [*([campaign] if campaign.suffix.lower() == ".toml" else []), *log_files(campaign, data_root=data_root)]
-        for file in (inner for outer in files for inner in _all_files(outer)):
-            digest.update(os.fsencode(file.name) + b"\0%d\0" % file.stat().st_size)
+    except (InputError, OSError):
+        digest.update(b"refused\0")
+        files = [path] if path.is_dir() or path.is_file() else []
+    for file in (inner for outer in files for inner in _all_files(outer)):
+        digest.update(os.fsencode(file.name) + b"\0")
+        try:
+            digest.update(b"%d\0" % file.stat().st_size)
             with file.open("rb") as stream:
                 digest.update(hashlib.file_digest(stream, "sha256").digest())
-    except (InputError, OSError) as error:
-        digest.update(f"refused: {error}".encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            digest.update(b"unreadable %d\0" % (error.errno or 0))
     return digest.hexdigest()
 
 

@@ -34,7 +34,7 @@ def _sentences(body: Mapping[str, Any]) -> tuple[str, ...]:
     studies, axes = body["studies"], body["axes"]
     kept = studies - body["studied_now"]
     what = f"{axes} axes" if studies == axes else f"{studies} studies of {axes} axes"
-    told = [f"{what}; {kept} were finished before." if kept else f"{what}."]
+    told = [f"{what}; {kept} {'was' if kept == 1 else 'were'} finished before." if kept else f"{what}."]
     failed = studies - body["status"].get("done", 0)
     lights = body["lights"]["gain"]
     counted = ", ".join(f"{lights.get(name, 0)} {name}" for name in ("green", "amber", "red"))
