@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from servolens import GainWishes, PDSpec, Plant, tune_gains
 from servolens.cli import group
-from servolens.design import evaluate, gain_map, recommend, tune
+from servolens.design import GainsFound, evaluate, gain_map, recommend, tune
 from servolens.design.margins import loop_margins
 from servolens.design.scenarios import drawn
 from servolens.effects import Backlash, ConstantForce, CoulombFriction, Delay, SensorLag, VelocityDecayDamping
@@ -368,3 +368,13 @@ def test_the_command_gives_the_gains(tmp_path):
     hopeless = CliRunner().invoke(group, ["design", *call[1:4], "--settling-time", "0.02", "--free", "kp", "kd"])
     assert hopeless.exit_code == 1
     assert "no gains were found" in " ".join(hopeless.output.split()).lower()
+
+
+def test_found_gains_are_one_line_that_says_them_or_why_there_are_none():
+    wishes = GainWishes(objective="settling_time", peak_sensitivity=1.4, scenarios=0)
+    found = GainsFound(spec=SPEC, wishes=wishes, kd=4.25)
+    assert (
+        repr(found) == f"<GainsFound: kp = {SPEC.kp:.4g}, kd = 4.25, derivative_filter = {SPEC.derivative_filter:.4g}>"
+    )
+    none = replace(found, kd=None, reason="no gain keeps the overshoot below 1 %")
+    assert repr(none) == "<GainsFound: none, as no gain keeps the overshoot below 1 %>"

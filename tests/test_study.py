@@ -56,6 +56,28 @@ def cart():
     return study_records(steps(CART, 60, 80), SPEC, effort="quick")
 
 
+def test_a_study_is_one_line_that_says_how_far_to_trust_which_gain(cart):
+    assert re.fullmatch(
+        r"<Study: data green, model green, gain green\. Recommended: kp = 80 V/m, kd = [\d.]+ V s/m\.>", repr(cart)
+    )
+    assert re.fullmatch(
+        r"<Comparison: least kd by model: linear [\d.]+, nonlinear [\d.]+, diagnosed [\d.]+>", repr(cart.comparison)
+    )
+    undone = study_records(replace(cart.records[0], voltage=np.zeros(len(cart.records[0]))), SPEC, effort="quick")
+    assert repr(undone).startswith("<Study: data red, ")
+    assert "\n" not in repr(undone)
+
+
+def test_simpler_models_are_identified_without_spikes_as_the_diagnosis_is():
+    (clean,) = steps(CART, 60)
+    position = clean.position.copy()
+    position[[200, 500, 900]] += (0.02, -0.02, 0.02)
+    found = study_records(clean.with_({"position": position}), SPEC, effort="quick")
+    assert found.fit.velocity.quantities["gain"].value == pytest.approx(
+        identify(clean).velocity.quantities["gain"].value, rel=1e-4
+    )
+
+
 HIDDEN = [
     ("delay", 2),
     *(

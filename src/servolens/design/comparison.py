@@ -51,6 +51,15 @@ class Comparison:
     linear_on_diagnosed: Response | None = None
     nonlinear_on_diagnosed: Response | None = None
 
+    def __repr__(self) -> str:
+        """Return one line: the least gain on each model."""
+        names = ("linear", "nonlinear", "diagnosed")
+        gains = (
+            f"{name} {'none' if design.kd is None else f'{design.kd:.4g}'}"
+            for name, design in zip(names, self.designs, strict=False)
+        )
+        return f"<Comparison: least {self.linear.spec.free} by model: {', '.join(gains)}>"
+
     @property
     def designs(self) -> tuple[Design, ...]:
         """The designs, that on the plant which the data support best last."""

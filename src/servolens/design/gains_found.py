@@ -58,6 +58,13 @@ class GainsFound:
     from_program: bool = False
     reason: str | None = None
 
+    def __repr__(self) -> str:
+        """Return one line: the gains, or why there are none."""
+        if self.kd is None:
+            return f"<GainsFound: none, as {self.reason or 'none were found'}>"
+        gains = (f"{name} = {value:.4g}" for name, value in self.gains.items() if isinstance(value, float | int))
+        return f"<GainsFound: {', '.join(gains)}>"
+
     @property
     def gains(self) -> dict[str, float | str | None]:
         """The gains by name, and what the derivative is made of, with the integral where the loop has one."""

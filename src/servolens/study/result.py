@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, final
 
+from servolens.result import late
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -68,6 +70,12 @@ class Study:
     forced: bool
     suggested: bool
     findings: tuple[Finding, ...]
+
+    def __repr__(self) -> str:
+        """Return one line: the lights and the gain."""
+        lights = ", ".join(f"{name} {light.light}" for name, light in self.lights.items())
+        said = late("summaries.tuning", "gain_sentences")(self)
+        return f"<Study: {' '.join((*([f'{lights}.'] if lights else []), *said[:1]))}>"
 
     def noting(self, sentence: str) -> Study:
         """Return the study with a sentence on its spec after that of a red gain, where only the spec is to blame."""
