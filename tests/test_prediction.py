@@ -224,3 +224,12 @@ def test_plant_itself_misses_little_more_than_the_noise_where_no_reference_is_lo
     record = step_record(LM1, 60.0, 0.5, reference=(0.1,), noise=1e-5, seed=2, setup=Setup(log_reference=False))
     truth = Plant(gain=LM1.gain, damping=LM1.damping)
     assert np.sqrt(np.mean(prediction_residual(truth, record) ** 2)) < 6e-5
+
+
+def test_names_that_the_user_gave_to_models_keep_their_letters() -> None:
+    record = step_record(LM1, 60)
+    plant = Plant(gain=1.9, damping=6.0)
+    assert predict(plant, record).summary().sentences[0].startswith("The model is ")
+    assert predict([plant, plant], record).summary().sentences[1].startswith("Model 2 is ")
+    named = predict({"arm": plant, "Arm": plant}, record).summary().sentences
+    assert [said.partition(" is ")[0] for said in named[:2]] == ['The model "arm"', 'The model "Arm"']

@@ -111,7 +111,7 @@ def prediction_summary(
     names = [row[0].name for row in prediction.errors]
     held = [name for name in names if prediction.is_held_out(name)]
     sentences = [
-        f"{model[:1].upper()}{model[1:]} is {percent(average)} of the step off on average over {_records(len(names))}."
+        f"{_subject(model)} is {percent(average)} of the step off on average over {_records(len(names))}."
         for model, average in zip(prediction.models, prediction.average_percent, strict=True)
     ]
     if prediction.identified_from:
@@ -122,6 +122,18 @@ def prediction_summary(
     single = len(prediction.models) == 1
     table = _single(prediction, length_unit) if single else _many(prediction)
     return Summary(title="Prediction", sentences=tuple(sentences), tables=(table,))
+
+
+def _subject(name: str) -> str:
+    """Return a model's name as it begins a sentence: one that the user gave stays as it is.
+
+    Examples
+    --------
+    >>> _subject("the model"), _subject("model 2"), _subject("arm, cold")
+    ('The model', 'Model 2', 'The model "arm, cold"')
+    """
+    is_own = name == "the model" or (name.startswith("model ") and name[len("model ") :].isdecimal())
+    return capital(name) if is_own else f'The model "{name}"'
 
 
 def _accuracy(identification: Identification) -> str:
